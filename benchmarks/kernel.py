@@ -22,7 +22,7 @@ from pfdist.common.measurement_times import regular
 from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import FLOAT32, FLOAT64, Estimation
+from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.library.linear_gaussian import linear_gaussian
@@ -64,13 +64,12 @@ class Case:
     Parameters
     ----------
     series : str
-        The varied quantity: a key of `SIZES`, or ``kind`` for model, resampling and dtype.
+        The varied quantity: a key of `SIZES`, or ``kind`` for model and resampling.
     """
 
     series: str = "kind"
     model: str = "ungm"
     resampling: str = "multinomial"
-    dtype: str = FLOAT64
     particles: int = 500
     horizon: int = 60
     measurement_budget: int = 21
@@ -94,8 +93,6 @@ def cases(quick: bool) -> Iterator[Case]:
     for model in installed_of(MODELS):
         for resampling in _fitting(model):
             yield Case(model=model, resampling=resampling)
-        for resampling in ("multinomial", "systematic"):
-            yield Case(model=model, resampling=resampling, dtype=FLOAT32)
     for series, sizes in SIZES.items():
         for resampling in ("multinomial", "systematic"):
             for size in sizes[: len(sizes) // 2 + 1 : 2] if quick else sizes:
@@ -158,7 +155,7 @@ def _calls(case: Case) -> Callable[[], None]:
     model = _model(case.model, case.components, case.sub_steps)
     draws = simulate(model, case.horizon, range(case.draws), stream=1)
     times = regular(case.horizon, case.measurement_budget)
-    settings = Estimation(case.particles, case.resampling, dtype=case.dtype)
+    settings = Estimation(case.particles, case.resampling)
     once = partial(filter_checked_draws, model, draws, times, 2, settings)
 
     def call() -> None:
@@ -224,10 +221,8 @@ def summary(tables: Tables) -> str:
     by_kind = markdown(
         ["model, resampling", "ns a particle-step"],
         (
-            [f"{model}, {resampling}{'' if dtype == FLOAT64 else f', {dtype}'}", f"{ns:.2f}"]
-            for model, resampling, dtype, ns in kinds[
-                ["model", "resampling", "dtype", "ns"]
-            ].to_numpy()
+            [f"{model}, {resampling}", f"{ns:.2f}"]
+            for model, resampling, ns in kinds[["model", "resampling", "ns"]].to_numpy()
         ),
     )
     spread = (kinds["ns_median"] / kinds["ns"]).max() - 1

@@ -464,7 +464,7 @@ def robust() -> str:
 def engines() -> str:
     """Give the table of engines."""
     rows = [[f"`{engine.name}`", _sentence(engine.description)] for engine in ENGINES.values()]
-    choice = "The engine `compiled`, or `batched` if a formula cannot be traced"
+    choice = "The engine `compiled`, or `batched` for a batched model"
     return _table(["engine", "what computes"], [[f"`{AUTO}` (default)", choice], *rows])
 
 

@@ -20,7 +20,7 @@
         └── TaskError               a task failed in its worker; carries the traceback
 
     PfdistWarning                   results are incomplete, or the model may be wrong
-    └── EngineWarning               NumPy computes a model, or compiled code is not kept
+    └── EngineWarning               a model is batched, or compiled code is not kept
 """
 
 import os
@@ -155,15 +155,7 @@ class ModelError(PfdistError):
 
 
 class TraceError(ModelError):
-    """A formula of a model cannot be traced.
-
-    Attributes
-    ----------
-    advice : str
-        Advice on what to write instead; empty if there is none.
-    """
-
-    advice = ""
+    """A formula of a model cannot be traced."""
 
 
 class MeasurementTimesError(PfdistError):
@@ -260,4 +252,4 @@ class PfdistWarning(UserWarning):
 
 
 class EngineWarning(PfdistWarning):
-    """A warning about speed: NumPy computes a model, or compiled code is not kept."""
+    """A warning about how a run computes: a model is batched, or compiled code is not kept."""

@@ -13,10 +13,11 @@ GONE = {
     "judge": "scenarios find robust plans, see docs/robust.md",
     "doctor": "the line of an error says what a machine lacks, see docs/install.md",
     ".tex": "pandas writes LaTeX, as pfdist.table(RUN).to_latex()",
+    "dtype": "all states are float64",
     "estimator": "each search estimates errors as docs/searches.md says",
 }
 """The replacement of each word. A key has its last parts, as many as identify it."""
-_FORMER_DEFAULTS = {"estimator": ("squared_error", "auto")}
+_FORMER_DEFAULTS = {"estimator": ("squared_error", "auto"), "dtype": ("float64",)}
 """Values of keys that are gone with which a job means what it means without the key."""
 
 

@@ -155,11 +155,7 @@ def _given(
     """
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
-        index = np.array(draw.index)
-        return tuple(
-            variates(kind, 1, stream, index, t, role, component)[:, 0]
-            for component, kind in enumerate(kinds)
-        )
+        return tuple(w[:, 0] for w in noise_of(kinds, 1, stream, draw.index, t, role))
 
     x, before = (tuple(draw.x[0, max(0, i)][:, None]) for i in (k, k - 1))
     t = draw.instants[k]
@@ -173,3 +169,13 @@ def _given(
         return "initial", (noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
     w = noise(model.process_noise, t - 1, TRUTH_PROCESS)
     return "transition", (before, t - 1, w, model.p)
+
+
+def noise_of(
+    kinds: tuple[str, ...], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
+) -> tuple[NDArray[np.float64], ...]:
+    """The variates of each component, (D, particles)."""
+    return tuple(
+        variates(kind, particles, stream, np.array(draws), t, role, component)
+        for component, kind in enumerate(kinds)
+    )

@@ -6,7 +6,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-AUTO: Final = "auto"  # the compiled engine, or the batched one for a model that cannot be traced
+AUTO: Final = "auto"  # the compiled engine, or the batched one for a batched model
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ COMPILED = Engine(
 )
 BATCHED = Engine(
     "batched",
-    "The compiled engine, which calls untraceable formulas on arrays of particles.",
+    "The compiled engine, which calls functions of batched models on arrays of particles.",
     simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.filters.particle_filter",
     seconds_a_step=3e-8,
@@ -87,4 +87,3 @@ def is_exact(name: str) -> bool:
 WITHOUT_FMA = (
     "this processor has no fused multiply-add (FMA), so filters take about 10 times as long"
 )
-BATCHED_TIMES_SLOWER = round(BATCHED.seconds_a_step / COMPILED.seconds_a_step)

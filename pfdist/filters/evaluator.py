@@ -28,7 +28,6 @@ from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
 from pfdist.filters.settings import check_filter, check_fits
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import (
-    FLOAT64,
     GUIDED,
     PLAIN,
     Estimation,
@@ -43,8 +42,7 @@ from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, made
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import Parameter, check_lengths
-from pfdist.models.programs import Declared
-from pfdist.models.recorded import check_same_functions, recorded, untraced
+from pfdist.models.recorded import check_same_functions, declared, recorded
 from pfdist.models.written import key_of_model
 
 
@@ -92,7 +90,7 @@ class Evaluator:
             self.check(estimation)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel as the models' programs; formulas that cannot be traced travel by value."""
+        """Travel as the models' programs; functions of a batched model travel by value."""
         names = {each.name for each in fields(self)} - {"model", "filter_model"}
         return _arrived, (self._content, {name: getattr(self, name) for name in names})
 
@@ -291,8 +289,8 @@ class Evaluator:
     @cached_property
     def most_together(self) -> int:
         """The largest number of particles in an array that a declared function gets, or 0."""
-        functions = (*self.model.formulas.values(), *self.believed.formulas.values())
-        return max((f.together for f in functions if isinstance(f, Declared)), default=0)
+        functions = declared(self.model) | declared(self.believed)
+        return max((function.together for function in functions.values()), default=0)
 
     @property
     def variance_is_error(self) -> bool:
@@ -331,8 +329,8 @@ class Evaluator:
         if self.engine == NUMPY.name or not estimations:
             return
         if self.computed_by.compiled:
-            for formula in (untraced(self.model) | untraced(self.believed)).values():
-                raise formula.why.with_traceback(None)  # else it grows each time
+            for formula in (declared(self.model) | declared(self.believed)).values():
+                raise formula.why
         prior = None if isinstance(self.prior, Gaussian) else self.prior
         draws = simulate(self.model, self.horizon, range(0), 0, prior)
         for estimation in estimations:
@@ -352,21 +350,11 @@ class Evaluator:
         for each in self.of_scenarios:
             each.check(estimation)
         engine = self.computed_by.name
-        if estimation.dtype != FLOAT64 and engine != COMPILED.name:
+        if estimation.proposal == GUIDED and engine != COMPILED.name:
             raise ModelError(
-                f"filter.dtype = {estimation.dtype!r} needs the engine {COMPILED.name!r}, got "
-                f"{engine!r}: filter.dtype = {FLOAT64!r} is for every engine"
+                f"filter.proposal = {GUIDED!r} needs filter.engine = {COMPILED.name!r}, got "
+                f"{engine!r}: {PLAIN!r} is for every engine"
             )
-        if estimation.proposal == GUIDED:
-            for name, got, needed in (
-                ("engine", engine, COMPILED.name),
-                ("dtype", estimation.dtype, FLOAT64),
-            ):
-                if got != needed:
-                    raise ModelError(
-                        f"filter.proposal = {GUIDED!r} needs filter.{name} = {needed!r}, got "
-                        f"{got!r}: {PLAIN!r} is for every {name}"
-                    )
         if not self.exact:
             check_filter(self.believed, self.model, estimation)
 

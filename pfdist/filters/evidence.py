@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 
 from pfdist.common.stopping import check
 from pfdist.filters import kalman
-from pfdist.filters.plain import noise_of
+from pfdist.filters.draws import noise_of
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.twin import twin_of

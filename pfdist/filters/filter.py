@@ -1,6 +1,5 @@
 """A filter for real measurements, one after another."""
 
-import contextlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,19 +13,15 @@ from pfdist.common.section import Whole, checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
     ArgumentError,
-    EngineWarning,
     MeasurementsError,
     ModelError,
     PfdistWarning,
-    TraceError,
     shown,
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import (
     AUTO,
-    BATCHED,
-    BATCHED_TIMES_SLOWER,
     COMPILED,
     ENGINES,
     EngineName,
@@ -52,7 +47,7 @@ from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
-from pfdist.models.recorded import untraced, with_untraced
+from pfdist.models.recorded import declared
 
 Array = NDArray[np.float64]
 
@@ -83,7 +78,7 @@ class Filter:
         "always", or "below 0.5" to resample only if the effective sample size falls below this
         share of the particles.
     engine : {"auto", "compiled", "batched", "numpy", "kalman"}
-        "auto" is the compiled engine, or the batched one for a model that cannot be traced.
+        "auto" is the compiled engine, or the batched one for a batched model.
         "kalman" is exact, for models that declare themselves linear-Gaussian.
     prior : Cloud, Gaussian, array or DataFrame, optional
         The distribution of x(s), instead of the model's `initial`; the filter then starts at s. An
@@ -144,13 +139,19 @@ class Filter:
             raise ArgumentError(str(error)) from error
         settings = Estimation(particles, resampling, prior=start, threshold=threshold)
         check_filter(self.model, self.model, settings)
-        self._filter, mean, variance = self._begun(settings, engine, draw)
+        if engine == COMPILED.name:
+            for formula in declared(self.model).values():
+                raise formula.why
+        name = COMPILED.name if engine == AUTO else engine
+        if name == "kalman":
+            matrices_of(self.model, 0)
+        self.unmeasured = OneFilter(self.model, settings, self.stream, draw, name)
+        """The filter before its first instant, from which other filters of the system start."""
+        self._filter, mean, variance = self.unmeasured.at(self.unmeasured.t)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
         # the last suspicious one, and `_unseen_by_many` has all measurements since then.
         many = replace(settings, particles=max(particles, MANY))
-        self.unmeasured = OneFilter(self.model, settings, self.stream, draw, self._filter.engine)
-        """The filter before its first instant, from which other filters of the system start."""
         self._many = replace(self.unmeasured, settings=many)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
@@ -225,12 +226,8 @@ class Filter:
             self._filter = self._ahead = predicted
             self._now = self._estimate(mean[-1], variance[-1])
             return self._now
-        # A proposal makes the step to t with the measurement, so the filter goes on from before t.
-        before = self._filter if self._filter.t < t and self.model.guided else predicted
-        moved, mean, variance = before.at(t, measurement)
-        belief, log_density, surprise = self._explained(
-            before, predicted, measurement, mean, variance
-        )
+        moved, mean, variance = predicted.at(t, measurement)
+        belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
         now = estimate_of(
             t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed
         )
@@ -278,35 +275,6 @@ class Filter:
         """Predict up to t, from the last prediction if that is on the way."""
         return (self._ahead if self._ahead.t <= t else self._filter).at(t)
 
-    def _begun(
-        self, settings: Estimation, engine: str, draw: int
-    ) -> tuple[OneFilter, Array, Array]:
-        """The filter at its first instant, compiled, with mean and variance of z."""
-        name = COMPILED.name if engine == AUTO else engine
-        if engine == COMPILED.name:
-            for formula in untraced(self.model).values():
-                raise formula.why
-        if name == "kalman":
-            matrices_of(self.model, 0)
-        first = OneFilter(self.model, settings, self.stream, draw, name)
-        try:
-            with contextlib.suppress(MeasurementsError):  # it will be raised when it is at hand
-                if name == COMPILED.name and first.t < self.horizon:
-                    first.at(first.t + 1)  # the transition can be traced, too
-            return first.at(first.t)
-        except TraceError as error:
-            if engine != AUTO:
-                raise
-            warnings.warn(
-                f"{error}: it is called on arrays, about {BATCHED_TIMES_SLOWER} times slower "
-                f"(engine={BATCHED.name!r} silences this)",
-                EngineWarning,
-                stacklevel=3,
-            )
-        model = with_untraced(self.model, range(first.t, first.t + 2))
-        first = OneFilter(model, settings, self.stream, draw, BATCHED.name)
-        return first.at(first.t)
-
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
         """The estimate of an instant that is not measured."""
         prior = _prior(self._filter if at is None else at)
@@ -318,19 +286,19 @@ class Filter:
         return estimate_of(prior.t, mean, variance, is_angle, belief, collapsed=collapsed)
 
     def _explained(
-        self, before: OneFilter, predicted: OneFilter, y: Array, mean: Array, variance: Array
+        self, predicted: OneFilter, y: Array, mean: Array, variance: Array
     ) -> tuple[Belief, float, float]:
         """The belief after a measurement, the measurement's log-density, and its surprise."""
         prior = _prior(predicted)
         if isinstance(prior, Gaussian):
             log_density, surprise = explained_by_normal(self.model, prior, y)
             return Normal(mean[-1], np.sqrt(variance[-1])), log_density, surprise
-        weighted = explained(before, prior.t, y)
+        share, log_density = explained(self.model, prior, y)
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         if surprise < SUSPICIOUS:
             surprise = self._confirmed(surprise, prior.t, y)
-        belief = Particles(quantity(self.model, weighted.cloud, mean[-1]), weighted.share)
-        return belief, weighted.log_density, surprise
+        belief = Particles(quantity(self.model, prior, mean[-1]), share)
+        return belief, log_density, surprise
 
     def _confirmed(self, surprise: float, t: int, y: Array) -> float:
         """Surprise of a measurement for the filter with many particles.

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +12,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from pfdist.errors import ArgumentError, shown
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
-from pfdist.filters.one_filter import OneFilter, log_likelihood
-from pfdist.filters.plain import step
+from pfdist.filters.one_filter import log_likelihood
 from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
@@ -29,11 +27,11 @@ FEW = 5.0
 """An effective sample size below which an estimate is that of a few particles, not the model's."""
 
 
-def few_particles(where: str, proposal: str = "a model with a proposal") -> str:
+def few_particles(where: str, or_else: str = "") -> str:
     """The sentence about a filter whose effective sample size falls below `FEW`."""
     return (
         "The estimate is that of a few particles, not the model's: the effective sample size falls "
-        f"below {FEW:.0f} {where}. What may help: more particles, {proposal}, or the engine kalman "
+        f"below {FEW:.0f} {where}. What may help: more particles, {or_else}or the engine kalman "
         "if the model is linear and Gaussian."
     )
 
@@ -84,38 +82,20 @@ Belief = Particles | Normal
 # --- particles ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Explained:
-    """Particles that are weighted by a measurement, but not resampled."""
+def explained(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
+    """Weights of particles after the measurement y(t), (m,), at their instant; their sum is 1.
 
-    cloud: Cloud  # at the instant of the measurement
-    share: Array  # (P,): weights after the measurement, with a sum of 1
-    # The logarithm of the mean weight before it is normalised: log p(y(t) | earlier measurements),
-    # if the model's log-likelihood is normalised.
-    log_density: float
-
-
-def explained(at: OneFilter, t: int, y: Array) -> Explained:
-    """The particles of a filter at t, weighted by the measurement y(t), (m,).
-
-    At least one particle must have a finite log-likelihood. If the filter is before t and has a
-    proposal, the step to t uses the proposal.
+    The second result is the logarithm of the mean weight before that: log p(y(t) | earlier
+    measurements) if the model's log-likelihood is normalised. At least one particle must have a
+    finite log-likelihood.
     """
-    model, guide = at.model, np.zeros(1)
-    guides = at.t < t and at.settings.guides(model)
-    cloud = cast(Cloud, at.at(t - 1 if guides else t)[0].settings.prior)
     own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
     with np.errstate(all="ignore"):
-        if guides:
-            draws, seen = range(at.draw, at.draw + 1), tuple(np.full(len(own), v) for v in y)
-            twin = twin_of(model, range(t - 1, t + 1))
-            x, guide = step(twin, tuple(cloud.x), seen, t - 1, len(own), at.stream, draws)
-            cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
-        log_weight = guide + log_likelihood(model, cloud, y)
+        log_weight = log_likelihood(model, cloud, y)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)
-    return Explained(cloud, share, log_sum - math.log(own.sum()))
+    return share, log_sum - math.log(own.sum())
 
 
 def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:

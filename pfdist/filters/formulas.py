@@ -1,33 +1,30 @@
 """The formulas of simulations and filters, traced and compiled for given instants."""
 
-import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from pfdist.errors import ModelError
 from pfdist.filters.guiding import Guide, guide_of
-from pfdist.filters.work import FLOAT32, GUIDED, Estimation
+from pfdist.filters.work import GUIDED, Estimation
 from pfdist.kernels import batch as rows
 from pfdist.kernels import guided as guided_rows
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
 from pfdist.kernels.callbacks import Callback
 from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.kernels.lowering import Precision
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error, squared_error
 from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Array, groups_of
-from pfdist.models.programs import Declared, Untraced
+from pfdist.models.programs import Declared
 from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula, Traced, trace
 from pfdist.models.twin import formula_of, traced
 
-_LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
 _MOST_DERIVED = 5_000  # operations of a program: a larger one takes minutes to compile
 # Linearisations: with sharp ranges and bearings, errors were 3 times too large after one, 1 % after
 # two, and as after six after three.
@@ -42,42 +39,31 @@ def filter_blocks(
     The second result has the components of x that are equal to those of z; it is empty if z is
     computed, or an angle. Raises `TraceError` if a formula cannot be traced.
     """
-    kind = _Kind(
-        guided=settings.guides(model),
-        draws_again=settings.proposal == GUIDED,
-        by_error=ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error,
-        dtype=settings.dtype,
-    )
+    is_guided = settings.proposal == GUIDED
+    by_error = ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error
     result: tuple[Compiled, tuple[int, ...], Guiding]
     result, _ = model.kept(  # it holds the truth, so that no other one gets its id
-        ("filter", instants, kind, id(truth)),
-        lambda: (_filter_blocks(model, truth, kind, instants), truth),
+        ("filter", instants, is_guided, by_error, id(truth)),
+        lambda: (_filter_blocks(model, truth, is_guided, by_error, instants), truth),
     )
     return result
-
-
-class _Kind(NamedTuple):
-    """The settings on which the blocks of a filter depend."""
-
-    guided: bool  # by the model's own proposal
-    draws_again: bool  # guided by the derived proposal
-    by_error: bool  # whether DEVIATIONS are the truth's own error
-    dtype: str
 
 
 def _filter_blocks(
     model: StateSpaceModel,
     truth: StateSpaceModel,
-    kind: _Kind,
+    is_guided: bool,
+    by_error: bool,
     instants: range,
 ) -> tuple[Compiled, tuple[int, ...], "Guiding"]:
+    """The blocks; `by_error` says whether DEVIATIONS are the truth's own error."""
     check_lengths(model.parameters, instants.stop)
     check_lengths(truth.parameters, instants.stop)
     states, (own, once) = model.components[0], (_Formulas(model, truth), instants[:1])
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
-    x, u = {"x": states}, {"u": len(model.proposal_variates)}
+    x = {"x": states}
     z, source = "quantity_of_interest", partial(_source, model)
-    deviations = ("errors", own.errors) if kind.by_error else (z, own.deviations)
+    deviations = ("errors", own.errors) if by_error else (z, own.deviations)
     sources = dict[Any, Source | Callback | None](
         {
             rows.INITIAL: _own(model, "initial", instants),
@@ -98,19 +84,10 @@ def _filter_blocks(
     )
     for number, part in enumerate(model.parts):
         sources[rows.SENSORS + number] = _own(part.model, "log_likelihood", instants)
-    if kind.guided:
-        given = {**x, "y": model.components[1], "t": 0, **u}
-        sources[rows.GUIDED] = source(states + 1, "proposal", own.guided, given, instants[:-1])
-    guiding = guiding_of(model, instants) if kind.draws_again else Guiding()
+    guiding = guiding_of(model, instants) if is_guided else Guiding()
     for number, blocks_of_sensor in enumerate(guiding.sources):
         first = rows.SENSORS + len(model.parts) + int(guided_rows.BLOCKS) * number
         sources |= {first + row: each for row, each in blocks_of_sensor.items()}
-    if kind.dtype == FLOAT32:
-        if any(isinstance(each, Callback) for each in sources.values()):
-            raise ModelError(f"filter.dtype = {FLOAT32!r} needs traced formulas")
-        sources |= {
-            row: _of_singles(row, each) for row, each in sources.items() if isinstance(each, Source)
-        }
     blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
     return blocks, _components_of_state(sources[rows.QUANTITY]), guiding
 
@@ -201,14 +178,6 @@ def _sources_of_guide(guide: Guide, instants: range) -> dict[int, Source]:
     return {int(row): each for row, each in sources.items() if each is not None}
 
 
-def _of_singles(row: Any, source: Source) -> Source:
-    """The source for particles with float32 states; estimates and errors remain float64."""
-    computes = row in (rows.INITIAL, rows.TRANSITION, rows.GUIDED) or row >= rows.SENSORS
-    reads = computes or row in (rows.QUANTITY, rows.DEVIATIONS)
-    kinds = Precision("f4" if reads else "f8", "f4" if computes else "f8")
-    return source._replace(precision=kinds)
-
-
 def _components_of_state(quantity: Source | Callback | None) -> tuple[int, ...]:
     """The components of x that a formula gives as they are; empty if it computes anything."""
     programs = quantity.traced.programs if isinstance(quantity, Source) else ()
@@ -244,9 +213,9 @@ def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
 
 
 def _own(model: StateSpaceModel, name: str, instants: range) -> Source | Callback:
-    """A formula of the model itself, traced, or called back if that is not possible."""
+    """A formula of the model itself, traced, or called back if the model is batched."""
     formula = formula_of(model, name)
-    if isinstance(model.formulas[name], Untraced):
+    if isinstance(model.formulas[name], Declared):
         return _called(model, formula)
     layout = _layout(formula)
     return Source(traced(model, name, instants), layout, model.parameters, formula.results)
@@ -262,31 +231,25 @@ def _source(
 ) -> Source | Callback | None:
     """A formula that is made from those of a model, traced; None without instants.
 
-    It is called back if it needs formulas that cannot be traced.
+    It is called back if it needs functions of a batched model.
     """
     if not instants:
         return None
     given = {**arguments, "p": 0}
     formula = Formula(function, name, given, model.parameters, model.name, results)
-    several = {
-        "proposal": ("proposal", "proposal_log_density", "transition"),
-        "errors": ("quantity_of_interest", "error"),
-    }
-    needed = several.get(name, (name,))
-    if any(isinstance(model.formulas.get(each), Untraced) for each in needed):
+    needed = ("quantity_of_interest", "error") if name == "errors" else (name,)
+    if any(isinstance(model.formulas.get(each), Declared) for each in needed):
         return _called(model, formula)
     return Source(trace(formula, instants), _layout(formula), model.parameters, results)
 
 
 def _called(model: StateSpaceModel, formula: Formula) -> Callback:
     """A formula that machine code calls back with arrays of particles."""
-    names, p = [*formula.arguments], model.p
-    takes_arrays = isinstance(formula.function, Declared)
+    p = model.p
 
     def function(groups: dict[str, Array], t: int) -> Any:
-        given: dict[str, Any] = {"t": t, "p": p}
-        given |= groups if takes_arrays else {name: tuple(each) for name, each in groups.items()}
-        value = formula.function(*(given[name] for name in names))
+        given: dict[str, Any] = {"t": t, "p": p, **groups}
+        value = formula.function(*(given[name] for name in formula.arguments))
         return value if isinstance(value, tuple) else (value,)
 
     rows = {
@@ -295,8 +258,7 @@ def _called(model: StateSpaceModel, formula: Formula) -> Callback:
         if name not in "tp"
     }
     declared = (each for each in model.formulas.values() if isinstance(each, Declared))
-    together = max((each.together for each in declared), default=0)
-    return Callback(function, rows, formula.results, together)
+    return Callback(function, rows, formula.results, max(each.together for each in declared))
 
 
 def _layout(formula: Formula) -> dict[str, tuple[str, int]]:
@@ -350,26 +312,6 @@ class _Formulas:
             angular = (1.0 - variance) * angular_error(first, mean) if is_angle else 0.0
             total = total + (angular if is_angle else (first - mean) ** 2)
         return total
-
-    def guided(self, x: Any, y: Any, t: Any, u: Any, p: Any) -> tuple[Any, ...]:
-        """x(t + 1) by the proposal, and the logarithm of p(w) / q(w | x, y)."""
-        formulas = self.model.formulas
-        w = formulas["proposal"](x, y, t, u, p)
-        by_model = log_density(self.model.process_noise, w)
-        by_proposal = formulas["proposal_log_density"](w, x, y, t, p)
-        return (*self.model.transition(x, t, w, p), by_model - by_proposal)
-
-
-def log_density(kinds: Sequence[str], w: Sequence[Any]) -> Any:
-    """Log-density of noise of these kinds."""
-    total: Any = 0.0
-    for kind, value in zip(kinds, w, strict=True):
-        if kind == "normal":
-            total = total + (-0.5 * value * value - _LOG_OF_ROOT)
-        else:
-            centre = 0.5 if kind == "uniform" else 0.0
-            total = total + np.where(np.abs(value - centre) <= 0.5, 0.0, -math.inf)
-    return total
 
 
 def _direction(cosine: Any, sine: Any) -> Any:

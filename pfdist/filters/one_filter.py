@@ -126,7 +126,7 @@ class OneFilter:
             draws = range(self.draw, self.draw + 1)
             twin = twin_of(model, range(at.t, at.t + 2))
             with np.errstate(all="ignore"):
-                x, _ = step(twin, tuple(last), None, at.t, last.shape[1], self.stream, draws)
+                x = step(twin, tuple(last), at.t, last.shape[1], self.stream, draws)
                 z = twin.quantity_of_interest(x, first, model.p)
             is_finite = all(np.isfinite(each).all() for each in x)
             name, values = ("quantity_of_interest", z) if is_finite else ("transition", x)

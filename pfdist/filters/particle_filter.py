@@ -184,7 +184,7 @@ def _filter(
     prior, chosen, prior_weight = _prior(draws, stream, settings)
     blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)
     streams = np.array(filter_streams(stream, settings.estimator), np.uint64)
-    kinds = codes_of(model.initial_noise, model.process_noise, model.proposal_variates)
+    kinds = codes_of(model.initial_noise, model.process_noise)
     request = Request(
         draws=mse.shape[0],
         filters=streams.size,
@@ -212,7 +212,6 @@ def _filter(
         first_components=np.array([part.y.start for part in model.parts]),
         particles=settings.particles,
         holds_truth=scheme.holds_truth,
-        guided=settings.guides(model),
         rows=np.array(guiding.rows, np.int64),
         rounds=guiding.rounds,
         record_rows=record_rows(model.components[0], kinds.shape[1], max(guiding.rows, default=0)),
@@ -225,7 +224,7 @@ def _filter(
     )
     estimate, variance = wanted.moments
     results = Results(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
-    filter_all(blocks, request, planned, results, scheme.name, settings.dtype)
+    filter_all(blocks, request, planned, results, scheme.name)
     callbacks.check()
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement

@@ -1,8 +1,8 @@
 """Simulation and filter in plain NumPy: easy to read, and the reference of the compiled functions.
 
 They compute on arrays (draws, particles), with the noise, the weights and the resampling of the
-compiled filter, which other tests check. They are the engine ``numpy``: formulas that cannot be
-traced are called directly, and all others run their programs.
+compiled filter, which other tests check. They are the engine ``numpy``: formulas run their
+programs, and functions of batched models are called directly.
 """
 
 import math
@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.filters.cloud import Cloud
-from pfdist.filters.draws import Draws, begun, check_finite
-from pfdist.filters.formulas import log_density
+from pfdist.filters.draws import Draws, begun, check_finite, noise_of
 from pfdist.filters.interface import (
     Filtered,
     checking,
@@ -35,7 +34,6 @@ from pfdist.kernels.variates import (
     TRUTH_INITIAL,
     TRUTH_MEASUREMENT,
     TRUTH_PROCESS,
-    variates,
 )
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
@@ -124,25 +122,13 @@ def _filter(
     degenerate = np.zeros(count, np.bool_)
     x, carried = _first(model, draws, stream, settings)
     for k, t in enumerate(draws.instants):
-        log_guide, before, seen = np.zeros(1), _flat(x), None
         if k > 0:
-            y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
-            seen = y if settings.guides(model) and t in times else None
-            flat, log_guide = step(model, before, seen, t - 1, particles, stream, draws.index)
-            x = _states(flat, cloud)
+            x = _states(step(model, _flat(x), t - 1, particles, stream, draws.index), cloud)
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
-        x, weight, fails, weighs = _weighed(
-            model, draws, k, x, carried, log_guide, times, stream, settings
-        )
+        x, weight, fails, weighs = _weighed(model, draws, k, x, carried, times, stream, settings)
         degenerate |= fails & alive
-        if seen is not None and fails.any():  # these draws step as if t were not measured
-            flat, _ = step(model, before, None, t - 1, particles, stream, draws.index)
-            both = zip(_states(flat, cloud), x, strict=True)
-            x = tuple(
-                np.where(fails[:, None], *unguided_and_guided) for unguided_and_guided in both
-            )
         share = weight / weight.sum(axis=1, keepdims=True)
         measured = any(time // len(model.parts) == t for time in times)
         quantities = model.quantity_of_interest(_flat(x), t, model.p)
@@ -189,25 +175,15 @@ def _first(
 def step(
     model: StateSpaceModel,
     x: tuple[Array, ...],
-    y: tuple[Array, ...] | None,
     t: int,
     particles: int,
     stream: int,
     draws: range,
-) -> tuple[tuple[Any, ...], Array]:
-    """x(t+1) from x(t), and log p(w) - log q(w | x, y) of a proposal given y at t + 1.
-
-    Without y, the step uses process noise. The particles of all draws lie along one axis. Plain
-    twin of `pfdist.filters.formulas.filter_blocks`.
-    """
-    kinds = model.process_noise if y is None else model.proposal_variates
-    w = _flat(noise_of(kinds, particles, stream, draws, t, FILTER_PROCESS))
-    log_guide: Array = np.zeros(1)
-    if model.proposal is not None and model.proposal_log_density is not None and y is not None:
-        w = tuple(_like(part, x[0].shape) for part in model.proposal(x, y, t, w, model.p))
-        by_proposal = model.proposal_log_density(w, x, y, t, model.p)
-        log_guide = log_density(model.process_noise, w) - by_proposal
-    return model.transition(x, t, w, model.p), log_guide
+) -> tuple[Any, ...]:
+    """x(t+1) from x(t); the particles of all draws lie along one axis."""
+    w = noise_of(model.process_noise, particles, stream, draws, t, FILTER_PROCESS)
+    result: tuple[Any, ...] = model.transition(x, t, _flat(w), model.p)
+    return result
 
 
 def _weighed(
@@ -216,7 +192,6 @@ def _weighed(
     k: int,
     x: tuple[Array, ...],
     weight: Array,
-    log_guide: Array,
     times: Times,
     stream: int,
     settings: Estimation,
@@ -225,8 +200,7 @@ def _weighed(
 
     A measurement that no particle of a draw explains is left out there. The last array says which
     draws the last measurement has weighed. The sensors weigh in their order. The particles are
-    resampled in between, but not propagated. `weight` has the carried weights, and `log_guide` what
-    a proposal adds to their logarithms.
+    resampled in between, but not propagated. `weight` has the carried weights.
     """
     count, particles = cloud = x[0].shape
     degenerate, weighs = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
@@ -236,7 +210,7 @@ def _weighed(
             continue
         x, weight = _resampled(x, weight, settings, stream, draws.index, first + number - 1, weighs)
         y = tuple(np.repeat(values, particles) for values in draws.y[:, k, of_sensor].T)
-        log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p) + log_guide
+        log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p)
         new = weights_of(_of_cloud(log_weight, cloud) + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
         if ALL_SCHEMES[settings.resampling].sorts:
@@ -304,16 +278,6 @@ def _mean_error(draws: Draws, k: int, z: tuple[Any, ...], mean: Array, share: Ar
     means = np.zeros_like(mean)
     means[:, 0] = np.sum(share * np.where(share > 0, _of_cloud(error, share.shape), 0.0), axis=1)
     return means
-
-
-def noise_of(
-    kinds: tuple[str, ...], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
-) -> tuple[Array, ...]:
-    """The variates of each component, (D, particles)."""
-    return tuple(
-        variates(kind, particles, stream, np.array(draws), t, role, component)
-        for component, kind in enumerate(kinds)
-    )
 
 
 def _like(value: Any, shape: tuple[int, ...]) -> Array:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from pfdist.filters.formulas import log_density
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.checks import ARGUMENTS, MEASURING, own_formulas
 
@@ -35,9 +34,7 @@ def predicted(model: StateSpaceModel) -> StateSpaceModel:
         Its z has the components of y; `circular_measurements` says which are angles.
     """
     n, noise = model.components[0], model.noise_of_measurements
-    initial, process, variates = (
-        len(kinds) for kinds in (model.initial_noise, model.process_noise, model.proposal_variates)
-    )
+    initial, process = len(model.initial_noise), len(model.process_noise)
     before: dict[str, _Formula] = {name: getattr(model, name) for name in own_formulas(model)}
     changed: dict[str, Any] = {
         name: _of_first(formula, ARGUMENTS[name].index("x"), n)
@@ -51,14 +48,6 @@ def predicted(model: StateSpaceModel) -> StateSpaceModel:
     changed["quantity_of_interest"] = lambda x, t, p: sum(
         (tuple(part.model.measurement(x[:n], t, x[n:][part.v], p)) for part in model.parts), ()
     )
-    if model.guided:
-        changed["proposal"] = lambda x, y, t, u, p: (
-            *before["proposal"](x[:n], y, t, u[:variates], p), *u[variates:]
-        )  # fmt: skip
-        changed["proposal_log_density"] = lambda w, x, y, t, p: (
-            before["proposal_log_density"](w[:process], x[:n], y, t, p)
-            + log_density(noise, w[process:])
-        )
     measuring: dict[str, dict[str, Any]] = {
         name: {
             key: _of_first(getattr(sensor, key), ARGUMENTS[key].index("x"), n) for key in MEASURING
@@ -71,7 +60,6 @@ def predicted(model: StateSpaceModel) -> StateSpaceModel:
         error=squared_error,
         initial_noise=(*model.initial_noise, *noise),
         process_noise=(*model.process_noise, *noise),
-        proposal_noise=(*model.proposal_variates, *noise) if model.guided else (),
         x_names=(),
         z_names=() if model.sensors else model.y_names,
         circular=circular_measurements(model),

@@ -46,8 +46,6 @@ def simulate(
     """
     draws = begun(model, horizon, index, stream, prior)
     compiled = simulation_blocks(model, draws.instants)
-    if compiled.together == 0:
-        return plain.simulate(model, horizon, index, stream, prior)
     if compiled.together == 1:  # an array must have one draw alone
         for k in range(len(index)):
             alone = plain.simulate(model, horizon, index[k : k + 1], stream, prior)

@@ -13,14 +13,10 @@ from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
 from pfdist.kernels.estimators import CONTROL, ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
-from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL, MULTINOMIAL
-from pfdist.models import StateSpaceModel
+from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL
 
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
-
-FLOAT64, FLOAT32 = "float64", "float32"
-"""Floating-point types of the particles' states."""
 
 PLAIN, GUIDED = "plain", "guided"
 """Ways to draw the particles' noise: from the model, or given the next measurement."""
@@ -41,19 +37,12 @@ class Estimation:
     estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.interface`
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
-    dtype: str = FLOAT64  # of the particles' states
     proposal: str = PLAIN  # see `pfdist.filters.guiding`
 
     @property
     def carries(self) -> bool:
         """Whether the filter may carry weights from one measurement to the next."""
         return self.threshold < ALWAYS
-
-    def guides(self, model: StateSpaceModel) -> bool:
-        """Whether the filter draws from the model's proposal; the bound's filter does not."""
-        if self.proposal != PLAIN:
-            return False
-        return model.guided and not ALL_SCHEMES[self.resampling].holds_truth
 
     @property
     def recorded(self) -> dict[str, int | float | str]:
@@ -62,8 +51,6 @@ class Estimation:
         del recorded["prior"]
         if not self.carries:
             del recorded["threshold"]
-        if self.dtype == FLOAT64:
-            del recorded["dtype"]
         if self.proposal == PLAIN:
             del recorded["proposal"]
         return recorded

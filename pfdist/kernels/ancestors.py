@@ -48,7 +48,6 @@ from pfdist.kernels.vectors import (
     LANES,
     Array,
     Vector,
-    constant,
     iota,
     splat,
     vectorised,
@@ -135,13 +134,7 @@ def _numbers(value: Vector) -> Vector:
     return splat(value, LANES)
 
 
-@vectorised("16 *")
-def _lowest(log_weight: Array) -> Vector:
-    """Minus infinity in all lanes."""
-    return constant(log_weight.builder, log_weight.kind, LANES, -math.inf)
-
-
-@vectorised("16 *")
+@vectorised("16 f8")
 def _larger(highest: Vector, log_weight: Array, i: Vector) -> Vector:
     """The larger of each lane and of a log-weight that is finite."""
     value = log_weight.load(i, LANES)
@@ -158,7 +151,7 @@ def _leave_out(log_weight: Array, i: Vector, left: Vector) -> None:
 @vectorised("f8")
 def _largest(values: Vector) -> Vector:
     """The largest of all lanes."""
-    return values.reduced(lambda a, b: (a > b).select(a, b)).to("f8")
+    return values.reduced(lambda a, b: (a > b).select(a, b))
 
 
 @vectorised("f8")
@@ -185,7 +178,7 @@ def _weigh(
 ) -> Vector:
     """Weights of some particles, and cumulative sums from those before."""
     value = log_weight.load(i, LANES)
-    excess = (value - highest.to(value.kind)).to("f4") * 1.4426950408889634
+    excess = (value - highest).to("f4") * 1.4426950408889634
     possible, zeros = (excess > -125.0) & (excess <= 0.0), excess.number(0.0)
     weights = possible.select(_exp2(possible.select(excess, zeros)), zeros)
     weight.store(i, weights)
@@ -203,7 +196,7 @@ def weigh(log_weight, origin, width, particles, weight, cumulative):
     """
     if particles < width:
         _leave_out(log_weight, origin + width - LANES, particles - width + LANES)
-    highest = _lowest(log_weight)
+    highest = _numbers(-np.inf)
     for i in range(origin, origin + width, np.int64(LANES)):
         highest = _larger(highest, log_weight, i)
     largest = _largest(highest)
@@ -249,10 +242,8 @@ def cumulate(weight, origin, width, cumulative):
 def _add_weighted(total: Vector, weight: Array, values: Array, i: Vector) -> Vector:
     """Add weighted values; a value of weight 0 does not count, even if it is infinite."""
     numbers = values.load(i, LANES)
-    weights = weight.load(i, LANES).to(numbers.kind)
+    weights = weight.load(i, LANES).to("f8")
     counted = (weights > 0.0).select(numbers, numbers.number(0.0))
-    if numbers.kind == "f4":
-        return total + (weights * counted).to("f8")
     return weights.fma(counted, total)
 
 

@@ -14,12 +14,12 @@ from pfdist.kernels.ancestors import Resampling
 from pfdist.kernels.blocks import Blocks, call_block
 from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
-from pfdist.kernels.memory import States, ahead, call, readers
+from pfdist.kernels.memory import ahead, call, readers
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.variates import Key, Row
 
-INITIAL, TRANSITION, GUIDED, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
-    np.arange(10)  # NumPy's: Numba compiles a function again for each integer of Python
+INITIAL, TRANSITION, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
+    np.arange(9)  # NumPy's: Numba compiles a function again for each integer of Python
 )
 """Rows of `Blocks`: what each block computes. The last is the log-likelihood of the first sensor;
 those of further sensors follow.
@@ -29,7 +29,6 @@ block      from                                to
 ========== =================================== ====================================================
 INITIAL    noise                               x(0)
 TRANSITION x, noise                            x(t + 1)
-GUIDED     x, noise of the proposal, y(t + 1)  x(t + 1), and log p(w) - log q(w | x, y)
 QUANTITY   x                                   z; then the sines of the components that are angles
 DEVIATIONS x, mean of z                        squared deviation of each component of z
 ESTIMATE   weighted means of QUANTITY          mean of z (of draws)
@@ -77,7 +76,6 @@ class Request(NamedTuple):
     first_components: NDArray[np.int64]  # (sensors,): of y, for each sensor
     particles: int
     holds_truth: bool  # whether particle 0 is the truth
-    guided: bool  # whether the model has a proposal of its own
     # (sensors,): rows of the linear measurement of a guided sensor, see `pfdist.filters.guiding`; 0
     # for a sensor that is not guided. Empty if no sensor is guided.
     rows: NDArray[np.int64]
@@ -89,11 +87,11 @@ class Request(NamedTuple):
     weights: ErrorWeights  # the terms of the estimator
     instant_weights: NDArray[np.float64]  # (T+1,): of each instant's error, mean 1
     components: int  # of the longest process
-    # (3, components): kinds of INITIAL_NOISE, PROCESS_NOISE and PROPOSAL_NOISE; -1 for none
+    # (2, components): kinds of INITIAL_NOISE and PROCESS_NOISE; -1 for none
     kinds: NDArray[np.int64]
 
 
-INITIAL_NOISE, PROCESS_NOISE, PROPOSAL_NOISE = np.arange(3)
+INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
 
 
 class Results(NamedTuple):
@@ -138,14 +136,13 @@ class Batch(NamedTuple):
     half: NDArray[np.int64]  # (1,): which half of the cloud counts
     # of particles: two halves with n states, and a row each for the logarithms of a proposal; a
     # step reads one half and writes the other
-    cloud: States
-    again: States  # n rows, for filters with a proposal
+    cloud: NDArray[np.float64]
     origin: NDArray[np.float64]  # n rows, for guided filters: x at the last measurement
     records: NDArray[np.float64]  # for guided filters, see `pfdist.kernels.guided`
     noises: NDArray[np.float32]  # for guided filters: noise of each step, as in `noise`
     drawn: NDArray[np.float64]  # rows of the block DRAWN
     quantity: NDArray[np.float64]  # z, with cosines and sines of angles; squared deviations
-    log_weight: States
+    log_weight: NDArray[np.float64]
     log_carried: NDArray[np.float64]
     cumulative: NDArray[np.float64]
     noise: NDArray[np.float32]
@@ -167,7 +164,7 @@ class Batch(NamedTuple):
 class Saved(NamedTuple):
     """Batches from which later sets resume, one for each slot of the plan."""
 
-    cloud: States  # (slots, n * stride)
+    cloud: NDArray[np.float64]  # (slots, n * stride)
     origin: NDArray[np.float64]  # the same, for guided filters
     weight: NDArray[np.float32]  # (slots, stride)
     numbers: NDArray[np.float64]  # (slots, 2, row): `total` and `error`
@@ -187,7 +184,7 @@ class Steps(NamedTuple):
     put_truth: int
     forget: int
     weigh: int
-    move_again: int
+    leave_out: int
     set_out: int
     guide: int
     sort: int

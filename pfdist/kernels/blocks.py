@@ -20,12 +20,10 @@ from pfdist.kernels.cached import compiled
 from pfdist.kernels.callbacks import Callback
 from pfdist.kernels.lowering import (
     ARGUMENTS,
-    DOUBLES,
     FUNCTION,
     POINTERS,
     Code,
     Layout,
-    Precision,
     machine_code,
     split,
 )
@@ -54,7 +52,6 @@ class Source(NamedTuple):
     layout: Layout
     parameters: Mapping[str, Parameter]
     results: int  # rows that its block writes
-    precision: Precision = DOUBLES
 
 
 @dataclass(frozen=True)
@@ -119,12 +116,7 @@ class _Program:
         self._source, self.which = source, which
         self.program = merged(source.traced.programs[which])
         self._instants = np.array(source.traced.instants)[source.traced.which == which]
-        self.split = split(
-            self.program,
-            source.layout,
-            exact=self._divides_by_extremes(),
-            precision=source.precision,
-        )
+        self.split = split(self.program, source.layout, exact=self._divides_by_extremes())
 
     def _divides_by_extremes(self) -> bool:
         """Whether the reciprocal of a number for all particles may have fewer digits."""

@@ -55,26 +55,21 @@ class Entry:
 
     def __init__(self, function: Callable[..., Any], kind: type) -> None:
         self._function, self._kind = function, kind
-        self._code: dict[str, Any] = {}  # must live as long as the addresses are used
+        self._code: Any = None  # must live as long as the address is used
 
     @property
     def address(self) -> int:
         """The address of the machine code."""
-        return self.address_for("float64")
-
-    def address_for(self, dtype: str) -> int:
-        """The address of the machine code for states of this type."""
-        if dtype not in self._code:
+        if self._code is None:
             with _ONE_AT_A_TIME:
-                if dtype not in self._code:
-                    kind = tuple_type(self._kind, dtype)
-                    self._code[dtype] = _with_code_kept(self._function, kind, dtype)
-        return int(self._code[dtype].address)
+                if self._code is None:
+                    self._code = _with_code_kept(self._function, tuple_type(self._kind))
+        return int(self._code.address)
 
-    def __call__(self, values: Any, dtype: str = "float64") -> None:
+    def __call__(self, values: Any) -> None:
         """Call the function with a named tuple."""
         memory = in_memory(values)
-        _CALL(self.address_for(dtype))(memory.ctypes.data)
+        _CALL(self.address)(memory.ctypes.data)
 
 
 _ONE_AT_A_TIME = threading.Lock()
@@ -86,13 +81,13 @@ def entry(kind: type) -> Callable[[Callable[..., Any]], Entry]:
     return lambda function: Entry(function, kind)
 
 
-def _with_code_kept(function: Callable[..., Any], kind: Any, dtype: str) -> Any:
+def _with_code_kept(function: Callable[..., Any], kind: Any) -> Any:
     """The compiled function, from the folder if it is there.
 
     Numba's setting of the folder holds for a whole process. It is read when a function is declared,
     so it is changed for this time only, and cached functions of the user do not move.
     """
-    folder, before = _folder(dtype), numba.config.CACHE_DIR
+    folder, before = _folder(), numba.config.CACHE_DIR
     numba.config.CACHE_DIR = folder or before
     try:
         signature = types.void(types.CPointer(kind))
@@ -102,12 +97,12 @@ def _with_code_kept(function: Callable[..., Any], kind: Any, dtype: str) -> Any:
 
 
 @cache
-def _folder(dtype: str) -> str:
+def _folder() -> str:
     """The folder, which is made if necessary; empty, with a warning, if it cannot be used."""
     place = os.environ.get(FOLDER_VARIABLE)
     usual = Path(tempfile.gettempdir()) / f"pfdist-{os.getuid()}"
     parent = Path(place).resolve() if place else usual
-    folder = parent / f"{_hash_of_sources()}-{dtype}"
+    folder = parent / _hash_of_sources()
     try:
         if place and (fault := address_fault(place)):
             raise OSError(fault)

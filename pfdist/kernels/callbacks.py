@@ -58,7 +58,7 @@ class Callback:
         Number of rows of results.
     together : int
         Approximate and constant number of particles that it receives, or those of one draw if that
-        is more; 0 if the number may vary.
+        is more.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class Callback:
     def _call(self, *values: int) -> None:
         """Fill the rows of results; after an error they are NaN, and `check` raises it."""
         at = _Given(*values)
-        size = at.out_stride if self.together else at.draws * at.width
-        results = self._view(at.out, self._results, at.out_stride, np.float64)[:, :size]
+        size = at.out_stride
+        results = self._view(at.out, self._results, size, np.float64)
         if getattr(_failed, "error", None) is not None:
             results[:] = np.nan
             return

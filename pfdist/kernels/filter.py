@@ -28,12 +28,10 @@ from pfdist.kernels.batch import (
     DISTANCE,
     ERROR,
     ESTIMATE,
-    GUIDED,
     INITIAL,
     INITIAL_NOISE,
     LOGARITHM,
     PROCESS_NOISE,
-    PROPOSAL_NOISE,
     QUANTITY,
     SENSORS,
     TRANSITION,
@@ -152,8 +150,8 @@ def _measure(measurement):
     if is_drawn_again(measurement):
         call(steps.guide, measurement)
     call(steps.weigh, measurement)
-    if steps.move_again != 0:
-        call(steps.move_again, measurement)
+    if steps.leave_out != 0:
+        call(steps.leave_out, measurement)
     if steps.sort != 0:
         call(steps.sort, measurement)
 
@@ -247,18 +245,11 @@ def _set_out(instant):
 
 @entry(Instant)
 def _move(instant):
-    """Fill the other half with x(t); to a measurement by the proposal if there is one."""
-    at, _, t, sensors, _ = read(instant)
+    """Fill the other half with x(t)."""
+    at, _, t, _, _ = read(instant)
     request, batch = request_of(at.work), batch_of(at.work)
-    source, target, before = present(at), other(at), request.start + t - 1
-    if sensors > 0 and request.guided:
-        fill_noise(at, PROPOSAL_NOISE, before, FILTER_PROCESS)
-        y = measured_at(at, t, np.int64(0))
-        of_draw = request.instants * request.measurements
-        with_given(at, GUIDED, t - 1, source, target, y, of_draw, 1)
-    else:
-        fill_noise(at, PROCESS_NOISE, before, FILTER_PROCESS)
-        of_particles(at, TRANSITION, t - 1, source, target)
+    fill_noise(at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
+    of_particles(at, TRANSITION, t - 1, present(at), other(at))
     batch.half[0] = 1 - batch.half[0]
 
 
@@ -306,26 +297,6 @@ def _weigh(instant):
             batch.degenerate[d] = 1
 
 
-@entry(Instant)
-def _move_again(instant):
-    """Repeat the step to t without the proposal for draws whose measurement is left out."""
-    at, _, t, _, _ = read(instant)
-    request, batch = request_of(at.work), batch_of(at.work)
-    fails = False
-    for d in range(at.draws):
-        fails |= batch.weighs[d] == 0
-    if t == 0 or not fails:
-        return
-    source, cloud = other(at), present(at)
-    fill_noise(at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
-    of_particles(at, TRANSITION, t - 1, source, batch.again)
-    for d in range(at.draws):
-        if not batch.weighs[d]:
-            for c in range(request.states):
-                place = c * batch.stride + d * batch.width
-                copy_numbers(ahead(batch.again, place), ahead(cloud, place), batch.width)
-
-
 @compiled
 def _fill_log_weights(instant):
     """Log-likelihoods, with the logarithms of a proposal and of carried weights."""
@@ -335,7 +306,7 @@ def _fill_log_weights(instant):
     y = measured_at(at, t, request.first_components[sensor])
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
     with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
-    if (request.guided and t > 0) or is_drawn_again(instant):
+    if is_drawn_again(instant):
         guide = ahead(cloud, request.states * batch.stride)
         for i in range(used):
             batch.log_weight[i] += guide[i]
@@ -620,46 +591,42 @@ def _keep(instant):
 # --- the arrays that a filter works in ------------------------------------------------------------
 
 _TOGETHER = 2048  # particles of a batch, about: its arrays fit into a cache
-_CALLED = 8192  # the same, if functions of Python are called back, at most
 _MOST_SAVED = 2**22  # numbers of all saved batches and of the noise of paths, about
 
 
 def filter_all(
-    compiled: Compiled, request: Request, plan: Plan, results: Results, scheme: str, dtype: str
+    compiled: Compiled, request: Request, plan: Plan, results: Results, scheme: str
 ) -> None:
     """Filter all draws, in arrays that each call allocates, so that threads can run in parallel.
 
-    `dtype` is the type of the particles' states, "float64" or "float32", as in the blocks. The
-    number of particles that a Python function receives does not depend on the rest of the request.
+    The number of particles that a Python function receives does not depend on the rest of the
+    request.
     """
     width = -(-request.particles // LANES) * LANES
     numbers = (request.states + 1) * width * max(1, plan.clouds)
     if request.rows.size:
         numbers += 2 * (guided.longest_gap(plan) + 1) * request.components * width
     draws = max(1, min(request.draws, _TOGETHER // width, _MOST_SAVED // numbers))
-    if compiled.together == 0:
-        draws = max(1, min(request.draws, _CALLED // width))
-    elif compiled.together is not None:
+    if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    batch, saved, _memory = _arrays(request, plan, width, draws, dtype)
+    batch, saved, _memory = _arrays(request, plan, width, draws)
     apart = request.sets * request.instants if results.errors.ndim == 3 else 0
     wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, apart)
     scratch = resampling_scratch(draws, width)
-    steps = _needed(request, plan, results, scheme, dtype)
+    steps = _needed(request, plan, results, scheme)
     blocks = compiled.blocks
-    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps), dtype)
+    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps))
 
 
-def _needed(request: Request, plan: Plan, results: Results, scheme: str, dtype: str) -> Steps:
+def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Steps:
     """The steps that this filter needs."""
     weights, saves = request.weights, bool((plan.slots >= 0).any())
     draws_again = request.rows.size > 0
-    goes_back = request.guided or draws_again
     has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
 
     def address(function: Entry, is_needed: bool = True) -> int:
-        return function.address_for(dtype) if is_needed else 0
+        return function.address if is_needed else 0
 
     return Steps(
         begin=address(_take_prior if request.has_prior else _draw_prior),
@@ -669,7 +636,7 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str, dtype: 
         put_truth=address(_put_truth, request.holds_truth),
         forget=address(_forget),
         weigh=address(_weigh),
-        move_again=address(_move_again if request.guided else guided.leave_out, goes_back),
+        leave_out=address(guided.leave_out, draws_again),
         set_out=address(_set_out, draws_again),
         guide=address(guided.guide, draws_again),
         sort=address(_sort, ALL_SCHEMES[scheme].sorts),
@@ -684,7 +651,7 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str, dtype: 
 
 
 def _arrays(
-    request: Request, plan: Plan, width: int, draws: int, dtype: str
+    request: Request, plan: Plan, width: int, draws: int
 ) -> tuple[Batch, Saved, list[NDArray[np.uint8]]]:
     """The arrays of a batch of draws, and their memory."""
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
@@ -695,10 +662,8 @@ def _arrays(
         steps = guided.longest_gap(plan) + 1
     memory, arrays = zeros(
         Batch,
-        dtype,
         half=1,
         cloud=2 * (states + 1) * stride,
-        again=states * stride if request.guided else 0,
         origin=states * stride if steps else 0,
         records=(steps + 1) * request.record_rows * int(guided.CHUNK) if steps else 0,
         noises=2 * steps * request.components * spacious if steps else 0,
@@ -723,7 +688,6 @@ def _arrays(
     )
     kept, places = zeros(
         Saved,
-        dtype,
         cloud=slots * states * stride,
         origin=slots * states * stride if request.rows.size else 0,
         weight=slots * stride,

@@ -19,8 +19,8 @@ import numpy as np
 from llvmlite import ir
 from numpy.typing import NDArray
 
-from pfdist.kernels.singles import function_of
-from pfdist.kernels.vectors import KINDS, LANES, Array, Vector, constant, entries, outlined, splat
+from pfdist.kernels.functions import FUNCTIONS
+from pfdist.kernels.vectors import LANES, Array, Vector, constant, entries, outlined, splat
 from pfdist.models.program import GROUPS, MASKS, Operation, Program
 
 Layout = Mapping[str, tuple[str, int]]
@@ -29,16 +29,6 @@ Layout = Mapping[str, tuple[str, int]]
 The arrays are "slots" (a number for each particle), "noise" (a float32 for each particle) and
 "given" (a float64 for each draw).
 """
-
-
-class Precision(NamedTuple):
-    """The types of numbers in a block: "f8" is float64, and "f4" float32."""
-
-    slots: str = "f8"
-    computed: str = "f8"  # and that of results
-
-
-DOUBLES = Precision()
 
 
 _SHARED = ("t", "parameter", "covariate", "constant")  # leaves with one value for all particles
@@ -62,7 +52,6 @@ class Half(NamedTuple):
     operations: tuple[Operation, ...]
     outputs: tuple[int, ...]
     tables: tuple[tuple[int, bytes], ...]  # lengths and contents of the arrays that `take` reads
-    precision: Precision = DOUBLES
 
 
 class Split(NamedTuple):
@@ -99,14 +88,12 @@ def _value(operation: Operation) -> float:
     return value
 
 
-def split(
-    program: Program, layout: Layout, *, exact: bool = False, precision: Precision = DOUBLES
-) -> Split:
+def split(program: Program, layout: Layout, *, exact: bool = False) -> Split:
     """A program split into the values that are the same for all particles, and the rest.
 
-    The first half is always computed in float64. A division by such a value becomes a
-    multiplication by its reciprocal, with an error of at most 1.5 units in the last place. `exact`
-    keeps divisions, for denominators so large or so small that the reciprocal is inaccurate.
+    A division by such a value becomes a multiplication by its reciprocal, with an error of at most
+    1.5 units in the last place. `exact` keeps divisions, for denominators so large or so small that
+    the reciprocal is inaccurate.
     """
     shared, particles = _Writer(), _Writer()
     shared_at, particle_at, leaves = dict[int, int](), dict[int, int](), list[int]()
@@ -155,7 +142,7 @@ def split(
     return Split(
         Half((*shared.operations,), (*table,), tables),
         (*leaves,),
-        Half((*particles.operations,), outputs, tables, precision),
+        Half((*particles.operations,), outputs, tables),
     )
 
 
@@ -390,7 +377,6 @@ class _Function:
             self._given[each].add_attribute("noalias")
         self._builder = ir.IRBuilder(self.function.append_basic_block("entry"))
         self._half, self._arranged, self._values = half, arranged, dict[int, Vector]()
-        self._kind = half.precision.computed
 
     def write(self) -> None:
         """Write loops over draws and over particles.
@@ -461,18 +447,16 @@ class _Function:
                 value = self._spread("given", row)
             else:
                 value = self._kept(_index(self._arranged.places[number]))
-                value = value.differs(0.0) if name in MASKS else value.to(self._kind)
+                value = value.differs(0.0) if name in MASKS else value
             self._values[number] = value
         return self._values[number]
 
     def _spread(self, array: str, place: Any) -> Vector:
         number = self._array(array).load(Vector(self._builder, place, "i8"), 0)
-        return splat(number.to(self._kind), LANES)
+        return splat(number, LANES)
 
     def _array(self, name: str) -> Array:
-        kinds = {"noise": "f4", "slots": self._half.precision.slots, "out": self._kind}
-        kind, address = kinds.get(name, "f8"), self._given[name]
-        return Array(self._builder, self._builder.bitcast(address, KINDS[kind].as_pointer()), kind)
+        return Array(self._builder, self._given[name], "f4" if name == "noise" else "f8")
 
     def _row(self, array: str, row: Any) -> Vector:
         """The place of a vector in a row."""
@@ -481,7 +465,7 @@ class _Function:
 
     def _loaded_row(self, array: str, row: Any) -> Vector:
         """The values of some particles in a row."""
-        return self._array(array).load(self._row(array, row), LANES).to(self._kind)
+        return self._array(array).load(self._row(array, row), LANES).to("f8")
 
     def _place(self, place: Any) -> Vector:
         return Vector(self._builder, self._builder.mul(place, _index(LANES)), "i8")
@@ -511,7 +495,7 @@ class _Function:
                 self._keep(which, self._value(arguments[0]))
             elif name == "out":
                 place = self._row("out", _index(which))
-                self._array("out").store(place, self._value(arguments[0]).to(self._kind))
+                self._array("out").store(place, self._value(arguments[0]).to("f8"))
             else:
                 is_of_loop = name in ("state", "final")
                 value = loop.values[which] if is_of_loop else self._computed(number)
@@ -527,22 +511,21 @@ class _Function:
         given = [self._value(each) for each in arguments]
         if name == "take":
             return _take(self._half, given[0], which)
-        function = function_of(name, self._kind)
         if name in self._arranged.often:
-            return outlined(f"vector_{name}_{self._kind}", function, given)
-        return function(*given)
+            return outlined(f"vector_{name}", FUNCTIONS[name], given)
+        return FUNCTIONS[name](*given)
 
     def _of_step(self, number: int) -> Vector:
         """The number of a step, or its entry of some values."""
         builder, step = self._builder, self._given["step"]
         if number in self._arranged.entries:
             first = _index(self._arranged.entries[number])
-            return self._kept(builder.add(first, step)).to(self._kind)
+            return self._kept(builder.add(first, step))
         if number in self._arranged.rows:
             first, stride = self._arranged.rows[number]
             row = builder.mul(_index(stride), step)
             return self._loaded_row("noise", builder.add(row, _index(first)))
-        return splat(Vector(builder, step, "i8").to(self._kind), LANES)
+        return splat(Vector(builder, step, "i8").to("f8"), LANES)
 
 
 class _Loop:
@@ -617,7 +600,7 @@ _LONG = frozenset(
 
 def _numeral(builder: ir.IRBuilder, half: Half, number: int) -> Vector:
     """A number that is the same for all particles and at all instants."""
-    return constant(builder, half.precision.computed, LANES, _value(half.operations[number]))
+    return constant(builder, "f8", LANES, _value(half.operations[number]))
 
 
 def _take(half: Half, index: Vector, which: int) -> Vector:
@@ -626,7 +609,7 @@ def _take(half: Half, index: Vector, which: int) -> Vector:
     name = f"table{hash((size, content)) & (2**63 - 1)}"
     inside = (index >= 0.0) & (index < float(size))
     safe = inside.select(index, index.number(0.0)).to("i8")
-    found = entries(name, np.frombuffer(content).tolist(), safe).to(index.kind)
+    found = entries(name, np.frombuffer(content).tolist(), safe)
     return inside.select(found, index.number(math.nan))
 
 

@@ -20,35 +20,28 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 _CACHE_LINE = 64  # bytes
-States = NDArray[np.floating]
-"""The type of arrays of states, which are float64 or float32."""
-
 _NUMBERS = {int: types.int64, bool: types.int64, np.uint64: types.uint64, float: types.float64}
 _FORMATS = {types.int64: "q", types.uint64: "Q", types.float64: "d"}
 
 
 @cache
-def tuple_type(kind: type, dtype: str = "float64") -> Any:
-    """The type of a named tuple in compiled code, from its annotations; arrays are pointers.
-
-    `dtype` is the type of the entries of an array that is annotated by `States`.
-    """
+def tuple_type(kind: type) -> Any:
+    """The type of a named tuple in compiled code, from its annotations; arrays are pointers."""
     hints = get_type_hints(kind, include_extras=True)
-    return types.BaseTuple.from_types([_type_of(hint, dtype) for hint in hints.values()], kind)
+    return types.BaseTuple.from_types([_type_of(hint) for hint in hints.values()], kind)
 
 
-def _type_of(hint: Any, dtype: str) -> Any:
+def _type_of(hint: Any) -> Any:
     if hasattr(get_origin(hint), "__value__"):  # NDArray is an alias from NumPy 2.5 on
         hint = get_origin(hint).__value__[get_args(hint)]
     if get_origin(hint) is np.ndarray:
         (number,) = get_args(get_args(hint)[1])
-        entry = np.dtype(dtype if number is np.floating else number)
-        return types.CPointer(numba.from_dtype(entry))
+        return types.CPointer(numba.from_dtype(np.dtype(number)))
     if get_origin(hint) is Annotated:
-        return types.CPointer(tuple_type(get_args(hint)[1], dtype))
+        return types.CPointer(tuple_type(get_args(hint)[1]))
     if isinstance(hint, UnionType):  # of integers of Python and of NumPy
         hint = get_args(hint)[0]
-    return _NUMBERS[hint] if hint in _NUMBERS else tuple_type(hint, dtype)
+    return _NUMBERS[hint] if hint in _NUMBERS else tuple_type(hint)
 
 
 def in_memory(values: Any) -> NDArray[np.int64]:
@@ -70,15 +63,13 @@ def in_memory(values: Any) -> NDArray[np.int64]:
     return np.frombuffer(struct.pack(layout, *numbers), np.int64).copy()
 
 
-def zeros(
-    kind: type, dtype: str = "float64", **counts: int
-) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+def zeros(kind: type, **counts: int) -> tuple[NDArray[np.uint8], dict[str, Any]]:
     """Memory with zeros for the arrays of a named tuple, and the address of each by name.
 
     This is faster than separate arrays. Each array begins at a line of the processor's cache. The
     caller must keep the memory.
     """
-    sizes, addresses, end = _sizes(kind, dtype), {}, 0
+    sizes, addresses, end = _sizes(kind), {}, 0
     for name, count in counts.items():
         addresses[name] = end
         end += -(-count * sizes[name] // _CACHE_LINE) * _CACHE_LINE
@@ -88,9 +79,9 @@ def zeros(
 
 
 @cache
-def _sizes(kind: Any, dtype: str) -> dict[str, int]:
+def _sizes(kind: Any) -> dict[str, int]:
     """Bytes of an entry of each array of a named tuple."""
-    fields = zip(kind._fields, tuple_type(kind, dtype), strict=True)
+    fields = zip(kind._fields, tuple_type(kind), strict=True)
     return {
         name: field.dtype.bitwidth // 8
         for name, field in fields
@@ -183,9 +174,6 @@ def call(context: Any, address: Any, values: Any) -> Any:
 
 def _cast(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> Any:
     """A named tuple with fields of the wanted types."""
-    if isinstance(wanted, types.CPointer) and isinstance(wanted.dtype, types.BaseTuple):
-        # The function that is called knows the type of states.
-        return builder.bitcast(value, context.get_value_type(wanted))
     if not isinstance(wanted, types.BaseTuple):
         return context.cast(builder, value, given, wanted)
     fields = [

@@ -402,16 +402,11 @@ _KIND_OF = {
 _NUMBER_OF = {kind: number for number, kind in _KIND_OF.items()}
 
 
-def _result_type(result: str | None, arguments: Sequence[Any]) -> Any:
-    """The type of a result such as "f8" (a number), "16 f4" (a vector) or None.
-
-    The kind "*" is that of the entries of the first array.
-    """
+def _result_type(result: str | None) -> Any:
+    """The type of a result such as "f8" (a number), "16 f4" (a vector) or None."""
     if result is None:
         return types.none
     lanes, _, kind = result.rpartition(" ")
-    if kind == "*":
-        kind = next(_KIND_OF[each.dtype] for each in arguments if isinstance(each, types.CPointer))
     return VectorType(kind, int(lanes)) if lanes else _NUMBER_OF[kind]
 
 
@@ -422,13 +417,12 @@ def vectorised(result: str | None = None) -> Callable[[Callable[..., Any]], Any]
     """A decorator that makes a function of vectors callable from Numba functions.
 
     The function receives a `Vector` for each number or vector, and an `Array` for each array. Its
-    result is described by, for instance, "f8" for a number, "16 f4" for a vector, or None;
-    "16 *" is a vector of the kind of the first array.
+    result is described by, for instance, "f8" for a number, "16 f4" for a vector, or None.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
         def typed(context: Any, *arguments: Any) -> tuple[Any, Callable[..., Any]]:
-            return _result_type(result, arguments)(*arguments), generate
+            return _result_type(result)(*arguments), generate
 
         def generate(context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
             operands = [

@@ -27,7 +27,6 @@ from pfdist.models.parameters import (
     trial_parameters,
 )
 from pfdist.models.programs import Programs
-from pfdist.models.seeing import in_python
 
 _MOST_KEPT = 1000  # results that are derived from a model, such as traced formulas
 _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
@@ -155,15 +154,6 @@ class StateSpaceModel:
     missing_components : bool
         Whether `log_likelihood` takes NaN for a component of y that was not measured, and then
         gives the log-likelihood of the other components.
-    proposal : callable, optional
-        ``(x, y, t, u, p) -> w``, the process noise of the step from x(t) to a measured instant
-        t + 1, whose measurement is y. u has one variate for each entry of `proposal_noise`. A
-        guided filter draws w so, and not from `process_noise`.
-    proposal_log_density : callable, optional
-        ``(w, x, y, t, p) -> log q(w | x, y)``, the log-density of the proposal with all constants.
-        A model has both formulas, or neither.
-    proposal_noise : tuple of {"normal", "uniform", "centred"}
-        Distribution of each component of u; if it is empty, that of `process_noise`.
     x_names, y_names, z_names : tuple of str
         A name for each component of x, y or z, with the unit in brackets at the end:
         ``("concentration [mg/l]",)``. Columns, figures and reports use them; without names the
@@ -175,10 +165,10 @@ class StateSpaceModel:
     Raises
     ------
     ModelError
-        A formula does not take its arguments or does not give a tuple of components; a kind of
-        noise is unknown; a parameter lies outside its range; names do not fit the components; a
-        circular component is unknown or in degrees, or the model declares itself linear and
-        Gaussian.
+        A formula does not take its arguments, does not give a tuple of components, or cannot be
+        traced (a `TraceError`); a kind of noise is unknown; a parameter lies outside its range;
+        names do not fit the components; a circular component is unknown or in degrees, or the model
+        declares itself linear and Gaussian.
 
     References
     ----------
@@ -205,9 +195,6 @@ class StateSpaceModel:
     z_names: tuple[str, ...] = ()
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     circular: tuple[str | int, ...] = ()
-    proposal: Callable[..., Any] | None = None
-    proposal_log_density: Callable[..., Any] | None = None
-    proposal_noise: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, value in checked_fields(self).items():
@@ -217,13 +204,7 @@ class StateSpaceModel:
         for name in own_formulas(self):
             formula = getattr(self, name)
             if isinstance(formula, Programs):
-                formula = formula.with_parameters(self.parameters)
-            else:
-                try:
-                    formula = in_python(formula)
-                except ModelError as error:
-                    raise ModelError(f"model {self.name}: {name} {error}") from error
-            object.__setattr__(self, name, formula)
+                object.__setattr__(self, name, formula.with_parameters(self.parameters))
         self.components  # noqa: B018  evaluated here, because it finds wrong formulas
         for kind in _NAMES:
             self.named(kind)
@@ -399,16 +380,6 @@ class StateSpaceModel:
         return formulas | {
             f"{part.name}.{key}": getattr(part.model, key) for part in sensors for key in MEASURING
         }
-
-    @property
-    def guided(self) -> bool:
-        """Whether the model has a proposal."""
-        return self.proposal is not None
-
-    @property
-    def proposal_variates(self) -> tuple[str, ...]:
-        """Distribution of each variate that the proposal takes."""
-        return self.proposal_noise or self.process_noise
 
     def with_parameters(self, overrides: Mapping[str, Parameter]) -> "StateSpaceModel":
         """The model with some parameters changed.

@@ -20,7 +20,7 @@ from pfdist.errors import ModelError, shown
 from pfdist.models.base import StateSpaceModel, squared_error
 from pfdist.models.checks import ARGUMENTS, MEASURING, ONE_NUMBER, formula_of_each_sensor
 from pfdist.models.mistakes import code_of
-from pfdist.models.programs import Declared, Programs, Untraced
+from pfdist.models.programs import Declared, Programs
 from pfdist.models.symbols import Symbol
 
 MOST_TOGETHER = 10_000_000  # particles in an array
@@ -42,7 +42,7 @@ class _Declaration(Arguments):
 class BatchedModel(StateSpaceModel):
     """A model whose functions take and give arrays of particles.
 
-    The functions are those of `StateSpaceModel`. x, w, v, y, u and z are arrays (components, S) of
+    The functions are those of `StateSpaceModel`. x, w, v, y and z are arrays (components, S) of
     float64 for S particles of several draws, t is one integer, and p has numbers. They give arrays
     (components, S) of float64 or tuples of rows; `log_likelihood` gives (S,). They may call any
     library, and must change nothing, their arguments included.
@@ -167,7 +167,7 @@ def _declared(name: str, model: BatchedModel, function: Any, identity: Mapping[s
         return function
     if isinstance(function, Declared) and function.identity != identity:
         function = function.function
-    if isinstance(function, Untraced | Programs):
+    if isinstance(function, Declared | Programs):
         return function
     return Declared(name, model.name, identity, function)
 

@@ -1,7 +1,7 @@
 """Models as bytes, to be sent to workers.
 
-A recorded model is plain data. Only formulas that cannot be traced are user code, which a worker
-may be unable to import. So this code is sent by value.
+A recorded model is plain data. Only functions of a batched model are user code, which a worker may
+be unable to import. So this code is sent by value.
 """
 
 import io
@@ -21,7 +21,7 @@ import cloudpickle
 
 from pfdist.errors import ModelError
 from pfdist.models.mistakes import error_line
-from pfdist.models.recorded import is_recorded, untraced
+from pfdist.models.recorded import declared, is_recorded
 
 _INSTALLED = {"site-packages", "dist-packages"}
 
@@ -32,9 +32,9 @@ def by_value(models: Sequence[Any]) -> bytes:
     Raises
     ------
     ModelError
-        A formula that cannot be traced uses an object that cannot be sent.
+        A function of a batched model uses an object that cannot be sent.
     """
-    if all(is_recorded(each) and not untraced(each) for each in models if each is not None):
+    if all(is_recorded(each) and not declared(each) for each in models if each is not None):
         return pickle.dumps(None) + pickle.dumps(models)  # plain data
     with _users_modules_by_value():
         try:

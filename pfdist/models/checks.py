@@ -1,7 +1,7 @@
 """Checks of a new model: of its fields, and of its formulas.
 
-Each formula is recorded once, at t = 0, or else called on arrays of two particles. This gives the
-numbers of components, and finds mistakes such as a missing comma or `return`.
+Each formula is recorded once, at t = 0; a function of a batched model is called on arrays of two
+particles. This gives the numbers of components, and finds mistakes such as a missing `return`.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ from pfdist.models.mistakes import (
 from pfdist.models.parameters import Parameter, named_parameters, values_of_parameter
 from pfdist.models.program import evaluate
 from pfdist.models.symbols import RefusedError
-from pfdist.models.tracing import MODES, Formula
+from pfdist.models.tracing import MODES, Formula, untraceable
 
 NoiseKind = Literal["normal", "uniform", "centred"]
 
@@ -40,16 +40,12 @@ ARGUMENTS = {
     "log_likelihood": ("y", "x", "t", "p"),
     "quantity_of_interest": ("x", "t", "p"),
     "error": ("z", "estimate", "t", "p"),
-    "proposal": ("x", "y", "t", "u", "p"),
-    "proposal_log_density": ("w", "x", "y", "t", "p"),
 }
 """Names of a model's formulas, and of their arguments."""
 MEASURING = ("measurement", "log_likelihood")
 """Names of the formulas that each sensor of a model has for itself."""
 MOST_SENSORS = 8  # a set of the sensors that measure at an instant is a byte
 _SENSOR_NAME = re.compile(r"[A-Za-z][\w-]{0,39}")
-OPTIONAL = ("proposal", "proposal_log_density")
-"""Formulas that a model may lack."""
 MOST_COMPONENTS: Final = 1000
 T = TypeVar("T")
 _Tuple = Annotated[Listed[T], Field(max_length=MOST_COMPONENTS)]
@@ -58,7 +54,6 @@ _PARTICLES = 2
 ONE_NUMBER = {
     "log_likelihood": "one number a particle",
     "error": "one number for z and its estimate",
-    "proposal_log_density": "one number a particle",
 }
 
 
@@ -74,7 +69,6 @@ class _Fields(Arguments):
     initial_noise: _Noise
     process_noise: _Noise
     measurement_noise: _Noise
-    proposal_noise: _Noise
     parameters: Mapping[str, Any]
     parameter_ranges: Mapping[str, Annotated[_Tuple[Number], Field(min_length=2, max_length=2)]]
     linear_gaussian: bool
@@ -100,7 +94,6 @@ def checked_fields(model: Any) -> dict[str, Any]:
     _check_sensors(model)
     for name in own_formulas(model):
         _check_signature(model, name, ARGUMENTS[name])
-    _check_proposal(model)
     for name in model.parameter_ranges:
         if name not in model.parameters:
             raise ModelError(
@@ -119,9 +112,7 @@ def formula_of_each_sensor(*_: Any) -> Any:
 
 def own_formulas(model: Any) -> list[str]:
     """Names of the formulas that a model itself has; those of its sensors are left out."""
-    absent = {name for name in OPTIONAL if getattr(model, name) is None}
-    absent.update(MEASURING if model.sensors else ())
-    return [name for name in ARGUMENTS if name not in absent]
+    return [name for name in ARGUMENTS if name not in MEASURING or not model.sensors]
 
 
 def _check_sensors(model: Any) -> None:
@@ -178,26 +169,6 @@ def _advice_on_noise(name: str, kinds: Any) -> str:
     return f"; declare {noise!r}, and write pfdist.densities.{draw}({arguments}) in the formula"
 
 
-def _check_proposal(model: Any) -> None:
-    lacking = [name for name in OPTIONAL if getattr(model, name) is None]
-    given = [name for name in OPTIONAL if name not in lacking]
-    if model.sensors and given:
-        raise ModelError(
-            f"model {model.name}: a model with sensors must have no proposal, got "
-            f"{' and '.join(given)}"
-        )
-    if len(lacking) == 1:
-        raise ModelError(
-            f"model {model.name}: a proposal must have both proposal and proposal_log_density, got "
-            f"none for {lacking[0]}"
-        )
-    if lacking and model.proposal_noise:
-        raise ModelError(
-            f"model {model.name}: proposal_noise must be empty without a proposal, got "
-            f"{model.proposal_noise!r}"
-        )
-
-
 def _check_parameter(model: Any, name: str, value: Parameter) -> None:
     if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
         raise ModelError(
@@ -238,14 +209,6 @@ def count_components(model: Any, parameters: Mapping[str, Parameter]) -> tuple[i
         z = _call(model, "quantity_of_interest", x, 0, p)
         _call(model, "log_likelihood", y, x, 0, p)
         _call(model, "error", z, z, 0, p)
-        if model.guided:
-            w = _call(model, "proposal", x, y, 0, _variates(model.proposal_variates), p)
-            if len(w) != len(model.process_noise):
-                raise ModelError(
-                    f"model {model.name}: proposal must give a component for each entry of "
-                    f"process_noise, {len(model.process_noise)}, got {len(w)}"
-                )
-            _call(model, "proposal_log_density", w, x, y, 0, p)
     return len(x), len(y), len(z)
 
 
@@ -258,32 +221,32 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
     formula = getattr(model, name)
     if (example := getattr(formula, "example", None)) is not None:  # a run lacks the formula
         return example
-    recorded, refused = _by_program(model, name, arguments)
-    if recorded is not None:
+    if hasattr(formula, "identity"):  # a function of a batched model, which checks what it gives
+        return formula(*arguments)
+    recorded, error = _by_program(model, name, arguments)
+    if error is None:
         return recorded
-    try:
+    try:  # on arrays, to say what is wrong
         value = formula(*arguments)
-    except ModelError:  # of a function of a batched model
-        raise
-    except BaseException as error:  # a formula may raise any exception
-        if is_interrupt(error):
+    except BaseException as failure:  # a formula may raise any exception
+        if is_interrupt(failure):
             raise
-        if refused is not None:  # it says what to write instead
-            failed = f"{refused}{place_of(refused)}"
+        if isinstance(error, RefusedError):  # it says what to write instead
+            failed = f"{error}{place_of(error)}"
         else:
-            advice = _advice(model, name, arguments, error)
-            failed = f"{error_line(error)}{advice}{place_of(error)}"
-        raise ModelError(f"model {model.name}: {name} failed: {failed}") from error
+            advice = _advice(model, name, arguments, failure)
+            failed = f"{error_line(failure)}{advice}{place_of(failure)}"
+        raise ModelError(f"model {model.name}: {name} failed: {failed}") from failure
     wrong = _wrong_kind(name, value) or _wrong_shape(value)
     if wrong:
         place = place_of_function(formula)
         raise ModelError(f"model {model.name}: {name} must give {wrong}{place}")
-    return value
+    raise untraceable(model.name, name, error, 0) from error
 
 
 def _by_program(
     model: Any, name: str, arguments: tuple[Any, ...]
-) -> tuple[Any, RefusedError | None]:
+) -> tuple[Any, BaseException | None]:
     """The value of a formula by its program at t = 0; None, and why it cannot be recorded."""
     groups = dict(zip(ARGUMENTS[name], arguments, strict=True))
     parameters = {
@@ -299,7 +262,7 @@ def _by_program(
         return value
 
     sizes = {key: len(each) if type(each) is tuple else 0 for key, each in groups.items()}
-    refused = None
+    refused: BaseException | None = None
     formula = Formula(of_right_kind, name, sizes | {"p": 0}, parameters, model.name)
     for mode in MODES:
         try:
@@ -308,7 +271,7 @@ def _by_program(
         except BaseException as error:  # a formula may raise any exception
             if is_interrupt(error):
                 raise
-            refused = error if isinstance(error, RefusedError) else None
+            refused = error
         else:
             return (values[0] if name in ONE_NUMBER else values), None
     return None, refused

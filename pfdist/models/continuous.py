@@ -19,9 +19,8 @@ from pfdist.models.base import StateSpaceModel
 from pfdist.models.mistakes import place_of_function
 from pfdist.models.parameters import CLOCK
 from pfdist.models.program import MOST_STEPS
-from pfdist.models.programs import Programs, Untraced
+from pfdist.models.programs import Declared, Programs
 from pfdist.models.repeating import repeated
-from pfdist.models.seeing import in_python
 from pfdist.models.tracing import Covariate
 
 Values = tuple[Any, ...]
@@ -149,13 +148,9 @@ def doubled(model: StateSpaceModel) -> StateSpaceModel:
     Both have the same Brownian motions in draws of the same stream: further variates divide the
     increments (the construction of Levy).
 
-    Raises
-    ------
-    ModelError
-        The model has a proposal, which does not draw the noise of more steps.
     """
     transition, own, flows = model.transition, len(model.process_noise), list[Flow]()
-    if isinstance(transition, Programs | Untraced):
+    if isinstance(transition, Programs | Declared):
         return model
 
     def twice(x: Any, t: Any, w: Any, p: Any) -> Any:
@@ -177,8 +172,6 @@ def doubled(model: StateSpaceModel) -> StateSpaceModel:
 
     replace(model, transition=twice)  # which calls it
     noise = sum((flow.process_noise for flow in flows), model.process_noise)
-    if model.guided and len(noise) > own:
-        raise ModelError(f"model {model.name} has a proposal, which draws no noise of more steps")
     return replace(model, transition=twice, process_noise=noise) if flows else model
 
 
@@ -237,10 +230,9 @@ def ode(
     >>> f"{decay((1.0,), 0, (), None)[0]:.4f}"
     '0.3679'
     """
-    rates = in_python(rhs)
 
     def derivative(x: Values, t: Any, p: Any) -> Values:
-        return components(rates(x, t, p), len(x), "rhs")
+        return components(rhs(x, t, p), len(x), "rhs")
 
     def heun(x: Values, begin: Any, h: Any, _: Values, p: Any) -> Values:
         first = derivative(x, begin, p)
@@ -316,12 +308,11 @@ def sde(
     Kloeden, Platen, "Numerical solution of stochastic differential equations", 1992, sections 10.2
     and 11.1.
     """
-    rates, spread = in_python(drift), in_python(diffusion)
 
     def change(x: Values, t: Any, h: Any, dw: Values, p: Any) -> Values:
         """The sum of drift and noise in a step, with rates at x."""
-        steady = components(rates(x, t, p), len(x), "drift")
-        return _plus(_noise_of(spread(x, t, p), len(x), dw), h, steady)
+        steady = components(drift(x, t, p), len(x), "drift")
+        return _plus(_noise_of(diffusion(x, t, p), len(x), dw), h, steady)
 
     def euler(x: Values, begin: Any, h: Any, dw: Values, p: Any) -> Values:
         return _plus(x, 1.0, change(x, begin, h, dw, p))

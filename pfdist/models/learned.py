@@ -13,7 +13,6 @@ import numpy as np
 
 from pfdist.common.scenario import Scenario
 from pfdist.elementwise import where
-from pfdist.errors import ModelError
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.checks import ARGUMENTS, MEASURING, own_formulas
 from pfdist.models.mistakes import is_interrupt
@@ -53,10 +52,6 @@ def learned(
     known = _Scenarios(tuple(prior)) if isinstance(prior, Sequence) else _Parameters(prior)
     for values in known.examples:
         model.with_parameters(values)  # it refuses unknown names, and values outside their range
-    if motion and model.guided:
-        raise ModelError(
-            f"scenarios.motion needs a model without a proposal, got {model.name}, which has one"
-        )
     n = model.components[0]
 
     def initial(w: Any, p: Any) -> Any:

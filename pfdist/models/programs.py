@@ -170,90 +170,7 @@ def _kind(program: Program, number: int) -> str:
     return "mask" if program.operations[number].name in MASKS else "float"
 
 
-class Untraced:
-    """A formula that cannot be traced; its values at test points identify it.
-
-    Parameters
-    ----------
-    function : callable, optional
-        The formula; None if only the values were kept.
-    values : array, (instants, components, numbers)
-        NaN if the formula failed.
-    name, model : str
-        As errors name them.
-    refused : TraceError, optional
-        The reason why it cannot be traced.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        model: str,
-        values: Array,
-        function: Callable[..., Any] | None = None,
-        refused: TraceError | None = None,
-    ) -> None:
-        self.name, self.model, self.values = name, model, values
-        self.function, self.refused = function, refused
-        if function is not None:
-            self.__wrapped__ = function
-
-    @property
-    def why(self) -> TraceError:
-        """Why the formula has no program."""
-        return self.refused or TraceError(f"model {self.model}: {self.name} could not be traced")
-
-    @property
-    def example(self) -> Any:
-        """Values of the right type and number, if only the values were kept."""
-        if self.function is not None:
-            return None
-        numbers = tuple(np.zeros(2) for _ in self.values[0])
-        return numbers[0] if self.name in ONE_NUMBER else numbers
-
-    def __call__(self, *arguments: Any) -> Any:
-        """The values of the formula itself."""
-        if self.function is None:
-            raise ModelError(
-                f"model {self.model}: {self.name} could not be traced, so the run's folder does "
-                "not contain it: give the job"
-            )
-        if recording_of(arguments[-1], *arguments[:-1]) is not None:
-            return self.function(*arguments)  # the symbols refuse what is wrong
-        value = self._called(self.function, arguments)
-        return tuple(value) if isinstance(value, np.ndarray) and value.ndim > 1 else value
-
-    def _called(self, function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
-        """The values of the function; a `ModelError` says that it failed."""
-        check()
-        try:
-            return function(*arguments)
-        except (MemoryError, PfdistError):
-            raise
-        except BaseException as error:  # a formula may raise any exception
-            place = place_of(error)
-            if is_interrupt(error) or not (isinstance(error, Exception) or place):
-                raise
-            given = dict(zip(ARGUMENTS[self.name], arguments, strict=True))
-            at = f" at t = {given['t']}" if "t" in given else ""
-            advice = self.refused.advice if self.refused else ""
-            raise ModelError(
-                f"model {self.model}: {self.name} failed: {error_line(error)}{at}"
-                f"{f'; {advice}' if advice else remedy(error)}{place}"
-            ) from error
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Untraced):
-            return False
-        if self.function is None and other.function is None:
-            return np.array_equal(self.values, other.values, equal_nan=True)
-        return self.function == other.function
-
-    def __hash__(self) -> int:
-        return hash(self.name)
-
-
-class Declared(Untraced):
+class Declared:
     """A function of a batched model: from arrays (components, particles) to such an array.
 
     Parameters
@@ -276,8 +193,17 @@ class Declared(Untraced):
         function: Callable[..., Any] | None = None,
         results: int = 1,
     ) -> None:
-        super().__init__(name, model, np.zeros((1, results, 1)))
-        self.function, self.identity = function, identity
+        self.name, self.model, self.identity = name, model, identity
+        self.function, self.results = function, results
+        if function is not None:
+            self.__wrapped__ = function
+
+    @property
+    def example(self) -> Any:
+        """Values of the right type and number, if only the identity was kept."""
+        if self.function is not None:
+            return None
+        return np.zeros(2) if self.name in ONE_NUMBER else (np.zeros(2),) * self.results
 
     @property
     def place(self) -> str:
@@ -329,6 +255,24 @@ class Declared(Untraced):
             return tuple(row[0] for row in rows)
         return rows[0] if self.name in ONE_NUMBER else tuple(rows)
 
+    def _called(self, function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
+        """The values of the function; a `ModelError` says that it failed."""
+        check()
+        try:
+            return function(*arguments)
+        except (MemoryError, PfdistError):
+            raise
+        except BaseException as error:  # a formula may raise any exception
+            place = place_of(error)
+            if is_interrupt(error) or not (isinstance(error, Exception) or place):
+                raise
+            given = dict(zip(ARGUMENTS[self.name], arguments, strict=True))
+            at = f" at t = {given['t']}" if "t" in given else ""
+            raise ModelError(
+                f"model {self.model}: {self.name} failed: {error_line(error)}{at}"
+                f"{remedy(error)}{place}"
+            ) from error
+
     def _rows(self, array: NDArray[Any], size: int) -> Array:
         """The values of the function as an array (components, particles)."""
         is_number = self.name in ONE_NUMBER
@@ -346,7 +290,8 @@ class Declared(Untraced):
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Declared) and self.identity == other.identity
 
-    __hash__ = Untraced.__hash__
+    def __hash__(self) -> int:
+        return hash(self.name)
 
 
 _IN_DOUBLES = (

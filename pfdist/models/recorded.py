@@ -10,42 +10,35 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.errors import ModelError, TraceError
+from pfdist.errors import ModelError
 from pfdist.models.base import StateSpaceModel, squared_error
 from pfdist.models.checks import ARGUMENTS, MEASURING, own_formulas
-from pfdist.models.mistakes import is_interrupt, place_of_function
+from pfdist.models.mistakes import place_of_function
 from pfdist.models.parameters import Parameter
 from pfdist.models.program import Array
-from pfdist.models.programs import Declared, Programs, Untraced
+from pfdist.models.programs import Declared, Programs
 from pfdist.models.tracing import MODES, Traced
-from pfdist.models.twin import formula_of, instants_of, results_of, traced
+from pfdist.models.twin import formula_of, instants_of, traced
 
-_TRIED = 16  # instants at which a formula that cannot be traced is called
-_ENTRIES = (0, 21, 63)
 _NUMBERS = np.modf(np.outer(np.arange(1, 65), np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0])))[0] * 4.0 - 2.0
 
 
 def is_recorded(model: StateSpaceModel) -> bool:
     """Whether every formula of a model is recorded."""
     return all(
-        isinstance(formula, Programs | Untraced) or formula is squared_error
+        isinstance(formula, Programs | Declared) or formula is squared_error
         for formula in _own(model).values()
     )
 
 
-def untraced(model: StateSpaceModel) -> dict[str, Untraced]:
-    """The formulas of a recorded model without a program, by name."""
-    return {name: each for name, each in _own(model).items() if isinstance(each, Untraced)}
+def declared(model: StateSpaceModel) -> dict[str, Declared]:
+    """The formulas of a model that are functions of a batched model, by name."""
+    return {name: each for name, each in _own(model).items() if isinstance(each, Declared)}
 
 
 def declarations(*models: StateSpaceModel) -> dict[str, str]:
     """The declared identity of each batched model in one line, by the model's name."""
-    return {
-        each.model: each.declaration
-        for model in models
-        for each in untraced(model).values()
-        if isinstance(each, Declared)
-    }
+    return {each.model: each.declaration for model in models for each in declared(model).values()}
 
 
 def _own(model: StateSpaceModel) -> dict[str, Any]:
@@ -91,38 +84,18 @@ def recorded(
     return dataclasses.replace(model, sensors=sensors, **changes)
 
 
-def with_untraced(model: StateSpaceModel, instants: range) -> StateSpaceModel:
-    """The model with formulas that cannot be traced marked as `Untraced`; others are unchanged."""
-    changes = dict[str, Any]()
-    for name in own_formulas(model):
-        try:
-            traced(model, name, instants)
-        except TraceError as error:
-            if not isinstance(getattr(model, name), Untraced):
-                changes[name] = _untraced(model, name, instants, error)
-    return dataclasses.replace(model, **changes) if changes else model
-
-
 def with_functions(kept: StateSpaceModel, now: StateSpaceModel) -> StateSpaceModel:
-    """A model read from model.json, with the untraceable formulas of the current model."""
-    changes = {key: _with_function(kept, now, key) for key in own_formulas(kept)}
+    """A model read from model.json, with the functions of the current model if it is batched."""
     sensors = {
-        name: replace(
-            each, **{key: _with_function(each, now.sensors[name], key) for key in MEASURING}
-        )
+        name: replace(each, **_functions(each, now.sensors[name], MEASURING))
         for name, each in kept.sensors.items()
     }
-    return dataclasses.replace(kept, sensors=sensors, **changes) if untraced(kept) else kept
+    changes = _functions(kept, now, own_formulas(kept))
+    return dataclasses.replace(kept, sensors=sensors, **changes) if declared(kept) else kept
 
 
-def _with_function(kept: Any, now: Any, key: str) -> Any:
-    formula = getattr(kept, key)
-    if not isinstance(formula, Untraced):
-        return formula
-    present = getattr(now, key)
-    if isinstance(formula, Declared):
-        return present
-    return Untraced(key, formula.model, formula.values, present.function, present.refused)
+def _functions(kept: Any, now: Any, names: Iterable[str]) -> dict[str, Any]:
+    return {name: getattr(now, name) for name in names if isinstance(getattr(kept, name), Declared)}
 
 
 def _recorded(models: Sequence[StateSpaceModel], name: str, instants: range) -> Any:
@@ -130,46 +103,11 @@ def _recorded(models: Sequence[StateSpaceModel], name: str, instants: range) -> 
     model, function = models[0], getattr(models[0], name)
     if function is squared_error or isinstance(function, Declared):
         return function
-    try:
-        first = traced(model, name, instants)
-        variants = [traced(each, name, instants) for each in models[1:] if first.read]
-    except TraceError as error:
-        return _untraced(model, name, instants, error)
+    first = traced(model, name, instants)
+    variants = [traced(each, name, instants) for each in models[1:] if first.read]
     by_read = {tuple(each.read.items()): each for each in (*reversed(variants), first)}
     kept = tuple(each for each in by_read.values() if each is not first)
     return Programs(name, model.name, first, (first, *kept), place_of_function(function))
-
-
-def _untraced(model: StateSpaceModel, name: str, instants: range, refused: TraceError) -> Untraced:
-    """A formula without a program, with its values for some numbers at the first 16 instants.
-
-    A `ModelError` says that it gives other values when it is called again, or mixes particles.
-    """
-    function, tried = getattr(model, name), instants_of(name, instants)[:_TRIED]
-    try:
-        values, again = (
-            np.array([_values(model, name, t, slice(None)) for t in tried]) for _ in range(2)
-        )
-        entries = [_values(model, name, tried[0], slice(k, k + 1)) for k in _ENTRIES]
-    except BaseException as error:  # a formula may raise any exception
-        if is_interrupt(error):
-            raise
-        values = np.full((1, results_of(model, name), 1), np.nan)
-        return Untraced(name, model.name, values, function, refused)
-    place = place_of_function(function)
-    if not np.array_equal(values, again, equal_nan=True):
-        raise ModelError(
-            f"model {model.name}: {name} must be a pure function, got other values when called "
-            f"twice with the same arguments; take randomness from the noise it is given{place}"
-        )
-    together = values[0][:, [*_ENTRIES]]
-    if not np.allclose(together, np.hstack(entries), rtol=1e-9, atol=1e-12, equal_nan=True):
-        raise ModelError(
-            f"model {model.name}: {name} must treat each particle alone, got other values for an "
-            "array of particles than for its entries one by one (a mean, sum or norm over an "
-            f"array? write a + b instead of np.sum, np.hypot(a, b) of np.linalg.norm){place}"
-        )
-    return Untraced(name, model.name, values, function, refused)
 
 
 def check_same_functions(model: StateSpaceModel, other: StateSpaceModel, instants: range) -> None:
@@ -272,8 +210,6 @@ def _difference(kept: Any, now: Any) -> str:
     """How a formula differs; empty if it is the same."""
     if isinstance(kept, Declared) and isinstance(now, Declared):
         return "" if kept == now else f"declared as {kept.declaration} -> {now.declaration}"
-    if isinstance(kept, Untraced) and isinstance(now, Untraced):
-        return "" if _close(kept.values, now.values) else "it gives other values"
     if not (isinstance(kept, Programs) and isinstance(now, Programs)):
         return "" if kept is now else "it is another formula"
     if [*map(_structure, kept.variants)] != [*map(_structure, now.variants)]:

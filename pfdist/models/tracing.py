@@ -7,7 +7,6 @@ one, whose constants are rows of a table.
 """
 
 import hashlib
-import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,6 +14,7 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+from numba import errors
 from numpy.typing import NDArray
 
 from pfdist.common.stopping import check
@@ -22,13 +22,12 @@ from pfdist.common.telling import Waiting
 from pfdist.errors import ModelError, TraceError
 from pfdist.models.mistakes import error_line, is_interrupt, place_of, remedy
 from pfdist.models.parameters import Parameter, named_parameters
-from pfdist.models.program import Program, evaluate, merged
+from pfdist.models.program import Array, Program, evaluate, merged
 from pfdist.models.symbols import Recording, RefusedError, Symbol
 
 MOST_STRUCTURES: Final = 32
 MOST_CONSTANTS: Final = 2**23  # numbers of a formula, 64 MiB
 _ONE_AT_A_TIME = threading.RLock()
-_OUTSIDE = re.compile(r".*index .*out of (bounds|range)")  # and no axis, which arrays may have
 _CLOSE, _TINY = 1e-9, 1e-12  # differences of a formula that is called with numbers
 _MOST_TRIED = 8  # instants at which a division by 0 may be an error of Python
 _TRIED = np.array([[0.3, -1.7, 0.9, 2.1, -0.4], [-0.8, 0.6, 1.3, -0.2, 0.7]])
@@ -306,7 +305,7 @@ def trace(formula: Formula, instants: range) -> Traced:
             if is_interrupt(error):
                 raise
             if mode == MODES[-1]:
-                raise _explained(formula, error) from error
+                raise untraceable(formula.model, formula.name, error) from error
     raise AssertionError
 
 
@@ -385,7 +384,12 @@ def _recorded_at(formula: Formula, mode: str, t: int) -> Program:
         raise
     except BaseException as error:  # a formula may raise any exception
         if mode == MODES[-1] and not is_interrupt(error):
-            raise _explained(formula, error, t) from error
+            groups = _groups(formula).items()
+            single = {
+                name: tuple(values[0] for values in compsinglents) for name, compsinglents in groups
+            }
+            fails = not isinstance(error, RefusedError) and not formula.with_numbers(single, t)
+            raise untraceable(formula.model, formula.name, error, t, fails=fails) from error
         raise
 
 
@@ -415,15 +419,20 @@ def _check_same(formula: Formula, first: Program, second: Program, t: int | None
         )
 
 
-def _check_numbers(
-    formula: Formula, instants: range, program_at: Callable[[int], tuple[Program, int]]
-) -> None:
-    """Raise an error if a program gives something else than its formula for a single particle."""
-    groups = {
+def _groups(formula: Formula) -> dict[str, list[Array]]:
+    """Components of a few particles, for each argument that is a tuple."""
+    return {
         name: [np.roll(_TRIED[i % 2], i // 2) for i in range(count)]
         for name, count in formula.arguments.items()
         if name not in "tp"
     }
+
+
+def _check_numbers(
+    formula: Formula, instants: range, program_at: Callable[[int], tuple[Program, int]]
+) -> None:
+    """Raise an error if a program gives something else than its formula for a single particle."""
+    groups = _groups(formula)
     for t in _few(instants):
         program, row = program_at(t)
         found = evaluate(program, groups, t, formula.parameters, row)
@@ -450,27 +459,26 @@ def _check_limits(formula: Formula, structures: int, size: int) -> None:
         )
 
 
-def _explained(formula: Formula, error: BaseException, t: int | None = None) -> ModelError:
+def untraceable(
+    model: str, formula: str, error: BaseException, t: int | None = None, *, fails: bool = False
+) -> ModelError:
     """The error of a formula in one line, with t, the user's line and what to write instead.
 
-    It is a `TraceError` unless the formula would fail in NumPy, too.
+    It is a `TraceError` unless the formula also fails with numbers.
     """
+    if isinstance(error, errors.NumbaError):
+        return ModelError(
+            f"model {model}: {formula} must call functions of Python, got one that numba.njit "
+            f"compiled; write f.py_func instead of f{place_of(error)}"
+        )
     known = isinstance(error, RefusedError | _DiffersError)
     what = str(error) if known else f"{error_line(error)}{remedy(error)}"
     at = "" if t is None else f" at t = {t}"
+    if fails:
+        return ModelError(f"model {model}: {formula} failed: {what}{at}{place_of(error)}")
     if isinstance(error, IndexError) and "only integers" in str(error):
         what = f"{error_line(error)}: by a value of particles it is take(table, value.astype(int))"
-    elif (
-        isinstance(error, ArithmeticError | KeyError)
-        or not isinstance(error, Exception)
-        or _OUTSIDE.match(str(error))
-    ):
-        return ModelError(
-            f"model {formula.model}: {formula.name} failed: {what}{at}{place_of(error)}"
-        )
-    explained = TraceError(
-        f"model {formula.model}: {formula.name} cannot be traced{at}: {what}{place_of(error)}; "
-        "the engine 'batched' computes it as it is"
+    return TraceError(
+        f"model {model}: {formula} cannot be traced{at}: {what}{place_of(error)}; "
+        "declare functions of arrays as a pfdist.BatchedModel, see docs/simulators.md"
     )
-    explained.advice = str(error) if known else ""
-    return explained

@@ -9,15 +9,11 @@ import dataclasses
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
-from pfdist.errors import ModelError, TraceError
+from pfdist.errors import ModelError
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.checks import ARGUMENTS
-from pfdist.models.programs import Programs, Untraced
+from pfdist.models.programs import Declared, Programs
 from pfdist.models.tracing import Formula, Traced, trace
-
-_STEPS = ("transition", "proposal", "proposal_log_density")  # from an instant to the next
 
 
 def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
@@ -31,8 +27,8 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
         The formula fails, also with numbers.
     """
     instants, formula = instants_of(name, instants), model.formulas[name]
-    if isinstance(formula, Untraced) and formula.refused is not None:
-        raise formula.refused.with_traceback(None)  # else it grows each time
+    if isinstance(formula, Declared):
+        raise formula.why
     if isinstance(formula, Programs):
         try:
             return formula.traced.at(instants)
@@ -47,18 +43,18 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
 def instants_of(name: str, instants: range) -> range:
     """The instants at which a formula is traced, given instants of the system.
 
-    Formulas of steps leave out the last, unless it is the only one; `initial` is traced at 0.
+    `transition` leaves out the last, unless it is the only one; `initial` is traced at 0.
     """
     if name == "initial":
         return range(1)
-    return (instants[:-1] or instants) if name in _STEPS else instants
+    return (instants[:-1] or instants) if name == "transition" else instants
 
 
 def formula_of(model: StateSpaceModel, name: str) -> Formula:
     """A model's formula, with the numbers of components of its arguments."""
     sizes = dict(zip("xyz", model.components, strict=True))
     sizes |= {"w": len(model.process_noise), "v": len(model.measurement_noise), "t": 0, "p": 0}
-    sizes |= {"u": len(model.proposal_variates), "estimate": sizes["z"]}
+    sizes["estimate"] = sizes["z"]
     if name == "initial":
         sizes["w"] = len(model.initial_noise)
     arguments = {argument: sizes[argument] for argument in ARGUMENTS[name]}
@@ -70,21 +66,21 @@ def results_of(model: StateSpaceModel, name: str) -> int:
     """The number of components that a formula gives; 1 for a number."""
     states, measurements, quantities = model.components
     counts = {"initial": states, "transition": states, "measurement": measurements}
-    counts |= {"quantity_of_interest": quantities, "proposal": len(model.process_noise)}
+    counts["quantity_of_interest"] = quantities
     return counts.get(name, 1)
 
 
 def twin_of(model: StateSpaceModel, instants: range) -> StateSpaceModel:
     """The model with formulas that compute on arrays at given instants, by their programs.
 
-    A formula is traced when it is first called. If it cannot be traced, it is called directly.
+    A formula is traced when it is first called; functions of a batched model are called directly.
     """
     result: StateSpaceModel = model.kept(("twin", instants), lambda: _twin_of(model, instants))
     return result
 
 
 def _twin_of(model: StateSpaceModel, instants: range) -> StateSpaceModel:
-    if all(isinstance(each, Programs | Untraced) for each in model.formulas.values()):
+    if all(isinstance(each, Programs | Declared) for each in model.formulas.values()):
         return model
     twin = copy.copy(model)  # without what is cached beside the fields
     twin.__dict__["components"] = model.components
@@ -113,14 +109,10 @@ class _Twin:
         self.__wrapped__ = model.formulas[name]
 
     @cached_property
-    def _computed(self) -> Programs | Untraced:
-        if isinstance(self.__wrapped__, Untraced):
+    def _computed(self) -> Programs | Declared:
+        if isinstance(self.__wrapped__, Declared):
             return self.__wrapped__
-        try:
-            program = traced(self._model, self._name, self._instants)
-        except TraceError as error:
-            name, function = self._model.name, self.__wrapped__
-            return Untraced(self._name, name, np.empty(0), function, error)
+        program = traced(self._model, self._name, self._instants)
         return Programs(self._name, self._model.name, program)
 
     def __call__(self, *arguments: Any) -> Any:

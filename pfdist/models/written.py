@@ -26,7 +26,7 @@ from pfdist.models.program import (
     excess_of_loops,
     kind_of,
 )
-from pfdist.models.programs import Declared, Programs, Untraced
+from pfdist.models.programs import Declared, Programs
 from pfdist.models.recorded import PLAIN
 from pfdist.models.symbols import MOST_OPERATIONS
 from pfdist.models.tracing import MODES, MOST_CONSTANTS, MOST_STRUCTURES, Traced
@@ -44,6 +44,7 @@ def _data_of(model: StateSpaceModel) -> dict[str, Any]:
     """A recorded model as data for JSON."""
     data = {name: _plain(getattr(model, name)) for name in PLAIN}
     return data | {
+        "proposal_noise": [],  # which versions before had, so that keys of models are as they were
         "parameters": _plain(model.parameters),
         "formulas": {name: _formula(model, name) for name in own_formulas(model)},
         "sensors": {
@@ -95,8 +96,6 @@ def _formula(model: StateSpaceModel, name: str) -> Any:
     formula = getattr(model, name)
     if isinstance(formula, Declared):
         return {"declared": formula.identity, "results": results_of(model, name)}
-    if isinstance(formula, Untraced):
-        return {"values": _plain(formula.values.tolist())}
     return [*map(_traced, formula.variants)] if isinstance(formula, Programs) else None
 
 
@@ -151,9 +150,10 @@ def _need(is_right: bool, what: str) -> None:
 
 def _model(data: Mapping[str, Any]) -> StateSpaceModel:
     _need(
-        {*data} == {*PLAIN, "parameters", "formulas", "sensors"},
+        {*data} == {*PLAIN, "proposal_noise", "parameters", "formulas", "sensors"},
         "unexpected or missing keys of a model",
     )
+    _need(data["proposal_noise"] == [], "a model has a proposal, which versions before had")
     fields: dict[str, Any] = {name: data[name] for name in PLAIN}
     name = fields["name"]
     fields["parameter_ranges"] = {
@@ -208,18 +208,14 @@ def _read_array(rows: Any, columns: int | None = None) -> Array:
     return np.array(numbers, np.float64).reshape(len(rows), columns)
 
 
-def _read_formula(name: str, model: str, data: Any) -> Programs | Untraced:
-    if isinstance(data, dict) and "declared" in data:
+def _read_formula(name: str, model: str, data: Any) -> Programs | Declared:
+    if isinstance(data, dict):
+        _need("declared" in data, f"{name} has no program, which versions before allowed")
         results = data["results"]
         _need(
             type(results) is int and 0 < results <= MOST_COMPONENTS, "a number of results is wrong"
         )
         return Declared(name, model, _read_identity(data["declared"]), results=results)
-    if isinstance(data, dict):
-        rows = [[[_read_number(each) for each in row] for row in rows] for rows in data["values"]]
-        values = np.array(rows, np.float64)
-        _need(values.ndim == 3 and values.size > 0, f"{name} has no values")
-        return Untraced(name, model, values)
     variants = tuple(map(_read_traced, data))
     _need(bool(variants), f"{name} has no program")
     return Programs(name, model, variants[0], variants)

@@ -79,7 +79,7 @@ class Problem(Shown):
         measurements (most) and their minimum_spacing. By default, the prices of the model.
     particles : int or "auto"
         "auto" finds a sufficient number when something is computed.
-    resampling, resample, engine, dtype, proposal : str
+    resampling, resample, engine, proposal : str
         The filter, as in the section [filter] of a job file. `resample` is "always" by default.
 
     Raises

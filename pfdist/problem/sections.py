@@ -158,9 +158,6 @@ class Filter(Section):
         share of the particles.
     engine : str
         The engine that computes the filter.
-    dtype : str
-        "float32" computes states and log-likelihoods in single precision, which is faster. Errors
-        and sums of weights stay float64. For the engines "auto" and "compiled".
     proposal : str
         "guided" redraws the noise since the last measurement when the next one is known; "plain"
         does not. "auto" takes "guided" if it has less particle loss with a third of the particles.
@@ -170,7 +167,6 @@ class Filter(Section):
     resampling: Resampling = "multinomial"
     resample: str | None = None  # None stands for "always", which is not written into a job
     engine: EngineName = AUTO
-    dtype: Literal["float64", "float32"] = "float64"
     proposal: Literal["auto", "plain", "guided"] = AUTO
 
     @property

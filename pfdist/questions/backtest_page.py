@@ -186,7 +186,7 @@ def _alarms(answer: Backtest) -> list[str]:
     sets = ", ".join(answer.sets[name] for name in answer.wrong)
     said = f"The model is wrong: the real error differs from the foreseen error with {sets}."
     where = f"in {answer.collapsed:,} of {len(answer.table):,} filters"
-    few = few_particles(where, 'filter.proposal = "guided"')
+    few = few_particles(where, 'filter.proposal = "guided", ')
     return [few] * bool(answer.collapsed) + [said] * bool(answer.wrong)
 
 

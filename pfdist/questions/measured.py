@@ -1,4 +1,4 @@
-"""Checks of densities that a model declares: of y, of y without a component, of its proposal."""
+"""Checks of densities that a model declares: of y, and of y without a component."""
 
 import math
 from collections.abc import Callable
@@ -10,18 +10,13 @@ from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
 from pfdist.filters.draws import Draws
-from pfdist.filters.formulas import log_density as log_density_of_noise
-from pfdist.kernels.variates import FILTER_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.runner.likelihood import (
-    MEASUREMENTS,
     Within,
     formatted_state,
     instants_of,
     likelihood,
     measured,
-    miscounted,
-    share_of,
     values_of,
 )
 
@@ -183,126 +178,6 @@ def normalised(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[st
         return "ok", f"as it declares: the probabilities of whole y add up to 1 at {states} states"
     how = "" if len(y) <= MOST_ON_A_GRID else ", by importance sampling"
     return "ok", f"as it declares: the integral over y is 1 at {states} states{how}"
-
-
-_MISSED = 0.01  # share of the noise that fits y; that of a right proposal is 0, but for underflow
-_FITTING = 10.0  # least effective number of draws of the noise that fit y
-
-
-@dataclass(frozen=True)
-class _Step:
-    """A step with a proposal: from x(t) of a draw to its measurement y(t+1)."""
-
-    model: StateSpaceModel
-    draw: int
-    t: int
-    x: tuple[float, ...]
-    y: tuple[float, ...]
-
-    def proposed(self) -> Array:
-        """Noise w that the proposal draws, (components, K)."""
-        model, u = self.model, self._variates(self.model.proposal_variates, 3)
-        return values_of(model, "proposal", (self.x, self.y, self.t, u, model.p), MEASUREMENTS)
-
-    def log_density(self, w: Array) -> Array:
-        """The proposal's log-density of w, (K,)."""
-        arguments = tuple(w), self.x, self.y, self.t, self.model.p
-        (log,) = values_of(self.model, "proposal_log_density", arguments, w.shape[1])
-        return np.asarray(log, np.float64)
-
-    def density(self, w: Array) -> Array:
-        """The proposal's density of w, (K,)."""
-        return np.exp(self.log_density(w))
-
-    def log_likelihood(self, w: Array) -> Array:
-        """The log-likelihood of y(t+1) after a step with the noise w, (K,)."""
-        model, count = self.model, w.shape[1]
-        x = values_of(model, "transition", (self.x, self.t, tuple(w), model.p), count)
-        (log,) = values_of(model, "log_likelihood", (self.y, tuple(x), self.t + 1, model.p), count)
-        return np.asarray(log, np.float64)
-
-    def log_noise(self, w: Array) -> Array:
-        """The log-density of the process noise, (K,)."""
-        return np.asarray(log_density_of_noise(self.model.process_noise, tuple(w)), np.float64)
-
-    def wrong_density(self, w: Array, noise: Array) -> str:
-        """Why the density cannot be that of proposed w; it is compared with that of the noise."""
-        is_proposed = self._variates(("uniform",), 5)[0] < 0.5
-        mixed = np.where(is_proposed, w, noise)
-        density = np.nan_to_num(self.log_density(mixed), nan=-np.inf)
-        counted = miscounted(is_proposed, share_of(density, self.log_noise(mixed)))
-        if counted is None:
-            return ""
-        got, implied, deviation = counted
-        return (
-            "proposal_log_density must be the log-density of what proposal draws, also far from "
-            f"it; but of {MEASUREMENTS:,} w, each from proposal or from process_noise, {got:,} "
-            f"come from proposal, where it implies {implied:,.0f} ± {deviation:,.0f}"
-        )
-
-    def missed(self, noise: Array) -> float:
-        """The share of the noise that fits y(t+1) which has no density; NaN if too little fits."""
-        log = np.nan_to_num(self.log_likelihood(noise), nan=-np.inf, neginf=-np.inf)
-        fit = np.exp(log - log.max()) if np.isfinite(log.max()) else np.zeros(log.size)
-        if not fit.sum() ** 2 >= _FITTING * np.sum(fit**2) > 0:
-            return math.nan
-        return float(fit[~np.isfinite(self.log_density(noise))].sum() / fit.sum())
-
-    def noise(self) -> Array:
-        """Process noise, (components, K)."""
-        return np.stack(self._variates(self.model.process_noise, 4))
-
-    def _variates(self, kinds: tuple[str, ...], key: int) -> tuple[Array, ...]:
-        given = key, self.draw, self.t, FILTER_PROCESS
-        return tuple(variates(kind, MEASUREMENTS, *given, k) for k, kind in enumerate(kinds))
-
-
-def proposal(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[str, str]:
-    """State and text: the proposal's density must be that of what it draws, at a few states.
-
-    The proposal must be able to draw all noise that fits the measurement. The text has the
-    effective sample size of particles from one state, which the next measurement weights: 100 % for
-    the best proposal.
-    """
-    rng, worth, unknown, covered = np.random.default_rng(0), list[float](), "", 0
-    for t in instants_of(draws):
-        for draw in within(rng.choice(len(draws.index), size=_STATES, replace=False)):
-            x, y = (tuple(part.tolist()) for part in (draws.x[draw, t], draws.y[draw, t + 1]))
-            step = _Step(model, int(draw), t, x, y)
-            w, where = step.proposed(), f"x = {formatted_state(draws.x[draw, t])}, t = {t}"
-            try:
-                total = integral(step.density, w)
-            except NoIntegralError as reason:
-                total, unknown = Estimate(1.0), f"the integral over w cannot be checked: {reason}"
-            if not abs(total.value - 1) < _LARGEST_Z * total.standard_error + _INTEGRATION:
-                return "wrong", (
-                    "exp(proposal_log_density) must have the integral 1 over w near what proposal "
-                    f"draws, got {total.text} at {where} (another mean or deviation than the "
-                    "proposal's, or a constant left out?)"
-                )
-            noise = step.noise()
-            if wrong := step.wrong_density(w, noise):
-                return "wrong", f"{wrong} at {where}"
-            missed = step.missed(noise)
-            if missed > _MISSED:
-                return "wrong", (
-                    "proposal must be able to draw every w that the noise may have, but its "
-                    f"density is 0 for {missed:.0%} of the w that fit y, at {where}"
-                )
-            covered += not math.isnan(missed)
-            log_weight = step.log_likelihood(w) + step.log_noise(w) - step.log_density(w)
-            if not np.isfinite(log_weight).any():
-                return "wrong", f"proposal must give some w that are possible, got none at {where}"
-            weight = np.exp(log_weight - np.nanmax(log_weight[log_weight < np.inf]))
-            weight = weight[np.isfinite(weight)]
-            worth.append(float(weight.sum() ** 2 / np.sum(weight**2)) / MEASUREMENTS)
-    if unknown:
-        return "note", unknown
-    return "ok", (
-        f"its density has the integral 1 at {len(worth)} states, and covers the noise that fits y "
-        f"at {covered} of them; the next measurement leaves an effective sample size of "
-        f"{min(worth):.0%} to {max(worth):.0%} of particles from one state"
-    )
 
 
 def missing_components(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[str, str]:

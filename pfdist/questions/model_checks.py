@@ -14,14 +14,14 @@ from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.measurement_times import Times, regular
 from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded
-from pfdist.errors import JobError, ModelError, TraceError
+from pfdist.errors import JobError, ModelError
 from pfdist.filters.draws import Draws
-from pfdist.filters.engines import BATCHED, BATCHED_TIMES_SLOWER, ENGINES, WITHOUT_FMA
+from pfdist.filters.engines import BATCHED, ENGINES, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
-from pfdist.filters.work import FLOAT64, GUIDED, PLAIN, Estimation, Work
+from pfdist.filters.work import GUIDED, PLAIN, Estimation, Work
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel
 from pfdist.models.batched import BatchedModel
@@ -29,9 +29,9 @@ from pfdist.models.checks import own_formulas
 from pfdist.models.continuous import doubled
 from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
-from pfdist.models.recorded import declarations, recorded, with_untraced
+from pfdist.models.recorded import declarations, recorded
 from pfdist.models.twin import traced
-from pfdist.questions.measured import missing_components, normalised, proposal
+from pfdist.questions.measured import missing_components, normalised
 from pfdist.results.particle_loss import top_percent_share
 from pfdist.runner.contract import few_draws, looked
 from pfdist.runner.likelihood import Within, likelihood
@@ -51,7 +51,7 @@ _DRAWS = 1000
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
 _RARE = 0.5  # of all changes of an error, in 1 % of the draws
 _SAME = 1e-6  # relative difference of errors by two engines
-_LITTLE = 0.2  # % of the expected MSE by which float32 states may change it
+_LITTLE = 0.2  # % of the expected MSE that is little
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
 
 
@@ -119,21 +119,11 @@ def check_loaded(
 
 
 def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
-    """The evaluator, which calls formulas that cannot be traced, and the check."""
-    try:
-        evaluator.compile(estimation)
-    except TraceError as error:
-        slower = f"{error}: it runs about {BATCHED_TIMES_SLOWER} times slower"
-        instants, believed = range(evaluator.horizon + 1), evaluator.filter_model
-        called = replace(
-            evaluator,
-            engine=BATCHED.name,
-            model=with_untraced(evaluator.model, instants),
-            filter_model=believed and with_untraced(believed, instants),
-        )
-        if declarations(called.model, called.believed):
-            return called, Check("compile", "ok", "functions are called on arrays of particles")
-        return called, Check("compile", "note", slower)
+    """The evaluator, which calls the functions of a batched model, and the check."""
+    if declarations(evaluator.model, evaluator.believed):
+        called = replace(evaluator, engine=BATCHED.name)
+        return called, Check("compile", "ok", "functions are called on arrays of particles")
+    evaluator.compile(estimation)
     text = f"every formula is traced and compiled{_in_pieces(evaluator.model, evaluator.horizon)}"
     slower = "" if has_fused_multiply_add() else f"; {WITHOUT_FMA}"
     return evaluator, Check("compile", "note" if slower else "ok", text + slower)
@@ -185,7 +175,6 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         ("log_likelihood", True, likelihood),
         ("normalised", model.normalised, normalised),
         ("missing components", model.missing_components, missing_components),
-        ("proposal", model.guided, proposal),
     ):
         if is_declared:
             within = Within(_LONGEST)
@@ -203,15 +192,13 @@ def _clock(clock: Sequence[float], is_assumed: bool) -> tuple[str, str]:
 
 
 def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """State and text: both engines call every formula at every instant, measured or not."""
+    """State and text: the engine calls every formula at every instant, measured or not."""
     instants = range(draws.x.shape[1])
     particles = max(1, min(500, _MOST_STEPS // 10 // len(instants)))  # ten draws have 50 each
     few = draws[: max(1, particles // 50)]
-    for name in dict.fromkeys([engine, "numpy"]):
-        ENGINES[name].simulate(model, instants[-1], few.index, 0)
-        for times in ((), tuple(instants)):
-            filter_draws = ENGINES[name].filters.filter_draws
-            filter_draws(model, few, times, min(particles, 50), 0)
+    ENGINES[engine].simulate(model, instants[-1], few.index, 0)
+    for times in ((), tuple(instants)):
+        ENGINES[engine].filters.filter_draws(model, few, times, min(particles, 50), 0)
     return "ok", "no formula fails at any instant, measured or not"
 
 
@@ -234,21 +221,6 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     if least < FEW:
         return "note", f"{text}: so few count that estimates are uncertain"
     return "ok", text
-
-
-def _digits(evaluator: Evaluator, work: Work, mse: Array) -> tuple[str, str]:
-    """State and text: how much the errors of draws differ from those of float64 states."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        with_all = evaluator(replace(work, estimation=replace(work.estimation, dtype=FLOAT64)))
-    usual = with_all.mse[:, 0]
-    change = Estimate.of_mean(mse - usual).times(100 / (usual.mean() or 1.0))
-    text = f"{change.text} % more error than with {FLOAT64}, the same draws and the same noise"
-    if abs(change.value) <= max(_LITTLE, CLEAR_ERRORS * change.standard_error):
-        return "ok", text
-    return "note", (
-        f"{text}: digits are lost, as where states are far from 0 beside what moves them, or "
-        "numbers lie beyond 1e-38 and 1e38"
-    )
 
 
 def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
@@ -380,8 +352,6 @@ def _filtered(
     yield Check(
         "expected MSE", "ok" if is_finite else "wrong", f"{got}{mean.text} with these times"
     )
-    if work.estimation.dtype != FLOAT64 and math.isfinite(mean.value):
-        yield Check(work.estimation.dtype, *_digits(evaluator, work, result.mse[:, 0]))
     yield from substeps(evaluator, work, result.mse[:, 0])
     believed = evaluator.self_consistent
     if not evaluator.exact:

@@ -13,17 +13,16 @@ from numpy.typing import NDArray
 from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
-from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, TraceError, shown
+from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
 from pfdist.filters.engines import (
     AUTO,
     BATCHED,
-    BATCHED_TIMES_SLOWER,
     COMPILED,
     WITHOUT_FMA,
     is_exact,
 )
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.work import FLOAT32, FLOAT64, GUIDED, PLAIN, Estimation, with_truth
+from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
@@ -220,7 +219,7 @@ def _with_proposal(job: Job, runs: Sequence[Path], asked: float | None) -> Built
         built = build(with_filter(proposal=known), *runs)
         _choices_of(built, particles)[""] = known
         return built
-    if job.filter.dtype != FLOAT64 or job.filter.engine not in (AUTO, COMPILED.name):
+    if job.filter.engine not in (AUTO, COMPILED.name):
         return build(with_filter(proposal=PLAIN), *runs)
     built = build(with_filter(proposal=PLAIN, particles=particles), *runs)
     chosen = _chosen(built, asked)
@@ -261,7 +260,7 @@ def _chosen(built: Built, asked: float | None) -> str:
 
     evaluator, plain = built.evaluator.self_consistent, built.comparing
     is_possible = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
-    if not is_possible or evaluator.model.guided:
+    if not is_possible:
         return PLAIN
     choices = _choices_of(built, plain.particles)
     if asked is not None and "" in choices:
@@ -485,36 +484,25 @@ def _ships(name: str) -> bool:
 
 
 def _compiled_or_batched(evaluator: Evaluator) -> str:
-    """Name of the engine: the batched one if a formula cannot be traced, and the job allows it.
+    """Name of the engine: for "auto" the compiled one, or the batched one for a batched model.
 
     The formulas are compiled here, and workers on this machine find the result on disk.
     """
-    try:
-        # For every engine, so that a wrong model is refused at once.
-        evaluator.compile(*evaluator.estimations)
-    except TraceError as error:
-        if evaluator.engine != AUTO:
-            raise
-        if any(each.dtype != FLOAT64 for each in evaluator.estimations):
-            raise ModelError(
-                f"filter.dtype = {FLOAT32!r} needs traced formulas: {error}"
-            ) from error
-        evaluator = replace(evaluator, engine=BATCHED.name)
-        evaluator.compile(*evaluator.estimations)
-        text = (
-            f"{error}: it is called on arrays, about {BATCHED_TIMES_SLOWER} times slower, and "
-            f'workers get the code (filter.engine = "{BATCHED.name}" silences this)'
-        )
+    if evaluator.engine == AUTO:
+        evaluator = replace(evaluator, engine=COMPILED.name)
         for name, declared in declarations(evaluator.model, evaluator.believed).items():
-            text = (
+            evaluator = replace(evaluator, engine=BATCHED.name)
+            warnings.warn(
                 f"model {name} is declared as {declared}: pfdist cannot see further, a run needs "
                 "its code, which workers get by value, and the same bytes are promised for one "
-                "machine and one set of versions"
+                "machine and one set of versions",
+                EngineWarning,
+                stacklevel=4,
             )
-        warnings.warn(text, EngineWarning, stacklevel=4)
+    evaluator.compile(*evaluator.estimations)  # for every engine, so that mistakes end it at once
     if not has_fused_multiply_add():
         warnings.warn(WITHOUT_FMA, EngineWarning, stacklevel=4)
-    return COMPILED.name if evaluator.engine == AUTO else evaluator.engine
+    return evaluator.engine
 
 
 MOST_WORKERS = 1000  # on one machine; each is a thread, or a process of Ray

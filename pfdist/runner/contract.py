@@ -27,20 +27,15 @@ def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
     instants = [*range(last + 1), *later]
     parts: tuple[list[Array], ...] = ([], [], [])
     with np.errstate(all="ignore"):
-        x = before = _finite(model, "initial", "x", 0, _noise(model.initial_noise, rng))
+        x = _finite(model, "initial", "x", 0, _noise(model.initial_noise, rng))
         for t in instants:
             v, w = _noise(model.measurement_noise, rng), _noise(model.process_noise, rng)
             y = _finite(model, "measurement", "y", t, x, t, v)
             z = _finite(model, "quantity_of_interest", "z", t, x, t)
             model.log_likelihood(y, x, t, model.p)
             model.error(z, z, t, model.p)
-            if model.proposal_log_density is not None and t > 0:
-                u = _noise(model.proposal_variates, rng)
-                drawn = _finite(model, "proposal", "w", t - 1, before, y, t - 1, u)
-                model.proposal_log_density(drawn, before, y, t - 1, model.p)
             for part, values in zip(parts, (x, y, z), strict=True):
                 part.append(np.stack(values, axis=1))
-            before = x
             if t < horizon:
                 x = _finite(model, "transition", "x", t + 1, x, t, w)
     states, measured, wanted = (np.stack(part[: last + 1], axis=1) for part in parts)

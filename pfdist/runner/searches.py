@@ -123,13 +123,7 @@ def named_search(
 def comparing_of(job: Job) -> Estimation:
     """The estimation of the comparison: the squared error of the job's own filter."""
     own = job.filter
-    return Estimation(
-        own.particles,
-        own.resampling,
-        threshold=own.threshold,
-        dtype=own.dtype,
-        proposal=own.proposal,
-    )
+    return Estimation(own.particles, own.resampling, threshold=own.threshold, proposal=own.proposal)
 
 
 def check_memory(job: Job, section: SearchSection, draws: int) -> None:

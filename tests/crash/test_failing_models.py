@@ -38,6 +38,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pfdist import BatchedModel
 from pfdist.models.library import ungm
 
 FLAG = {flag!r}
@@ -66,7 +67,8 @@ def measurement(x, t, v, p):
     return ungm.measurement(x, t, v, p)
 
 
-model = dataclasses.replace(ungm.model, measurement=measurement)
+given = {{each.name: getattr(ungm.model, each.name) for each in dataclasses.fields(ungm.model)}}
+model = BatchedModel(**(given | {{"measurement": measurement}}), version="1")
 """
 RAISE = 'raise RuntimeError("no such state")'
 RAISE_ONCE = 'if not Path(FLAG).exists(): Path(FLAG).touch(); raise RuntimeError("no such state")'

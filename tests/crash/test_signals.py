@@ -172,7 +172,7 @@ CALLBACKS = {
 }
 MODEL = """
 import ctypes, dataclasses, os, signal, time, weakref
-import numpy as np
+from pfdist import BatchedModel
 from pfdist.models.library import ungm
 FLAG, BEGUN = {flag!r}, {begun!r}
 def end():
@@ -183,9 +183,9 @@ def measurement(x, t, v, p):
     if t == 3 and not os.path.exists(FLAG) and os.path.exists(BEGUN):
         os.mkdir(FLAG)
         {callback}
-    (y,) = ungm.measurement(x, t, v, p)
-    return (np.piecewise(y, [y > 0], [np.copy, np.copy]),)  # it cannot be traced, so it is called
-model = dataclasses.replace(ungm.model, measurement=measurement)
+    return ungm.measurement(x, t, v, p)
+given = {{each.name: getattr(ungm.model, each.name) for each in dataclasses.fields(ungm.model)}}
+model = BatchedModel(**(given | {{"measurement": measurement}}), version="1")
 """
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from oracles.computed import formula, in_singles
+from oracles.computed import formula
 from pfdist import densities
 from pfdist.densities import DENSITIES, gamma_draw, laplace_draw, von_mises_draw
 from pfdist.kernels.variates import variates
@@ -192,26 +192,3 @@ def test_a_compiled_draw_is_that_of_numpy(name):
     np.testing.assert_allclose(out, expected, rtol=1e-9)
     if density.support.startswith("0, 1"):
         np.testing.assert_array_equal(out, expected)
-
-
-@pytest.mark.parametrize(
-    ("draw", "parameters"),
-    [
-        *(("poisson_draw", (mean,)) for mean in (0.0, 1e-3, 1.0, 300.0)),
-        *(("binomial_draw", (n, p)) for n in (0.0, 1.0, 10.0) for p in (0.0, 0.3, 0.5, 1.0)),
-        *(("gamma_draw", (shape, 2.0)) for shape in (1e-3, 0.05, 1.0, 40.0)),
-        *(("negative_binomial_draw", (10.0, dispersion)) for dispersion in (0.01, 1.0, 50.0)),
-        *(("von_mises_draw", (0.3, concentration)) for concentration in (0.0, 1e-3, 2.0, 1e3)),
-        ("laplace_draw", (0.0, 1.0)),
-        ("student_t_draw", (3.0, 0.0, 1.0)),
-    ],
-)
-def test_draws_in_float32_are_finite_and_nearly_the_same(draw, parameters):
-    """Variates with 24 bits, as far as 2^-40; most values are within a hundredth of float64's."""
-    function, u = getattr(densities, draw), np.float32(variates("centred", 20_000, 7, 0, 0, 0, 0))
-    u[:40] = 2.0 ** -np.arange(1.0, 41.0)
-    noise = [u, u[::-1]] if "v" in inspect.signature(function).parameters else [u]
-    singles = in_singles(lambda *noise: function(*noise, *parameters), *noise)
-    usual = function(*(each.astype(np.float64) for each in noise), *parameters)
-    assert np.isfinite(singles).all()
-    assert np.mean(np.abs(singles - usual) <= 0.01 * np.maximum(np.abs(usual), 1e-30)) > 0.98

@@ -9,20 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import special
 
 from oracles.batched import batched
 from oracles.clocked import times_of
-from oracles.guided import growth, sharp_walk
-from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, load_model
+from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, densities, load_model
 from pfdist.errors import ModelError, TraceError
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets, sum_errors
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import FLOAT32, Estimation, with_truth
+from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models.by_value import by_value, made
-from pfdist.models.recorded import differences, recorded, untraced, with_functions
+from pfdist.models.recorded import declared, differences, recorded, with_functions
 from pfdist.models.written import models_of, text_of
 
 HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
@@ -38,8 +38,6 @@ KINDS = [
     pytest.param(load_model("xray_tumour"), Estimation(100), id="sensors"),
     pytest.param(load_model("pharmacokinetics"), Estimation(100), id="clock"),
     pytest.param(load_model("lotka_volterra"), Estimation(100), id="loops"),
-    pytest.param(growth, Estimation(100, "systematic"), id="guided"),
-    pytest.param(sharp_walk(3), Estimation(100, "stratified"), id="guided, 3 components"),
 ]
 
 
@@ -178,25 +176,25 @@ def test_functions_of_arrays_that_can_be_traced_become_formulas():
         version="1",
     )
     formulas = recorded(arrays.as_formulas(), range(HORIZON + 1))
-    assert not untraced(formulas)
+    assert not declared(formulas)
     draws = simulate(arrays, HORIZON, range(30), 3)
     given = draws, sets_of(arrays), (HORIZON,) * 4, STREAM, Estimation(64)
     expected, found = (filter_checked_sets(each, *given)[0] for each in (arrays, formulas))
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-# --- formulas that cannot be traced ---------------------------------------------------------------
+def test_formulas_that_call_another_library_are_declared_as_they_are():
+    """x[0] is a row of particles, too, and a tuple of rows is accepted."""
+    fields = {each.name: getattr(UNGM, each.name) for each in dataclasses.fields(UNGM)}
 
+    def drawn(kind, erf, **declared):
+        fields["transition"] = lambda x, t, w, p: (erf(0.5 * x[0]) + w[0],)
+        return simulate(kind(**(fields | declared)), HORIZON, range(20), 3).z
 
-def test_formulas_that_cannot_be_traced_are_called_and_the_others_compiled():
-    def transition(x, t, w, p):
-        return UNGM.transition((np.asarray(x[0], float),), t, w, p)
-
-    model = recorded(dataclasses.replace(UNGM, transition=transition), range(HORIZON + 1))
-    draws = simulate(UNGM, HORIZON, range(50), 3)
-    given = draws, (TIMES,), (HORIZON,), STREAM, Estimation(100)
-    expected, found = (filter_checked_sets(each, *given)[0] for each in (UNGM, model))
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    expected = drawn(StateSpaceModel, densities.erf)
+    np.testing.assert_allclose(drawn(BatchedModel, special.erf, version="1"), expected, rtol=1e-9)
+    with pytest.raises(TraceError, match=r"declare functions of arrays as a .*BatchedModel"):
+        drawn(StateSpaceModel, special.erf)
 
 
 # --- mistakes -------------------------------------------------------------------------------------
@@ -362,13 +360,6 @@ def test_the_filters_model_must_declare_other_functions_as_another_version():
         recorded_evaluator(model_with(0.5), model_with(-0.5), horizon=HORIZON)
     other = recorded_evaluator(model_with(0.5), model_with(-0.5, "2"), horizon=HORIZON)
     assert other.believed != other.model
-
-
-def test_states_of_float32_need_traced_formulas():
-    model = batched(UNGM)
-    given = simulate(model, HORIZON, range(5), 3), (TIMES,), (HORIZON,), STREAM
-    with pytest.raises(ModelError, match="'float32' needs traced formulas"):
-        filter_checked_sets(model, *given, Estimation(10, dtype=FLOAT32))
 
 
 def test_a_filter_of_one_system_calls_a_batched_model():

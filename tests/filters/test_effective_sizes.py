@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oracles.guided import growth
 from pfdist import StateSpaceModel, linear_gaussian
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.draws import Draws
@@ -68,9 +67,9 @@ def test_a_measurement_that_no_particle_explains_has_no_size(ungm, engine) -> No
 
 
 @pytest.mark.parametrize("threshold", [0.1, 0.9])
-def test_carried_weights_and_those_of_a_proposal_count(threshold: float) -> None:
-    draws, settings = simulate(growth, 8, range(20), 3), Estimation(100, threshold=threshold)
-    given = growth, draws, (0, 2, 3, 8), 5, settings, True
+def test_carried_weights_count(ungm, threshold: float) -> None:
+    draws, settings = simulate(ungm, 8, range(20), 3), Estimation(100, threshold=threshold)
+    given = ungm, draws, (0, 2, 3, 8), 5, settings, True
     sizes, plain_sizes = (
         each.filter_checked_draws(*given).sizes for each in (particle_filter, plain)
     )

@@ -11,12 +11,10 @@ from scipy import stats
 import oracles.kalman
 from pfdist import Cloud, Filter, StateSpaceModel, load_model
 from pfdist.errors import (
-    EngineWarning,
     MeasurementsError,
     ModelError,
     PfdistWarning,
     PriorError,
-    TraceError,
 )
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
@@ -518,16 +516,3 @@ def test_a_wrong_setting_is_named(
 def test_levels_of_quantiles_lie_between_0_and_1(ungm: StateSpaceModel, levels: Any) -> None:
     with pytest.raises(ValueError, match=r"^levels must lie between 0 and 1, got "):
         Filter(ungm, 20).now.quantiles(levels)
-
-
-def test_a_formula_that_cannot_be_traced_is_called_on_arrays() -> None:
-    slow = replace(
-        FIRST_SENSOR,
-        transition=lambda x, t, w, p: (np.piecewise(x[0], [x[0] > 0], [1, 2]) + w[0],),
-    )
-    with pytest.warns(EngineWarning, match=r"on arrays.* \(engine='batched' silences this\)"):
-        found = Filter(slow, 30).update(2, 1.0)
-    in_numpy = Filter(slow, 30, engine="numpy").update(2, 1.0)
-    np.testing.assert_allclose(found.mean, in_numpy.mean, rtol=1e-9)
-    with pytest.raises(TraceError):
-        Filter(slow, 30, engine="compiled")

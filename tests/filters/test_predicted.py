@@ -8,7 +8,7 @@ import pytest
 import pfdist
 from oracles.batched import batched
 from oracles.clocked import with_clock
-from oracles.guided import growth, sharp_walk
+from oracles.guided import sharp_walk
 from oracles.lake import HORIZON, estimates, lake
 from oracles.two_platforms import two_platforms
 from pfdist.filters import kalman
@@ -22,8 +22,7 @@ TIMES = (3, 10, 11, 30)
 MODELS = {
     **{name: with_clock(pfdist.load_model(name), 6) for name in sorted(installed_models())},
     "two platforms": two_platforms(),
-    "guided growth": growth,
-    "guided walk": sharp_walk(2),
+    "walk": sharp_walk(2),
     "batched": batched(replace(lake(), linear_gaussian=False)),
 }
 RELATIVES = {*installed_models()} - {"ungm", "constant_velocity", "epidemic_counts"}
@@ -66,11 +65,11 @@ def test_kalman_predicts_what_is_computed_by_hand() -> None:
 @pytest.mark.parametrize("guided", [False, True])
 def test_particles_tend_to_the_exact_predictive_mean(guided: bool) -> None:
     """Also with a proposal: the noise of y is proposed as it is drawn."""
-    model, particles, runs = sharp_walk(1, guided, sensor=0.3), 400, 200
+    model, particles, runs = sharp_walk(1, sensor=0.3), 400, 200
     draws = simulate(predicted(model), 8, range(1), 7)
     settings = Estimation(1)
     exact = kalman.filter_checked_draws(
-        predicted(sharp_walk(1, sensor=0.3)), draws, (0, 3, 5), 0, settings, trajectories=True
+        predicted(model), draws, (0, 3, 5), 0, settings, trajectories=True
     ).estimate[0, :, 0]
     settings = Estimation(particles, proposal="guided" if guided else "plain")
     same = replace(draws, index=range(runs), x=draws.x.repeat(runs, 0), y=draws.y.repeat(runs, 0),

@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 
 import numba
@@ -89,7 +88,7 @@ def test_nothing_is_written_beside_the_package_or_at_home(tmp_path):
 
 def test_the_folder_of_another_user_is_not_used(tmp_path, monkeypatch):
     monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path / "kept"))
-    find = partial(cached._folder.__wrapped__, "float64")
+    find = cached._folder.__wrapped__
     assert Path(find()).is_relative_to(tmp_path)
     user = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: user + 1)

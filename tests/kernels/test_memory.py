@@ -1,7 +1,6 @@
 """Named tuples that Python and compiled code hand to compiled functions."""
 
 import sys
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -81,7 +80,7 @@ def test_a_terminal_sees_when_the_filter_is_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path / "cache"))
-    folder = partial(cached._folder.__wrapped__, "float64")
+    folder = cached._folder.__wrapped__
     folder()
     assert capsys.readouterr().err == ""  # no terminal
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
@@ -96,4 +95,4 @@ def test_code_is_not_kept_in_a_folder_that_others_can_write(
     tmp_path.chmod(0o777)
     monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path))
     with pytest.warns(EngineWarning, match="compiled code is not kept"):
-        assert cached._folder.__wrapped__("float64") == ""
+        assert cached._folder.__wrapped__() == ""

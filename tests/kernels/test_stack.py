@@ -13,7 +13,7 @@ import pytest
 
 from oracles.computed import assembly, called
 from pfdist.kernels.blocks import Source, compile_blocks
-from pfdist.kernels.lowering import Precision, module_of, split
+from pfdist.kernels.lowering import module_of, split
 from pfdist.models.program import MASKS, MOST_IN_STEP, TAKES, Operation, Program, merged
 from pfdist.models.symbols import MOST_OPERATIONS
 from pfdist.models.tracing import Traced
@@ -140,11 +140,9 @@ def frames(text):
 def test_no_frame_exceeds_64_kb(write, size, processor):
     """A value takes 128 bytes, so 520 values would fill such a frame."""
     halves = [each for each in split(write(size), LAYOUT)[::2] if each.outputs]
-    for precision in (Precision(), Precision("f4", "f4")) if write is every else (Precision(),):
-        given = [each._replace(precision=precision) for each in halves]
-        assert "alloca" not in str(module_of((*given,))[0])
-        most = max(frames(assembly(given, PROCESSORS[processor], processor)).values())
-        assert most <= MOST
+    assert "alloca" not in str(module_of((*halves,))[0])
+    most = max(frames(assembly(halves, PROCESSORS[processor], processor)).values())
+    assert most <= MOST
 
 
 def test_the_frames_of_a_function_are_read_from_its_assembly():

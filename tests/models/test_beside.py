@@ -75,7 +75,6 @@ def test_what_lies_beside_travels_also_where_the_folder_is_gone(
         ("from inner import deep", "deep.three() * x[0]"),
         ("from bare import deep", "deep.THREE * x[0]"),
         ("import random", "x[0] * random.randint(3, 3)"),
-        ("import numba\n@numba.njit\ndef f(x): return 3 * x", "f(x[0])"),
         ("def make(k): return lambda x: k * x\nf = make(3)", "f(x[0])"),
     ]
     models = [write(*way, name=f"model-{number}") for number, way in enumerate(ways)]

@@ -7,7 +7,7 @@ import pytest
 from numpy import where as numpy_where
 
 from oracles.computed import formula, libraries_of
-from pfdist.errors import TraceError
+from pfdist.errors import ModelError, TraceError
 
 GRID = np.array([-2.0, -1.0, -0.5, 0.0, 1.0, 1.0, 4.0])
 VALUES = np.array([3.0, -1.0, math.inf, math.inf, 2.0, 5.0, 7.0])
@@ -59,5 +59,5 @@ def test_interpolation_is_numpys_on_any_increasing_grid():
 
 
 def test_a_table_of_another_length_is_an_error_and_no_figure():
-    with pytest.raises(TraceError, match="fp and xp are not of the same length"):
+    with pytest.raises(ModelError, match="failed: ValueError: fp and xp are not of the same"):
         formula(lambda x: np.interp(x, GRID, ONE))(0.3)

@@ -301,11 +301,6 @@ def test_what_has_no_equation_is_not_changed():
     walk = made(lambda x, t, w, p: x)
     for model in (walk, recorded(made(ode(linear)), range(3))):
         assert doubled(model) is model
-    proposal = {"proposal": lambda x, y, t, u, p: u, "proposal_log_density": lambda *_: 0.0}
-    noise = ("normal",) * 20
-    flow = sde(linear, lambda x, t, p: (1.0, 1.0), noises=2)
-    with pytest.raises(ModelError, match="continuous has a proposal, which draws no noise of more"):
-        doubled(made(flow, process_noise=noise, **proposal))
 
 
 # --- mistakes -------------------------------------------------------------------------------------

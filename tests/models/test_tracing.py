@@ -19,6 +19,7 @@ from pfdist.errors import ModelError, TraceError
 from pfdist.models import tracing
 from pfdist.models.checks import ARGUMENTS
 from pfdist.models.program import Operation, Program, evaluate, merged
+from pfdist.models.recorded import recorded
 from pfdist.models.symbols import take
 from pfdist.models.tracing import MODES, Formula, trace
 
@@ -60,7 +61,7 @@ def test_each_model_that_ships_is_traced_with_symbols_alone(name):
     for part in with_clock(load_model(name), 30).parts:
         model, (n, m, q) = part.model, part.model.components
         sizes = {"x": n, "y": m, "z": q, "estimate": q, "t": 0, "p": 0}
-        sizes |= {"v": len(model.measurement_noise), "u": len(model.proposal_variates)}
+        sizes["v"] = len(model.measurement_noise)
         for key, function in model.formulas.items():
             sizes["w"] = len(model.initial_noise if key == "initial" else model.process_noise)
             arguments = {each: sizes[each] for each in ARGUMENTS[key]}
@@ -233,14 +234,17 @@ def test_a_class_may_be_used():
     np.testing.assert_allclose(np.concatenate(got), expected, rtol=1e-12)
 
 
-def test_a_jitted_helper_runs_as_its_python_function():
-    """A model sees the function from which `numba.njit` made the helper."""
+def test_a_jitted_helper_is_given_as_its_python_function():
+    """Numba compiles without checks of indices, and takes no symbols."""
 
-    def transition(x, t, w, p):
-        return (helper(x[0], w[0]),)
+    def model(function):
+        return dataclasses.replace(
+            load_model("random_walk"), transition=lambda x, t, w, p: (function(x[0], w[0]),)
+        )
 
-    model = dataclasses.replace(load_model("random_walk"), transition=transition)
-    result, _ = traced(model.transition, x=1, t=0, w=1, p=0)
+    with pytest.raises(ModelError, match=r"write f\.py_func instead of f \(.*test_tracing\.py:"):
+        recorded(model(helper), range(3))
+    result, _ = traced(model(helper.py_func).transition, x=1, t=0, w=1, p=0)
     (got,) = result.values({"x": (np.array([2.0]),), "w": (np.array([3.0]),)}, 0, {})
     np.testing.assert_allclose(got, 6.0 + math.exp(0.5))
 
@@ -380,7 +384,7 @@ def test_what_cannot_be_traced_is_named_with_its_line(function):
     if function not in (counts_calls, is_random, gives_text, looks_at_types):
         first = function.__code__.co_firstlineno
         assert any(f"test_tracing.py:{first + k})" in message for k in (1, 2, 3))
-        assert "the engine 'batched'" in message
+        assert "pfdist.BatchedModel" in message
 
 
 def test_a_formula_that_fails_with_numbers_fails_in_numpy_too():
@@ -411,9 +415,12 @@ def test_bits_of_t_are_those_of_a_number():
     assert at == [t & 1 for t in range(14)]
 
 
-def test_an_index_that_arrays_of_particles_have_is_left_to_numpy():
-    with pytest.raises(TraceError, match=r"too many indices.*the engine 'batched'"):
-        traced(lambda x, t, w, p: (np.stack(x)[0, :], x[1]))
+def test_an_index_that_arrays_of_particles_have_is_one_of_a_batched_model():
+    def indexes_arrays(x, t, w, p):
+        return (np.stack(x)[0, :],)
+
+    with pytest.raises(TraceError, match=r"too many indices.*BatchedModel"):
+        dataclasses.replace(load_model("ungm"), transition=indexes_arrays)
 
 
 def test_a_value_kept_from_another_call_is_an_error():

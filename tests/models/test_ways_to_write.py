@@ -16,7 +16,7 @@ from pfdist.filters import particle_filter, plain, simulation
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.models.recorded import differences, recorded
 from pfdist.models.tracing import MODES
-from pfdist.models.twin import traced, twin_of
+from pfdist.models.twin import traced
 
 MODEL = (
     """
@@ -240,13 +240,3 @@ def test_programs_give_on_arrays_what_formulas_give(name, monkeypatch):
     for key in "xyz":
         pair = (getattr(draws, key) for draws in (by_programs, by_formulas))
         np.testing.assert_allclose(*pair, rtol=1e-10)
-
-
-def test_a_formula_that_cannot_be_traced_is_called_itself():
-    def transition(x, t, w, p):
-        return (np.piecewise(x[0], [x[0] > 0], [1.0, -1.0]), *x[1:])
-
-    model = replace(model_of(Satellite()), transition=transition)
-    x, w = (np.array([0.5, -0.5]),) * 4, (np.zeros(2),) * 2
-    first, *_ = twin_of(model, range(3)).transition(x, 0, w, model.p)
-    assert first.tolist() == [1.0, -1.0]

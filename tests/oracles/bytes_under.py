@@ -55,7 +55,7 @@ def _hashes(cases: Sequence[Case]) -> dict[str, str]:
     from pfdist import load_model
     from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
     from pfdist.filters.simulation import simulate
-    from pfdist.filters.work import FLOAT32, Estimation
+    from pfdist.filters.work import Estimation
     from pfdist.kernels.estimators import ESTIMATORS
     from pfdist.models import squared_error
 
@@ -69,9 +69,6 @@ def _hashes(cases: Sequence[Case]) -> dict[str, str]:
             estimation = Estimation(_PARTICLES, resampling, estimator)
             mse = filter_checked_sets(model, draws, _SETS, [_HORIZON] * 2, 5, estimation)[0]
             found[f"{what} {estimator}"] = _hash(mse)
-        singles = Estimation(_PARTICLES, resampling, dtype=FLOAT32)
-        mse = filter_checked_sets(model, draws, _SETS, [_HORIZON] * 2, 5, singles)[0]
-        found[f"{what} float32"] = _hash(mse)
         kept = filter_draws(model, draws, _SETS[0], _PARTICLES, 5, resampling, True)
         found[f"{what} estimates"] = _hash(kept.mse, kept.estimate, kept.variance)
     return found

@@ -9,40 +9,27 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.blocks import Blocks, Source, call_block, compile_blocks, run
 from pfdist.kernels.cached import entry
-from pfdist.kernels.lowering import Half, Precision, machine_code, module_of, optimised, split
+from pfdist.kernels.lowering import Half, machine_code, module_of, optimised, split
 from pfdist.kernels.memory import read
 from pfdist.kernels.vectors import LANES
 from pfdist.models.program import MASKS, Operation, merged
 from pfdist.models.tracing import Formula, trace
 
 
-def computed(name, *arguments, dtype=np.float64):
-    """The values of an operation for arrays of numbers of a type; masks are 1 and 0."""
-    size, kind = max(np.size(each) for each in arguments), np.dtype(dtype).str[1:]
-    slots = np.ones((len(arguments), -(-size // LANES) * LANES), dtype)
+def computed(name, *arguments):
+    """The values of an operation for arrays of numbers; masks are 1 and 0."""
+    size = max(np.size(each) for each in arguments)
+    slots = np.ones((len(arguments), -(-size // LANES) * LANES))
     for row, values in zip(slots, arguments, strict=True):
         row[:size] = values
     leaves = [Operation("slots", (), row) for row in range(len(arguments))]
     operations = [*leaves, Operation(name, tuple(range(len(leaves))))]
     if name in MASKS:
         operations.append(Operation("float", (len(leaves),)))
-    half = Half(tuple(operations), (len(operations) - 1,), (), Precision(kind, kind))
-    out = np.empty((1, slots.shape[1]), dtype)
+    half = Half(tuple(operations), (len(operations) - 1,), ())
+    out = np.empty((1, slots.shape[1]))
     code = machine_code((half,))
     run(code, code.addresses[half], out, slots)
-    return out[0, :size]
-
-
-def in_singles(function, *arguments):
-    """The values of a function of numbers for arrays, which machine code computes in float32."""
-    size = len(arguments[0])
-    slots = np.ones((len(arguments), -(-size // LANES) * LANES), np.float32)
-    slots[:, :size] = arguments
-    source = _source(function, len(arguments))._replace(precision=Precision("f4", "f4"))
-    compiled = compile_blocks([source], range(1))
-    blocks, out = compiled.blocks, np.empty_like(slots[:1])
-    shared = blocks.table[blocks.places[0, 0] :].copy()
-    run(compiled.code, int(blocks.addresses[0, 0]), out, slots, shared)
     return out[0, :size]
 
 

@@ -107,7 +107,10 @@ MISTAKES = [
     ("search.genetic=3", r"search\.genetic=3: .* search\.NAME\.KEY=value"),
     ("sed=3", r"key 'sed'; did you mean 'seed'\? Allowed: seed, model.*mine\.toml with sed=3\)"),
     ("filter.particle=9", r"'particle' in \[filter\]; .* 'particles'\? Allowed: particles, res"),
-    ("filter.dtype='float16'", r"dtype: got 'float16'; .*\? Allowed: 'float64' or 'float32'"),
+    (
+        "filter.proposal='guide'",
+        r"proposal: got 'guide'; .*\? Allowed: 'auto', 'plain' or 'guided'",
+    ),
     ("search.genetic.pop=9", r"'pop' in \[search\.genetic\], allowed: .*, population,"),
     (
         "search.genetic.evaluation.drawz=5",

@@ -113,7 +113,6 @@ def test_a_job_is_checked_at_its_own_regular_times() -> None:
     )
     mse, error = estimated(checks["expected MSE"][1])
     assert mse == pytest.approx(expected_mse(WALK, 12, [times])[0], abs=4 * error)
-    assert "float32" not in checks
 
 
 @pytest.mark.usefixtures("soon")
@@ -181,22 +180,6 @@ def test_what_only_the_job_shows_is_a_row_of_the_checks() -> None:
 def test_a_job_that_finds_its_number_of_particles_is_checked_with_the_usual_number() -> None:
     checks = by_name(Problem(WALK, horizon=12, measurement_budget=4, particles="auto"))
     assert checks["particles"][1].startswith("500 particles lose ")
-
-
-@pytest.mark.usefixtures("soon")
-@pytest.mark.parametrize(("origin", "state"), [(0.0, "ok"), (1e8, "note")])
-def test_float32_states_far_from_the_origin_lose_digits(origin: float, state: str) -> None:
-    """Near 1e8 neighbours are 8 apart, and a step of the walk is about 1."""
-    model = replace(
-        WALK,
-        initial=lambda w, p: (origin + w[0],),
-        linear_gaussian=False,
-    )
-    keys: dict[str, Any] = {"horizon": 12, "measurement_budget": 4, "particles": 100}
-    found, text = by_name(Problem(model, dtype="float32", **keys))["float32"]
-    change, error = map(float, re.findall(r"-?[\d.]+", text)[:2])
-    assert found == state
-    assert (change > 4 * error) == (state == "note")
 
 
 def test_a_job_with_the_kalman_filter_has_no_particles() -> None:

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from oracles.clocked import with_clock
-from oracles.guided import echoes, growth, sharp_walk
 from pfdist import StateSpaceModel, load_model
 from pfdist.filters import plain
 from pfdist.models import installed_models
-from pfdist.questions.measured import missing_components, normalised, proposal
+from pfdist.questions.measured import missing_components, normalised
 from pfdist.questions.model_checks import check_loaded
-from pfdist.runner.likelihood import MEASUREMENTS, Within
+from pfdist.runner.likelihood import Within
 
 SHIPPED = [name for name, (module, _) in installed_models().items() if "pfdist" in module]
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2
@@ -210,117 +209,3 @@ def test_check_model_looks_at_what_a_model_declares(tmp_path: Path) -> None:
     assert checks["normalised"].state == "wrong"
     assert checks["missing components"].state == "note"
     assert "expected MSE" in checks
-
-
-# --- proposals ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "model", [growth, sharp_walk(1), sharp_walk(3), echoes], ids=lambda each: each.name
-)
-def test_right_proposals_are_accepted_with_their_effective_sample_sizes(
-    model: StateSpaceModel,
-) -> None:
-    state, text = _looked(proposal, model)
-    assert state == "ok", text
-    assert "effective sample size" in text
-
-
-WRONG_PROPOSALS = {
-    "a wider deviation": lambda u, w: (0.5 * u[0], _normal(w[0], 0.6)),
-    "another mean": lambda u, w: (0.5 * u[0], _normal(w[0] - 0.2, 0.5)),
-    "no constant": lambda u, w: (u[0], -0.5 * w[0] ** 2),
-}
-
-
-@pytest.mark.parametrize("name", WRONG_PROPOSALS)
-def test_a_density_that_is_not_that_of_the_proposal_is_found(name: str) -> None:
-    pair = WRONG_PROPOSALS[name]
-    model = _model(
-        lambda x, t, v, p: (x[0] + v[0],),
-        lambda y, x, t, p: _normal(y[0] - x[0], 1.0),
-        "normal",
-        proposal=lambda x, y, t, u, p: (pair(u, u)[0],),
-        proposal_log_density=lambda w, x, y, t, p: pair(w, w)[1],
-    )
-    state, text = _looked(proposal, model)
-    assert (state, "exp(proposal_log_density)" in text) == ("wrong", True), text
-
-
-SHARP, PUSH = 0.02, 0.7  # deviations of the sensor and of the process noise
-BEST = SHARP / math.hypot(PUSH, SHARP)  # deviation of w given x and y
-
-
-def _near(y: Any, x: Any) -> Any:
-    """Mean of w given x and y."""
-    return PUSH / (PUSH**2 + SHARP**2) * (y[0] - 0.9 * x[0])
-
-
-def _sharp(draw: Any, log_density: Any, *noise: str) -> StateSpaceModel:
-    """A sharp sensor, with a proposal of (w less its best mean) over its best deviation."""
-    model = _model(
-        lambda x, t, v, p: (x[0] + SHARP * v[0],),
-        lambda y, x, t, p: _normal(y[0] - x[0], SHARP),
-        "normal",
-        proposal=lambda x, y, t, u, p: (_near(y, x) + BEST * draw(u[0]),),
-        proposal_log_density=lambda w, x, y, t, p: (
-            log_density((w[0] - _near(y, x)) / BEST) - math.log(BEST)
-        ),
-        proposal_noise=noise,
-    )
-    return replace(model, transition=lambda x, t, w, p: (0.9 * x[0] + PUSH * w[0],))
-
-
-@pytest.mark.parametrize(
-    ("deviation", "mean"), [(1.0, 0.0), (0.5, 0.0), (0.25, 0.0), (1.0, 3.0), (20.0, 0.0)]
-)
-def test_right_proposals_are_accepted_even_if_weights_have_heavy_tails(
-    deviation: float, mean: float
-) -> None:
-    """A normal density covers all noise, but weights of one that is too narrow have no variance."""
-    model = _sharp(lambda u: mean + deviation * u, lambda s: _normal(s - mean, deviation), "normal")
-    for seed in range(8):
-        draws = plain.simulate(model, 12, range(50), seed)
-        state, text = proposal(model, draws, Within())
-        assert state == "ok", text
-        assert re.search("covers the noise that fits y at [6-9] of them", text), text
-
-
-@pytest.mark.parametrize(("low", "high"), [(-0.5, 0.5), (-1.5, 1.5), (0.0, 30.0), (-40.0, -0.5)])
-def test_a_proposal_whose_support_is_too_small_is_found_with_the_share_that_it_misses(
-    low: float, high: float
-) -> None:
-    """E_q[p(y | x') p(w) / q(w)] is less than E_p[p(y | x')] by the share outside."""
-    model = _sharp(
-        lambda u: low + (high - low) * u,
-        lambda s: np.where((s >= low) & (s <= high), -math.log(high - low), -np.inf),
-        "uniform",
-    )
-    state, text = _looked(proposal, model)
-    assert state == "wrong"
-    found = re.search(r"density is 0 for (\d+)% of the w that fit y, at x = ", text)
-    assert found is not None, text
-    missed = 1 - (math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))) / 2
-    fitting = MEASUREMENTS * BEST / 20  # at least so many draws count, even where w is rare
-    error = math.sqrt(missed * (1 - missed) / fitting) + 0.005  # and rounding
-    assert abs(float(found[1]) / 100 - missed) < 4 * error
-
-
-def test_a_density_that_is_too_large_where_nothing_is_drawn_is_found() -> None:
-    model = _sharp(lambda u: u - 0.5, lambda s: 0.0 * s, "uniform")
-    state, text = _looked(proposal, model)
-    assert state == "wrong"
-    assert "of what proposal draws, also far from it; but of 20,000 w" in text
-
-
-def test_a_sensor_too_sharp_for_the_noise_leaves_the_support_open() -> None:
-    """No draw of the noise in three dimensions fits the measurement; the text says so."""
-    assert "that fits y at 0 of them" in _looked(proposal, sharp_walk(3))[1]
-
-
-def test_check_model_checks_every_formula_of_a_proposal() -> None:
-    checks = {each.name: each for each in check_loaded(lambda: growth, 8, 50)}
-    assert checks["proposal"].state == "ok", checks["proposal"].text
-    failing = replace(growth, proposal=lambda x, y, t, u, p: (u[0] / (t < 3),))
-    found = [each.text for each in check_loaded(lambda: failing, 8, 50) if each.state == "wrong"]
-    assert "from proposal" in found[0]

@@ -70,7 +70,7 @@ QUANTITY = "(x[0],),\n    initial_noise"
 # A piece of RIGHT, what stands there instead, and what the check of a name says. Those for which
 # particles are filtered, or that are compiled to be looked at, take seconds.
 MISTAKES = [
-    ("0.9 * x[0]", "np.piecewise(x[0], [x[0] > 0], [1, 2])", "compile", "note",
+    ("0.9 * x[0]", "np.piecewise(x[0], [x[0] > 0], [1, 2])", "load", "wrong",
      r"cannot be traced at t = 0: np\.piecewise of a value of particles.*mine\.py:\d+"),
     (TERM, "", "log_likelihood", "wrong", "a term left out that depends on x"),
 ]  # fmt: skip

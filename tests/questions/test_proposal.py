@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import pfdist
-from oracles.guided import bootstrap, sharp_walk
+from oracles.guided import sharp_walk
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.filters.evaluator import Evaluator
@@ -20,7 +20,7 @@ from pfdist.runner import build as builds
 from pfdist.runner import particles
 from pfdist.runner.build import _with_long_gap, build
 
-SHARP = bootstrap(sharp_walk(3))
+SHARP = sharp_walk(3)
 
 
 def problem(model: object, **others: object) -> pfdist.Problem:
@@ -42,11 +42,9 @@ def test_sharp_sensors_are_guided_and_the_growth_model_is_not() -> None:
     "change",
     [
         {"engine": "numpy"},
-        {"dtype": "float32"},
-        {"model": sharp_walk(3)},  # which has a proposal of its own
         {"engine": "kalman"},
     ],
-    ids=["numpy", "float32", "own proposal", "kalman"],
+    ids=["numpy", "kalman"],
 )
 def test_where_it_is_not_possible_auto_is_plain(change: dict[str, object]) -> None:
     given = problem(change.pop("model", SHARP), **change)
@@ -164,24 +162,11 @@ def test_a_guided_filter_by_hand_is_judged_as_auto_judges(
         assert all("'auto' takes 'plain': 200 plain particles" in text for text in texts)
 
 
-def test_auto_is_checked_with_a_proposal_of_the_model() -> None:
-    """A run of "auto" has the plain filter, whose noise comes from the model's own proposal."""
-    own, by_hand, without = (
-        next(each.text for each in checks_of(asked) if each.name == "expected MSE")
-        for asked in (
-            problem(sharp_walk(3)),
-            problem(sharp_walk(3), proposal="plain"),
-            problem(SHARP, proposal="plain"),
-        )
-    )
-    assert own == by_hand != without
-
-
 def test_the_bound_of_a_guided_run_is_tight(tmp_path: Path) -> None:
     """Beside the truth, guided particles leave more variance than plain ones."""
     gaps = []
     for proposal in (GUIDED, PLAIN):
-        job = problem(bootstrap(sharp_walk(2, sensor=0.05)), proposal=proposal, particles=30)
+        job = problem(sharp_walk(2, sensor=0.05), proposal=proposal, particles=30)
         run = pfdist.plan(job, tmp_path / proposal, pool="serial", figures=False)
         gaps.append(run.table("bound")["gap"].iloc[0])
     assert gaps[0] < gaps[1]

@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from itertools import combinations, islice, pairwise
 from pathlib import Path
 
@@ -305,11 +304,6 @@ def test_weights_are_not_carried_between_sensors(engine: str) -> None:
         pfdist.evaluate(_problem(SYSTEMS[0], **problem), ["0 near"])
     with pytest.raises(ModelError, match=said):
         pfdist.Filter(SYSTEMS[0].as_model(), 10, resample="below 0.5", horizon=HORIZON)
-
-
-def test_a_model_with_sensors_has_no_proposal() -> None:
-    with pytest.raises(ModelError, match="with sensors must have no proposal, got proposal"):
-        replace(SYSTEMS[0].as_model(), proposal=lambda x, y, t, u, p: u)
 
 
 def test_sets_of_pairs_are_evaluated_as_the_oracle_does() -> None:

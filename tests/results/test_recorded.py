@@ -7,8 +7,10 @@ from typing import Any
 
 import pytest
 
+import pfdist
 from oracles.listed import rewrite
 from pfdist.cli.main import main
+from pfdist.errors import JobError
 from pfdist.results.stored_run import read_recorded
 
 ASSET = Path(__file__).parents[1] / "assets" / "schema-4"
@@ -91,6 +93,17 @@ def test_keys_that_are_lacking_have_their_defaults(
     rewrite(run / "job.toml", text)
     assert main(["status", str(run)]) == 0
     assert "finished" in capsys.readouterr().out
+
+
+def test_a_key_that_is_gone_is_no_mistake_of_a_run_if_its_value_is_that_of_every_job(
+    run: Path,
+) -> None:
+    assert 'dtype = "float64"' in JOB
+    for place in (run, run / "job.toml"):
+        assert pfdist.load_job(place).filter.particles == 40
+    rewrite(run / "job.toml", _job("float64", "float32").decode())
+    with pytest.raises(JobError, match=r"filter\.dtype is gone: all states are float64"):
+        pfdist.load_job(run)
 
 
 # --- what this machine or this version lacks is not damaged ---------------------------------------

@@ -1,5 +1,6 @@
 """From a job to the problem: the filter's model, and the engine."""
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pfdist
 from oracles.every_set import every_set
 from pfdist import Job, load_job
 from pfdist.cli.main import main
-from pfdist.errors import EngineWarning, JobError, ModelError, RunMismatchError, TraceError
+from pfdist.errors import JobError, ModelError, RunMismatchError
 from pfdist.filters.work import Estimation
 from pfdist.kernels import cached
 from pfdist.problem.sections import Execution
@@ -137,37 +138,25 @@ def test_a_search_has_its_own_particles_and_its_race_the_jobs(tmp_path: Path) ->
         assert search.racing.estimation == Estimation(40, "multinomial", "squared_error")
 
 
-NEEDS_NUMPY = {"formula": "scipy.special.erf(0.5 * x[0])"}
 OWN = ["[model]", 'name = "other.py:model"']
 
 
-@pytest.mark.slow
-def test_what_cannot_be_traced_is_called_on_arrays_with_one_warning(tmp_path: Path) -> None:
-    few = ["evaluation.draws=3", "comparison.draws=10", "search.genetic.generations=1"]
-    job = job_with(tmp_path, *OWN, **NEEDS_NUMPY).with_changes(few)
-    says = r"(?s)cannot be traced at t = 0: .*erf.*other\.py:\d+.*called on arrays, about 15 t"
-    with pytest.warns(EngineWarning, match=says) as caught:
-        run = pfdist.run(job, tmp_path / "run", figures=False)
-    assert len(caught) == 1
-    job = job.with_changes(["filter.engine=batched"])
-    knowing = pfdist.run(job, tmp_path / "known", figures=False)  # a warning would be an error
-    assert run.table("comparison").equals(knowing.table("comparison"))
-    job = job_with(tmp_path, *OWN, formula="pfdist.densities.erf(0.5 * x[0])")
-    compiled = pfdist.run(job.with_changes(few), tmp_path / "compiled", figures=False)
-    tables = (each.table("comparison").astype(np.float64) for each in (run, compiled))
-    np.testing.assert_allclose(*tables, rtol=1e-9)
-
-
-def test_a_job_may_insist_on_compiling(tmp_path: Path) -> None:
-    job = job_with(tmp_path, *OWN, **NEEDS_NUMPY).with_changes(["filter.engine=compiled"])
-    with pytest.raises(TraceError, match="erf"):
-        build(job)
+@pytest.mark.parametrize("engine", ["auto", "numpy"])
+def test_a_formula_that_cannot_be_traced_is_one_line_that_names_batched_models(
+    engine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job_with(tmp_path, *OWN, formula="scipy.special.erf(0.5 * x[0])")
+    words = ["--times", "0,4,8,12", "--set", f"filter.engine={engine}"]
+    assert main(["evaluate", str(tmp_path / "small.toml"), *words]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.match(r".*transition cannot be traced at t = 0: .*erf.*other\.py:\d+\); ", line)
+    assert line.endswith("functions of arrays as a pfdist.BatchedModel, see docs/simulators.md")
 
 
 @pytest.mark.slow
 def test_ray_workers_load_what_the_driver_has_compiled(tmp_path: Path, ray_cluster: None) -> None:
     def kept() -> dict[str, int]:
-        files = Path(cached._folder("float64")).rglob("*.nbc")
+        files = Path(cached._folder()).rglob("*.nbc")
         return {file.name: file.stat().st_ino for file in files}
 
     job = job_with(tmp_path, *OWN)
@@ -191,15 +180,6 @@ def test_a_model_that_reads_the_clock_needs_one_before_anything_is_compiled(name
         build(Job(seed=1, model={"name": name}, problem=problem))
     with pytest.raises(ModelError, match=r"^model\.filter: .* reads the clock: "):
         build(Job(seed=1, model={"filter": {"name": name}}, problem=problem))
-
-
-def test_the_command_line_says_it_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    job_with(tmp_path, *OWN, **NEEDS_NUMPY)
-    assert main(["evaluate", str(tmp_path / "small.toml"), "--times", "0,4,8,12"]) == 0
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("pfdist: warning: model other: transition cannot be traced")
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,6 @@ def linear_gaussian(
     measurement: Matrix,
     measurement_noise: Matrix,
     quantity_of_interest: Matrix,
-    guided: bool = False,
 ) -> StateSpaceModel:
     """The model x(t+1) = A x(t) + B w(t), y(t) = C x(t) + D v(t), z = H x.
 
@@ -54,9 +53,6 @@ def linear_gaussian(
         checked at t = 0.
     quantity_of_interest : matrix, (q, n)
         H.
-    guided : bool
-        Whether the model has a proposal: the exact distribution of w(t), given x(t) and y(t+1). The
-        matrices of transition, measurement and their noise must then be constant.
 
     Returns
     -------
@@ -66,13 +62,7 @@ def linear_gaussian(
     Raises
     ------
     ModelError
-        The matrix of the measurement noise is not diagonal. A matrix varies with t, or the
-        measurement noise is 0, and the model is guided.
-
-    References
-    ----------
-    Doucet, Godsill, Andrieu, "On sequential Monte Carlo sampling methods for Bayesian filtering",
-    Statistics and Computing 10, 2000 (the optimal proposal).
+        The matrix of the measurement noise is not diagonal.
 
     Examples
     --------
@@ -86,10 +76,6 @@ def linear_gaussian(
     move, see = _sum(transition, process_noise), _sum(measurement, measurement_noise)
     noise = _function(measurement_noise)
     _check_diagonal(name, noise(0))
-    proposals: tuple[Formula, Formula] | tuple[None, None] = (None, None)
-    if guided:
-        matrices = (transition, process_noise, measurement, measurement_noise)
-        proposals = _proposal(*_constant(name, *matrices))
     return StateSpaceModel(
         name=name,
         initial=lambda w, p: start(w, 0),
@@ -101,43 +87,7 @@ def linear_gaussian(
         process_noise=_normal(process_noise),
         measurement_noise=_normal(measurement_noise),
         linear_gaussian=True,
-        proposal=proposals[0],
-        proposal_log_density=proposals[1],
     )
-
-
-def _constant(name: str, *matrices: Matrix) -> list[Array]:
-    """The matrices of a guided model as arrays; refuses a function of t, and a sensor's 0."""
-    if any(map(callable, matrices)):
-        raise ModelError(f"model {name}: with guided=True matrices must be constant")
-    arrays = [np.array(matrix, np.float64) for matrix in matrices]
-    if not np.diag(arrays[-1]).all():
-        raise ModelError(f"model {name}: with guided=True no measurement noise may be 0")
-    return arrays
-
-
-def _proposal(move: Array, push: Array, look: Array, noise: Array) -> tuple[Formula, Formula]:
-    """The normal distribution of w given x(t) and y(t+1): a draw, and its log-density.
-
-    y(t+1) = C A x + C B w + D v, so w has the precision 1 + G' R^-1 G and the mean
-    S G' R^-1 (y - C A x), with G = C B, R = D D' and the covariance S.
-    """
-    seen = look @ push
-    scaled = seen.T @ np.diag(np.diag(noise) ** -2)
-    covariance = np.linalg.inv(np.eye(push.shape[1]) + scaled @ seen)
-    gain, root = covariance @ scaled, np.linalg.cholesky(covariance)
-    mean, unroot = np.hstack([gain, -gain @ look @ move]), np.linalg.inv(root)
-    constant = float(np.log(np.diag(root)).sum() + len(root) * np.log(2 * np.pi) / 2)
-    draw = _sum(mean.tolist(), root.tolist())
-    whiten = _sum((-unroot @ mean).tolist(), unroot.tolist())
-
-    def log_density(w: Any, x: Any, y: Any, t: Any, p: Any) -> Any:
-        total = -constant
-        for deviation in whiten(y + x, w, t):
-            total = total - 0.5 * deviation**2
-        return total
-
-    return lambda x, y, t, u, p: draw(y + x, u, t), log_density
 
 
 def _log_likelihood(look: Formula, noise: Formula, measurements: int) -> Formula:

@@ -1,20 +1,18 @@
-"""Guided filters, and filters that carry weights, against exact filters and their plain twin."""
+"""Filters that carry weights, against exact filters and their plain twin."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from oracles.guided import bootstrap, echoes, growth, sharp_walk
+from oracles.guided import sharp_walk
 from oracles.kalman import SCALAR
-from pfdist import Filter, StateSpaceModel, linear_gaussian, where
-from pfdist.errors import ArgumentError, ModelError
-from pfdist.filters import kalman, particle_filter, plain
+from pfdist import Filter, StateSpaceModel, linear_gaussian, load_model, where
+from pfdist.errors import ArgumentError
+from pfdist.filters import particle_filter, plain
 from pfdist.filters.cloud import Cloud
-from pfdist.filters.interface import Filtered
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
@@ -33,17 +31,8 @@ STEPS = StateSpaceModel(
     initial_noise=("uniform", "centred"),
     process_noise=("uniform", "centred"),
     measurement_noise=("normal",),
-    # the density of w[0] is 2 w, and that of w[1] is uniform on a wider interval than it may be
-    proposal=lambda x, y, t, u, p: (np.sqrt(u[0]), 1.2 * (u[1] - 0.5)),
-    proposal_log_density=lambda w, x, y, t, p: np.log(2.0 * w[0]) - np.log(1.2),
-    proposal_noise=("uniform", "uniform"),
 )
-"""Uniform noise, with a proposal that helps nobody: the filter must still be right."""
-
-
-def standard_errors(difference: Array) -> float:
-    """Mean over its standard error."""
-    return float(difference.mean() / (difference.std(ddof=1) / math.sqrt(difference.size)))
+growth = load_model("ungm")
 
 
 # --- the plain twin -------------------------------------------------------------------------------
@@ -56,9 +45,7 @@ def standard_errors(difference: Array) -> float:
         (growth, "sorted_systematic", 0.1),
         (STEPS, "systematic", 0.1),
         pytest.param(STEPS, "residual", 0.1, marks=pytest.mark.slow),
-        pytest.param(bootstrap(growth), "systematic", 0.1, marks=pytest.mark.slow),
-        pytest.param(sharp_walk(3), "stratified", ALWAYS, marks=pytest.mark.slow),
-        pytest.param(echoes, "multinomial", 0.3, marks=pytest.mark.slow),
+        pytest.param(growth, "systematic", 0.1, marks=pytest.mark.slow),
     ],
     ids=lambda each: getattr(each, "name", str(each)),
 )
@@ -97,7 +84,7 @@ def test_sets_that_share_prefixes_have_the_bits_of_each_alone(threshold: float) 
 def test_a_measurement_that_no_particle_explains_is_left_out(
     model: StateSpaceModel, resampling: str, threshold: float
 ) -> None:
-    """As if it were not made, bit for bit: without the proposal, with the weights from before."""
+    """As if it were not made, bit for bit, with the weights from before."""
     likelihood, (_, t, *_) = model.log_likelihood, TIMES
     draws = simulate(model, HORIZON, range(12), 3)
     limit = float(np.median(draws.y[:, t, 0]))
@@ -124,67 +111,6 @@ def test_a_measurement_that_no_particle_explains_is_left_out(
 
 
 # --- exact filters --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("dimensions", "threshold"),
-    [
-        (2, ALWAYS),
-        *(pytest.param(n, ALWAYS, marks=pytest.mark.slow) for n in (1, 3, 4, 5, 6)),
-        *(pytest.param(n, 0.5, marks=pytest.mark.slow) for n in (1, 6)),
-    ],
-)
-def test_sharp_sensors_give_the_kalman_filter(dimensions: int, threshold: float) -> None:
-    """The loss is below 1 % with 500 particles; bootstrap filters miss what sensors see."""
-    model, times = sharp_walk(dimensions), (1, 4, 5, 9, 12)
-    draws = simulate(model, HORIZON, range(1000), 1)
-
-    def errors(filtered: Filtered) -> Array:
-        """Squared errors, (D, T+1)."""
-        assert filtered.estimate is not None
-        return np.sum((filtered.estimate - draws.z) ** 2, axis=2)
-
-    # The exact filter has the same draws, so their differences count, and not their spread.
-    exact = errors(kalman.filter_draws(model, draws, times, 1, 2, trajectories=True))
-    guided, unguided = (
-        errors(filter_draws(each, draws, times, 500, 2, "systematic", True, None, threshold))
-        for each in (model, bootstrap(model))
-    )
-    loss = (guided - exact).mean(axis=1) / exact.mean()
-    assert loss.mean() + 4 * loss.std(ddof=1) / math.sqrt(loss.size) < 0.01
-    assert guided[:, times].mean() < 1.2 * exact[:, times].mean()
-    assert unguided[:, times].mean() > 100 * exact[:, times].mean()
-
-
-def test_four_sharp_sensors_with_clutter() -> None:
-    """At t = 0 there is no step, and so no proposal: errors count from t = 1."""
-    draws, times = simulate(echoes, 30, range(300), 1), tuple(range(31))
-    found = []
-    for model in (echoes, bootstrap(echoes)):
-        estimate = filter_draws(model, draws, times, 500, 2, "systematic", True).estimate
-        assert estimate is not None
-        found.append(np.sum((estimate - draws.z) ** 2, axis=2)[:, 1:].mean(axis=1))
-    guided, unguided = found
-    assert guided.mean() < 0.06 + 4 * guided.std() / math.sqrt(300)
-    assert unguided.mean() > 3.0
-
-
-@pytest.mark.parametrize("threshold", [ALWAYS, 0.5])
-@pytest.mark.parametrize("model", [growth, STEPS], ids=lambda each: each.name)
-def test_a_proposal_changes_no_expected_estimate(model: StateSpaceModel, threshold: float) -> None:
-    """With many particles, the filters with and without a proposal agree on every draw."""
-    draws, particles = simulate(model, HORIZON, range(60), 8), 20_000
-    first, second = (
-        filter_draws(each, draws, TIMES, particles, 4, "systematic", True, None, limit)
-        for each, limit in ((model, threshold), (bootstrap(model), ALWAYS))
-    )
-    assert first.estimate is not None
-    assert second.estimate is not None
-    assert first.variance is not None
-    deviation = np.sqrt(np.maximum(first.variance, 1e-12))
-    z = (first.estimate - second.estimate) / deviation * math.sqrt(particles)
-    # Steps after the measurements correlate the errors, which exceed those of independent draws.
-    assert np.sqrt(np.mean(z**2)) < 8
 
 
 def test_weights_that_are_never_resampled_are_those_of_importance_sampling() -> None:
@@ -258,43 +184,7 @@ def test_the_log_evidence_is_that_of_the_kalman_filter(resample: str) -> None:
     assert following.log_evidence - 4 * constant == pytest.approx(exact.log_evidence, abs=0.15)
 
 
-# --- the bound ------------------------------------------------------------------------------------
-
-
-def test_the_filter_of_the_bound_ignores_the_proposal_and_bounds_the_guided_filter() -> None:
-    model, sets = sharp_walk(2, sensor=0.05), [(1, 4, 5, 9)]
-    draws = simulate(model, HORIZON, range(2000), 1)
-
-    def errors(believed: StateSpaceModel, resampling: str, estimator: str) -> Array:
-        settings = Estimation(300, resampling, estimator)
-        return filter_checked_sets(believed, draws, sets, [HORIZON], 7, settings)[0][:, 0]
-
-    variance = errors(model, "conditional", "filter_variance")
-    np.testing.assert_array_equal(
-        variance, errors(bootstrap(model), "conditional", "filter_variance")
-    )
-    (exact,) = kalman.expected_mse(model, HORIZON, sets)
-    assert standard_errors(variance - exact) < 4
-    assert standard_errors(errors(model, "systematic", "squared_error") - variance) > -4
-
-
 # --- what is refused ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"proposal_log_density": None}, "both proposal and proposal_log_density"),
-        ({"proposal": None, "proposal_log_density": None}, "empty without a proposal"),
-        ({"proposal": lambda x, y, t, u, p: (u[0], u[0])}, "process_noise, 1, got 2"),
-        ({"proposal": lambda x, y, t, u: (u[0],)}, "function of"),
-        ({"proposal_noise": ("cauchy",)}, "proposal_noise must be"),
-        ({"proposal_log_density": lambda w, x, y, t, p: (w[0],)}, "one number a particle"),
-    ],
-)
-def test_a_wrong_proposal_is_refused(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        replace(growth, **changes)
 
 
 @pytest.mark.parametrize("text", ["sometimes", "below 0", "below 1.5", "below -0.5", 0.5])
@@ -303,17 +193,3 @@ def test_a_wrong_condition_is_refused(text: object) -> None:
         threshold_of(text)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="resample must be 'always'"):
         Filter("ungm", resample=text)  # type: ignore[arg-type]
-
-
-def test_a_linear_gaussian_proposal_needs_constant_matrices() -> None:
-    matrices = {
-        "initial_noise": [[1.0]], "transition": [[1.0]], "process_noise": [[1.0]],
-        "measurement": [[1.0]], "quantity_of_interest": [[1.0]],
-    }  # fmt: skip
-    refused: dict[str, Callable[[int], object] | list[list[float]]] = {
-        "constant": lambda t: ((1.0 + t,),),
-        "0": [[0.0]],
-    }
-    for message, noise in refused.items():
-        with pytest.raises(ModelError, match=f"guided=True.*{message}"):
-            linear_gaussian("mine", **matrices, measurement_noise=noise, guided=True)  # type: ignore[arg-type]
