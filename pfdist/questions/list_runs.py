@@ -13,7 +13,6 @@ from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError, reason_of, relative
 from pfdist.results import Run, open_run
 from pfdist.results.columns import Row, rows_of
-from pfdist.results.pairs import formatted_ranks
 from pfdist.results.sets import best_first
 from pfdist.store import is_held
 from pfdist.store.folder import extent, runs_below
@@ -114,7 +113,8 @@ def _found(run: Run) -> dict[str, Any]:
         found |= known | {"found": words}
     elif found["has_budget"] and found["draws"]:
         numbers = run.table("sets")["measurements"]
-        found["found"] = f"{formatted_ranks(numbers.min(), numbers.max())} measurements"
+        ends = dict.fromkeys([numbers.min(), numbers.max()])
+        found["found"] = f"{' to '.join(map(str, ends))} measurements"
     return found
 
 
