@@ -24,7 +24,16 @@ from pfdist.problem.points import values_by_key
 
 T = TypeVar("T")
 _SENSOR = re.compile(r"(?<=[0-9]) +[A-Za-z][\w-]*(,|$| )")  # after times: "12 x-ray"
-_PLAIN = Parameter(negative=(), json_list=False, json_dict=False)  # words are no JSON
+
+
+def shown_default(value: Any) -> str | None:
+    """A default as the help shows it: a number or a word."""
+    is_shown = isinstance(value, int | float | str) and not isinstance(value, bool)
+    return str(value) if is_shown and value else None
+
+
+# Words are no JSON.
+_PLAIN = Parameter(negative=(), json_list=False, json_dict=False, show_default=shown_default)
 _PYTHON_ALONE = {"say", "progress", "figures", "parallel", "points"}
 
 
@@ -226,7 +235,7 @@ class Line(NamedTuple):
 
 FLAGS = {
     "json": "Print one JSON object and no text.",
-    "verbose": "Also print details: all sets of times, what each search estimated, quartiles.",
+    "verbose": "Also print details: all sets of times, what each search estimated, pairs.",
     "debug": "Show the traceback of an error.",
 }
 """Options of every command."""
@@ -249,7 +258,7 @@ def __getattr__(name: str) -> Callable[..., Line]:
     flags = [
         inspect.Parameter(
             flag, inspect.Parameter.KEYWORD_ONLY, default=False,
-            annotation=Annotated[bool, Parameter(negative=(), help=text)],
+            annotation=Annotated[bool, Parameter(negative=(), show_default=False, help=text)],
         )
         for flag, text in FLAGS.items()
     ]  # fmt: skip

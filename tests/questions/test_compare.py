@@ -160,7 +160,7 @@ def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     text = " ".join(" ".join(lines).split())
     assert text.startswith("Best of 3 sets (95 % confidence, all pairs together): ")
     assert "is compared all the same: problem.measurement_budget is 4, got 2 times." in text
-    assert "Ranks on 1,500 draws" in text
+    assert "Best first, on 1,500 draws" in text
     assert "Pairs of sets" not in text
     assert main(["status", str(compared.path), "--verbose"]) == 0
     assert "Pairs of sets first second" in " ".join(capsys.readouterr().out.split())
