@@ -61,7 +61,7 @@ def test_the_summary_says_what_a_person_wants_to_know(run: Path, call: Call) -> 
     ):
         assert words in answer
     details = " ".join(call(f"status {run} --verbose").out.split())
-    for words in ("what it is regular times (N = 4)", "estimated by the search"):
+    for words in ("what it is regular times (N = 4)", "All sets of times"):
         assert words in details
         assert words not in answer
     assert "relative gain" not in details
