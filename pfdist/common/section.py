@@ -217,7 +217,6 @@ def _sentence(
 
 
 def _rule(error: ErrorDetails) -> str:
-    """The rule that a value broke, or pydantic's own sentence."""
     if error["type"] in _RULES:
         return _RULES[error["type"]].format(**error.get("ctx", {}))
     return error["msg"].removeprefix("Input should be ")

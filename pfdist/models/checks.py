@@ -254,7 +254,6 @@ def _variates(kinds: tuple[str, ...]) -> tuple[Any, ...]:
 
 
 def _call(model: Any, name: str, *arguments: Any) -> Any:
-    """The checked value of a formula."""
     formula = getattr(model, name)
     if (example := getattr(formula, "example", None)) is not None:  # a run lacks the formula
         return example
@@ -349,7 +348,6 @@ def _wrong_shape(value: Any) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value is a number or an array of numbers."""
     return not isinstance(value, tuple | list) and np.asarray(value).dtype.kind in "fiub"
 
 

@@ -158,7 +158,6 @@ class Scenarios(Section):
 
     @property
     def _listed(self) -> Sequence[Mapping[str, Any]]:
-        """The parameters of each scenario."""
         if not isinstance(self.parameters, dict):
             return self.parameters
         columns = [
@@ -196,7 +195,6 @@ def _parts(name: str, count: int) -> list[float]:
 
 
 def _quantiles(kind: str, numbers: tuple[float, float], shares: Sequence[float]) -> list[float]:
-    """The quantiles of a distribution at these shares."""
     first, second = numbers
     if kind == "uniform":
         return [first + share * (second - first) for share in shares]

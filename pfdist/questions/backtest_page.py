@@ -77,7 +77,6 @@ def _count(answer: Backtest) -> int:
 
 
 def _headline(answer: Backtest) -> str:
-    """The found gain over both grids, the smaller first, and the real over the foreseen error."""
     gains = []
     for name in sorted((FROM_START, CENTRED), key=lambda name: answer.promises[name].found):
         gain = answer.promises[name]
@@ -180,7 +179,6 @@ def _facts(answer: Backtest) -> list[tuple[str, str]]:
 
 
 def _reasons(answer: Backtest) -> Iterator[str]:
-    """Each reason with the names of the replicates."""
     names = dict[str, list[str]]()
     for name, why in answer.left_out.items():
         names.setdefault(why, []).append(name)

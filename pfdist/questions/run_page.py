@@ -292,7 +292,6 @@ def _broken(subject: Subject) -> Iterator[Text]:
 
 
 def _details(row: Row) -> Facts:
-    """Remaining results of a set."""
     facts = list[tuple[str, str]]()
     if row.description:
         facts.append(("what it is", row.description))

@@ -165,7 +165,6 @@ def _error_by_model(foreseen: Array) -> float:
 
 
 def _pairs(x: Array, y: Array, block: int) -> Pairs:
-    """The moments of the means of blocks."""
     blocks = np.array_split(np.stack([x, y]), max(1, x.size // block), axis=1)
     pairs = Pairs()
     pairs.add(*np.array([each.mean(axis=1) for each in blocks]).T)
