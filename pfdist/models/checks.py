@@ -94,21 +94,21 @@ def checked_fields(model: Any) -> dict[str, Any]:
     """
     try:
         fields = dict(_Fields(**{name: getattr(model, name) for name in _Fields.model_fields}))
+        _check_sensors(model)
+        for name in own_formulas(model):
+            _check_signature(getattr(model, name), name, ARGUMENTS[name])
+        _check_proposal(model)
+        for name in model.parameter_ranges:
+            if name not in model.parameters:
+                known = ", ".join(model.parameters) or "none"
+                raise ModelError(
+                    f"parameter_ranges must name parameters, got {name!r}; parameters: {known}"
+                )
+        for name, value in model.parameters.items():
+            _check_parameter(name, value, *model.parameter_ranges.get(name, (-math.inf, math.inf)))
     except ModelError as error:
-        advice = _advice_on_noise(error.argument, getattr(model, error.argument))
+        advice = _advice_on_noise(error.argument, getattr(model, error.argument or "name"))
         raise ModelError(f"model {model.name}: {error}{advice}") from error
-    _check_sensors(model)
-    for name in own_formulas(model):
-        _check_signature(model, name, ARGUMENTS[name])
-    _check_proposal(model)
-    for name in model.parameter_ranges:
-        if name not in model.parameters:
-            raise ModelError(
-                f"model {model.name}: parameter_ranges must name parameters, got {name!r}; "
-                f"parameters: {', '.join(model.parameters) or 'none'}"
-            )
-    for name, value in model.parameters.items():
-        _check_parameter(model, name, value)
     return fields
 
 
@@ -128,30 +128,23 @@ def _check_sensors(model: Any) -> None:
     """Check the names of sensors; each sensor's formulas are checked with the system."""
     names = [*model.sensors]
     if len(names) > MOST_SENSORS:
-        raise ModelError(
-            f"model {model.name}: sensors must be at most {MOST_SENSORS}, got {len(names)}"
-        )
+        raise ModelError(f"sensors must be at most {MOST_SENSORS}, got {len(names)}")
     for name in names:
         if not (isinstance(name, str) and _SENSOR_NAME.fullmatch(name)):  # as in ``12 x-ray``
             raise ModelError(
-                f"model {model.name}: sensors must have names of a letter and up to 39 letters, "
-                f"digits, hyphens and underscores, got {shown(name)}"
+                "sensors must have names of a letter and up to 39 letters, digits, hyphens and "
+                f"underscores, got {shown(name)}"
             )
     given = [name for name in MEASURING if getattr(model, name) is not formula_of_each_sensor]
     if names and (given or model.measurement_noise):
-        raise ModelError(
-            f"model {model.name}: each sensor must have its own "
-            f"{(*given, 'measurement_noise')[0]}, and the model must have none"
-        )
+        own = (*given, "measurement_noise")[0]
+        raise ModelError(f"each sensor must have its own {own}, and the model must have none")
     if not names and len(given) < len(MEASURING):
-        raise ModelError(
-            f"model {model.name}: measurement and log_likelihood must be given, or sensors"
-        )
+        raise ModelError("measurement and log_likelihood must be given, or sensors")
 
 
-def _check_signature(model: Any, name: str, arguments: tuple[str, ...]) -> None:
-    function = getattr(model, name)
-    expected = f"model {model.name}: {name} must be a function of ({', '.join(arguments)})"
+def _check_signature(function: Any, name: str, arguments: tuple[str, ...]) -> None:
+    expected = f"{name} must be a function of ({', '.join(arguments)})"
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError) as error:
@@ -159,8 +152,7 @@ def _check_signature(model: Any, name: str, arguments: tuple[str, ...]) -> None:
     try:
         signature.bind(*arguments)
     except TypeError as error:
-        place = place_of_function(function)
-        raise ModelError(f"{expected}, got {signature}{place}") from error
+        raise ModelError(f"{expected}, got {signature}{place_of_function(function)}") from error
 
 
 def _advice_on_noise(name: str, kinds: Any) -> str:
@@ -179,41 +171,30 @@ def _advice_on_noise(name: str, kinds: Any) -> str:
 
 
 def _check_proposal(model: Any) -> None:
-    lacking = [name for name in OPTIONAL if getattr(model, name) is None]
-    given = [name for name in OPTIONAL if name not in lacking]
+    given = [name for name in OPTIONAL if getattr(model, name) is not None]
     if model.sensors and given:
+        raise ModelError(f"a model with sensors must have no proposal, got {' and '.join(given)}")
+    if given and len(given) < len(OPTIONAL):
+        raise ModelError(f"a proposal must have both {' and '.join(OPTIONAL)}, got {given[0]}")
+    if not given and model.proposal_noise:
         raise ModelError(
-            f"model {model.name}: a model with sensors must have no proposal, got "
-            f"{' and '.join(given)}"
-        )
-    if len(lacking) == 1:
-        raise ModelError(
-            f"model {model.name}: a proposal must have both proposal and proposal_log_density, got "
-            f"none for {lacking[0]}"
-        )
-    if lacking and model.proposal_noise:
-        raise ModelError(
-            f"model {model.name}: proposal_noise must be empty without a proposal, got "
-            f"{model.proposal_noise!r}"
+            f"proposal_noise must be empty without a proposal, got {model.proposal_noise!r}"
         )
 
 
-def _check_parameter(model: Any, name: str, value: Parameter) -> None:
+def _check_parameter(name: str, value: Parameter, low: float, high: float) -> None:
     if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
-        raise ModelError(
-            f"model {model.name}: the name of a parameter must be that of a variable, got {name!r}"
-        )
-    low, high = model.parameter_ranges.get(name, (-math.inf, math.inf))
+        raise ModelError(f"the name of a parameter must be that of a variable, got {name!r}")
     for t, number in enumerate(values_of_parameter(value)):
         if isinstance(number, bool) or not isinstance(number, int | float):
             raise ModelError(
-                f"model {model.name}: parameter {name} must be a number, or a sequence of "
-                f"numbers, one for each instant, got {shown(value)}"
+                f"parameter {name} must be a number, or a sequence of numbers, one for each "
+                f"instant, got {shown(value)}"
             )
         if not (math.isfinite(number) and low <= number <= high):
+            at = "" if number is value else f" for t = {t}"
             raise ModelError(
-                f"model {model.name}: parameter {name} must be a finite number in "
-                f"{low:g}..{high:g}, got {number!r}{'' if number is value else f' for t = {t}'}"
+                f"parameter {name} must be a finite number in {low:g}..{high:g}, got {number!r}{at}"
             )
 
 
