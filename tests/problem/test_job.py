@@ -135,11 +135,11 @@ MISTAKES = [
     (PRICED.format("['2']"), r"problem\.price must be a number, got '2' "),
     (PRICED.format("{'0-9'=1, 9=2}"), r"once, got 9 twice"),
     ("search.random.name=regular", r"names must not be 'regular', .* got 'regular' "),
-    ("search.random.name=genetic", r"search names must be unique, got 'genetic' twice"),
+    ("search.random.name=genetic", r"must differ from each other, got 'genetic' twice"),
     ("comparison.reference=even", r"reference must be .* got 'even' "),
     (
         "online.draws=100001",
-        r"online\.draws must be at most comparison\.draws = 100000, got 100001",
+        r"online\.draws of at most comparison\.draws = 100000, got 100001",
     ),
     (
         "online={}",
@@ -148,7 +148,6 @@ MISTAKES = [
     ),
     ("online={}", RELAXATION, BUDGET, "a budget section"),
     ("online={}", "search.random.name=online", "needs searches of other names, got .* 'online'"),
-    ("online={}", "comparison.sets.online=[0, 1]", "online needs sets of other names, got compari"),
     (BUDGET, r"needs one search of method 'relaxation', got genetic, random \("),
     (RELAXATION, BUDGET, "comparison.reference=[0, 3]", r"needs comparison\.reference = 'regular'"),
 ]

@@ -346,7 +346,7 @@ def test_wrong_options_are_refused_in_one_line(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (["search=[]"], "search must name at least one search, unless"),
+        (["search=[]"], "a job needs a search, or comparison.sets"),
         (["comparison.reference='mine'"], "or the name of a set of comparison.sets"),
         (["comparison.sets.genetic=[0]"], "other names than the searches, got 'genetic'"),
         (["comparison.sets.reference=[0]"], "must not name a set 'reference'"),
