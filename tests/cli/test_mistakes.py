@@ -118,8 +118,8 @@ FILES = {
     "a key of 3 MB": (_changed("seed = 1", f"{LONG} = 1"), "unknown key 'xx"),
     "a date": (_changed("seed = 1", "seed = 1979-05-27"), "seed must be"),
     "NaN": (_changed("seed = 1", "seed = nan"), "seed must be .* got nan"),
-    "NUL in a model's name": (_named("a\\u0000.py:m"), "none that is NUL"),
-    "a name of a model": (_named("a/" * 3000 + "b.py:m"), "4,096 characters"),
+    "NUL in a model's name": (_named("a\\u0000.py:m"), "name: String should match"),
+    "a name of a model": (_named("a/" * 3000 + "b.py:m"), "at most 4096 characters"),
     "NUL in a search's name": (
         _changed('method = "random"', 'method = "random"\nname = "a\\u0000b"'),
         "name must",

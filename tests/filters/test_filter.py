@@ -396,7 +396,7 @@ def test_the_kalman_filter_takes_the_moments_of_a_prior() -> None:
         (31, 0.0, r"^t must lie in 0\.\.30, got 31$"),
         (4, 0.0, "the order of time, each instant once: t must be after 4, got 4$"),
         (5, [1.0, 2.0], r"as many numbers as y of the model ungm, 1, got \[1.0, 2.0\] at t = 5$"),
-        (5, [[1.0]], r"1, got an array of shape \(1, 1\) at t = 5$"),
+        (5, [[1.0]], r"1, got \[\[1.0\]\] at t = 5$"),
         (5, math.inf, r"must be finite, or NaN .*, got y\[0\] = inf at t = 5$"),
         (5, "high", "got 'high' at t = 5$"),
         (5, None, "got None at t = 5$"),

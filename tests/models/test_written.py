@@ -73,7 +73,7 @@ LAST = len(program(json.loads(text_of(MODEL, MODEL)))["operations"]) - 1
         (lambda data: data["truth"].update(name=None), "name must be a string, got None"),
         (
             lambda data: data["truth"].update(process_noise=["normal"] * 10**5),
-            "at most 1,000 entries",
+            "at most 1000 items",
         ),
         (operation(LAST, "sin", "", None), "arguments must be lists"),
         (lambda data: program(data).update(constants=[]), "no row of constants"),

@@ -110,7 +110,7 @@ MISTAKES = [
     ("filter.particles=0", r"filter\.particles must be at least 1 or 'auto', got 0 "),
     ("filter.particles=0.5", r"filter\.particles must be an integer or 'auto', got 0\.5 "),
     ("search.genetic.population=7", r"\.population must .* multiple of 2, got 7 "),
-    ("search.random.name=My", r"search\.random\.name must .*a-z.*, got 'My' "),
+    ("search.random.name=My", r"search\.random\.name: .*a-z.*, got 'My' "),
     (
         "execution.pool=thread",
         r"pool: got .* mean 'threads'\? Allowed: .*'ray', 'processes', 'serial' or 'threads'",
@@ -147,7 +147,11 @@ MISTAKES = [
         r"needs comparison\.until\.half_width = 0, got 0",
     ),
     ("online={}", RELAXATION, BUDGET, "a budget section"),
-    ("online={}", "search.random.name=online", "needs searches of other names, got .* 'online'"),
+    (
+        "online={}",
+        "search.random.name=online",
+        "needs searches and sets of other names, got 'online'",
+    ),
     (BUDGET, r"needs one search of method 'relaxation', got genetic, random \("),
     (RELAXATION, BUDGET, "comparison.reference=[0, 3]", r"needs comparison\.reference = 'regular'"),
 ]

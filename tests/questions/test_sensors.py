@@ -278,7 +278,7 @@ def test_a_mistake_in_a_table_names_its_row(rows: str, said: str, tmp_path: Path
     ("keys", "said"),
     [
         ({"sensors": ["far", "near", "both"]}, "must name the sensors of the model"),
-        ({"sensors": ["near"]}, "must be the names of two sensors or more"),
+        ({"sensors": ["near"]}, "sensors: Dictionary should have at least 2 items"),
         ({"measurement_budget": None, "total_price": 4}, "sensors.near.price must be given"),
         ({"price": [1] * 13}, "price must be left out with sensors"),
         ({"sensors": {"near": {"most": 0}, "far": {}, "both": {}}}, "sensors.near.most must be"),
