@@ -281,12 +281,6 @@ def test_a_mistake_in_a_table_names_its_row(rows: str, said: str, tmp_path: Path
         ({"sensors": ["near"]}, "sensors: Dictionary should have at least 2 items"),
         ({"measurement_budget": None, "total_price": 4}, "sensors.near.price must be given"),
         ({"price": [1] * 13}, "price must be left out with sensors"),
-        ({"sensors": {"near": {"most": 0}, "far": {}, "both": {}}}, "sensors.near.most must be"),
-        (
-            {"sensors": {"near": {"price": "dear"}, "far": {}, "both": {}}},
-            "sensors.near.price must",
-        ),
-        ({"sensors": {"near": {"forbidden": 3}, "far": {}, "both": {}}}, "near.forbidden must be"),
         ({"required": [3]}, "must name times and then their sensor"),
         ({"measurement_budget": 40}, "at most the number of possible measurements, 39"),
     ],
