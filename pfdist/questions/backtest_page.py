@@ -85,7 +85,7 @@ def _headline(answer: Backtest) -> str:
         gains.append(f"{change} than with {answer.sets[name]}")
     ratio, (low, high) = answer.ratios[PLAN]
     value, lowest, highest = with_interval(ratio, low, high)
-    interval = f" (95 % CI {lowest} to {highest})" if math.isfinite(high) else ""
+    interval = f" (95 % CI {lowest} to {highest})" if high < _MUCH else ""
     return (
         f"With the plan, the error is {', and '.join(gains)}. It is {value} times the error that "
         f"the model foresees{interval}."

@@ -122,7 +122,7 @@ FILES = {
     "a name of a model": (_named("a/" * 3000 + "b.py:m"), "at most 4096 characters"),
     "NUL in a search's name": (
         _changed('method = "random"', 'method = "random"\nname = "a\\u0000b"'),
-        "name must",
+        "name: String should match",
     ),
     "population 10^18": (
         _changed("population = 6", f"population = {10**18}"),
@@ -211,7 +211,8 @@ def test_a_misspelt_word_is_followed_by_the_nearest_one(
     names = {"job": small_job.path, "folder": folder, "kept": KEPT}
     given, told = refused(line.format(**names).split())
     assert given == code
-    assert re.search(rf"[Dd]id you mean ['\"]?{meant.format(**names)}\\b", told)
+    wanted = re.escape(meant.format(**names))
+    assert re.search(rf"[Dd]id you mean ['\"]?{wanted}\b", told), told
 
 
 @pytest.mark.parametrize("word", GONE)
