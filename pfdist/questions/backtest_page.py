@@ -11,7 +11,6 @@ from pfdist.common.rounding import rounded, with_interval
 from pfdist.filters.filter_estimate import few_particles
 from pfdist.questions.backtest import CENTRED, FROM_START, PLAN, Backtest
 from pfdist.questions.subject import change_of, number_of
-from pfdist.results.promise import NOT_DECIDED
 
 _MUCH = 1000.0  # the end of an interval that says nothing
 _DEPENDENT = 0.3  # lag-1 correlation of differences
@@ -24,7 +23,7 @@ _VERDICT_MEANING = (
     "95 % confidence, and not kept if clearly less is found."
 )
 _GAINS = ("against", "foreseen gain", "found gain")
-_VERDICTS = ("against", "found / foreseen", "promise", "replicates to decide")
+_VERDICTS = ("against", "found / foreseen", "promise")
 _SETS = (
     "times", "error", "foreseen", "error / foreseen", "in 90 % interval", "error without noise",
     "foreseen without noise",
@@ -123,13 +122,11 @@ def _verdicts(answer: Backtest) -> list[Table | Text]:
             Cell(answer.sets[name]),
             Cell(_ratio(each.ratio, each.interval), each.ratio),
             Cell(each.verdict),
-            Cell(f"{each.deciding:,}" * (each.verdict == NOT_DECIDED) if each.deciding else ""),
         ]
         for name, each in answer.promises.items()
     ]
-    table = Table("Whether half of the foreseen gain is found (95 % CI)", _VERDICTS, rows,
-                  detail=True, optional=_VERDICTS[-1:])  # fmt: skip
-    return [table, Text(_VERDICT_MEANING, detail=True)]
+    caption = "Whether half of the foreseen gain is found (95 % CI)"
+    return [Table(caption, _VERDICTS, rows, detail=True), Text(_VERDICT_MEANING, detail=True)]
 
 
 def _ratio(ratio: float, interval: tuple[float, float]) -> str:
