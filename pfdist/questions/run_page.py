@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from pfdist.common.parts import (
@@ -240,13 +239,10 @@ def gains(subject: Subject) -> Section | None:
         return None
     draws = number_of(subject.run.draws_compared, "draw")
     fresh = " that took no part in the search" if found_sets(subject.run) else ""
-    is_detail = bool(named_sets(subject.run))  # the comparison of the sets says it then
+    table = sets_table(f"Expected MSE on {draws}{fresh}", subject.rows.values(), _GAINS_SHOWN)
+    said: list[Block] = [table, *_papers_gains(subject), Text(_GAINS, detail=True)]
     blocks: list[Block] = [
-        sets_table(
-            f"Expected MSE on {draws}{fresh}", subject.rows.values(), _GAINS_SHOWN, detail=is_detail
-        ),
-        *(replace(text, detail=is_detail) for text in _papers_gains(subject)),
-        Text(_GAINS, detail=True),
+        *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it
         *_degenerate(subject),
         *_broken(subject),
         Figures(["gain", "draw"], subject.shown),
