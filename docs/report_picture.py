@@ -18,10 +18,7 @@ PARTS = {  # picture: its element, and the texts before which the numbers stand,
         "section:has(#section-1)",
         ["Measure at", "29.25", "4.71", "38 to", "1.9", "With the plan"],
     ),
-    "gains": (
-        "section:has(#section-3) .table",
-        ["31.302", "29.25", "87.30", "28.07"],
-    ),
+    "gains": ("section:has(#section-3) .table", ["31.302", "29.25"]),
     "bound": (
         "section:has(#section-4) .table",
         ["21.95", "1.30", "1.9 %", "0.19", "1.12", "0.00"],

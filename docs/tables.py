@@ -7,7 +7,7 @@ The command replaces the lines between them. A test fails if a page has an old t
 import inspect
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -15,12 +15,13 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from cyclopts.argument import Argument
 from pydantic.fields import FieldInfo
 
 from pfdist import plots
-from pfdist.cli import program
 from pfdist.cli.commands import COMMANDS
-from pfdist.cli.words import FLAGS
+from pfdist.cli.program import program
+from pfdist.cli.words import FLAGS, shown_default
 from pfdist.common.component_names import Component
 from pfdist.common.rounding import with_error
 from pfdist.common.section import Section, keys_of
@@ -187,15 +188,43 @@ def filtered_columns() -> str:
     return _table_of_columns(filtered_schema(_MODEL))
 
 
+def arguments_of(name: str) -> Iterator[tuple[str, str]]:
+    """Give each argument of a command but its flags, as it is typed, and what it means."""
+    for argument in program()[name].assemble_argument_collection(parse_docstring=True):
+        if argument.name.removeprefix("--") in FLAGS:
+            continue
+        meaning = " ".join((argument.parameter.help or "").replace("``", "`").split())
+        choices = f" Choices: {', '.join(each)}." if (each := argument.get_choices()) else ""
+        default = shown_default(argument.field_info.default)
+        yield (
+            ", ".join(_spelling(argument)),
+            meaning + choices + (f" (default: {default})" if default else ""),
+        )
+
+
+def _spelling(argument: Argument) -> list[str]:
+    metavar = argument.parameter.metavar or ""
+    if argument.index is not None:
+        return [metavar]
+    return [" ".join(filter(None, [name, metavar])) for name in argument.names]
+
+
+def _line(name: str) -> str:
+    """Give a command with its files, and the options that must be given."""
+    words = ["pfdist", name]
+    for each in program()[name].assemble_argument_collection():
+        if each.required:
+            words += _spelling(each)[:1]
+        elif each.index is not None:
+            several = " ..." if each.field_info.kind is inspect.Parameter.VAR_POSITIONAL else ""
+            words.append(f"[{_spelling(each)[0]}{several}]")
+    return " ".join(words)
+
+
 def usage() -> str:
     """Give all arguments and examples of each command, from its function."""
-    app = program.program()
     arguments = {
-        name: [
-            (f"`{words}`", _escaped(text))
-            for words, text in program.arguments_of(app, name)
-            if words.removeprefix("--") not in FLAGS
-        ]
+        name: [(f"`{words}`", _escaped(text)) for words, text in arguments_of(name)]
         for name in COMMANDS
     }
     counts = Counter(row for rows in arguments.values() for row in rows)
@@ -476,11 +505,7 @@ def schemes() -> str:
 
 def commands() -> str:
     """Give the table of commands, each with the arguments that must be given."""
-    app = program.program()
-    rows = [
-        [f"`{program.usage(app, name)}`", _sentence(command.sentence)]
-        for name, command in COMMANDS.items()
-    ]
+    rows = [[f"`{_line(name)}`", _sentence(command.sentence)] for name, command in COMMANDS.items()]
     return _table(["command", "what it does"], rows)
 
 

@@ -104,7 +104,6 @@ def _show_text(answer: Any, line: Line) -> None:
 
 
 def _page_of(frame: pd.DataFrame, line: Line) -> Page:
-    """A table of runs or of points as a page."""
     from pfdist.questions.runs import foreseen_page, list_page, table_page  # noqa: PLC0415
 
     if line.name == "list":

@@ -7,7 +7,6 @@ reads it differently. Most parameters are options, whose names `WORDS` may chang
 
 import inspect
 import pkgutil
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
@@ -17,14 +16,22 @@ from cyclopts import Parameter, Token
 from pfdist.cli.commands import COMMANDS
 from pfdist.common.calendar import names_dates
 from pfdist.common.measurement_times import REGULAR
-from pfdist.common.parsing import finite_number, ranges, whole_number, whole_numbers
+from pfdist.common.parsing import finite_number, whole_number, whole_numbers
 from pfdist.errors import JobError, shown
 from pfdist.pools.kinds import AUTO, POOLS
 from pfdist.problem.points import values_by_key
 
 T = TypeVar("T")
-_SENSOR = re.compile(r"(?<=[0-9]) +[A-Za-z][\w-]*(,|$| )")  # after times: "12 x-ray"
-_PLAIN = Parameter(negative=(), json_list=False, json_dict=False)  # words are no JSON
+
+
+def shown_default(value: Any) -> str | None:
+    """A default as the help shows it: a number or a word."""
+    is_shown = isinstance(value, int | float | str) and not isinstance(value, bool)
+    return str(value) if is_shown and value else None
+
+
+# Words are no JSON.
+_PLAIN = Parameter(negative=(), json_list=False, json_dict=False, show_default=shown_default)
 _PYTHON_ALONE = {"say", "progress", "figures", "parallel", "points"}
 
 
@@ -104,18 +111,11 @@ def _part(text: str) -> tuple[int, int]:
         raise ValueError(f"must be K/N, as 3/200, got {shown(text)}") from error
 
 
-def _clock(text: str) -> str:
-    """Times as they are written; the clock of the job reads them."""
-    if not names_dates(text):
-        ranges(_SENSOR.sub(" ", text), finite_number)
-    return text
-
-
 def _sets_or_one(texts: list[str]) -> dict[str, str]:
     """Sets as `_sets` gives them; a single set needs no name."""
     if len(texts) > 1 or "=" in texts[0] or texts == [REGULAR]:
         return _sets(texts)
-    return {"": _clock(texts[0])}
+    return {"": texts[0]}
 
 
 def _sets(texts: list[str]) -> dict[str, str]:
@@ -128,10 +128,7 @@ def _sets(texts: list[str]) -> dict[str, str]:
         name, equals, times = text.rpartition("=")
         if equals and not name:
             raise ValueError(f"needs a name before '=', got {shown(text)}")
-        if times == REGULAR:
-            name = name or REGULAR
-        else:
-            _clock(times)
+        name = name or REGULAR * (times == REGULAR)
         if not name:
             raise JobError(
                 f"times of several sets must be NAME=TIMES, as mine={times}, got {shown(times)}",
@@ -207,7 +204,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
         Path, Parameter(metavar="RUN", converter=_each(_path), required=True), stands_alone=True
     ),
     "evaluate.times": _texts("TIMES", _sets_or_one),
-    "check-model.times": Word(str | None, Parameter(metavar="TIMES", converter=_each(_clock))),
+    "check-model.times": _text("TIMES"),
 }
 """The words of each parameter by its name, or by its command and its name."""
 
@@ -226,7 +223,7 @@ class Line(NamedTuple):
 
 FLAGS = {
     "json": "Print one JSON object and no text.",
-    "verbose": "Also print details: all sets of times, what each search estimated, quartiles.",
+    "verbose": "Also print details: all sets of times, what each search estimated, pairs.",
     "debug": "Show the traceback of an error.",
 }
 """Options of every command."""
@@ -249,7 +246,7 @@ def __getattr__(name: str) -> Callable[..., Line]:
     flags = [
         inspect.Parameter(
             flag, inspect.Parameter.KEYWORD_ONLY, default=False,
-            annotation=Annotated[bool, Parameter(negative=(), help=text)],
+            annotation=Annotated[bool, Parameter(negative=(), show_default=False, help=text)],
         )
         for flag, text in FLAGS.items()
     ]  # fmt: skip

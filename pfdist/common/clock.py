@@ -302,7 +302,6 @@ def plain_time(time: Time) -> Time:
 
 
 def _counted(time: Time | str) -> int:
-    """A time that counts instants, as an integer."""
     if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
         raise MeasurementTimesError(f"measurement_times must be times, got {shown(time)}")
     if not float(time).is_integer():

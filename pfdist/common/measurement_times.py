@@ -74,15 +74,7 @@ def regular(horizon: int, measurement_budget: int) -> Times:
 def random(
     horizon: int, measurement_budget: int, sets: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Draw sets of N measurement times with equal probability, (sets, N); each row is sorted.
-
-    Raises `MeasurementTimesError` if N does not lie in 0..T+1.
-    """
-    if not 0 <= measurement_budget <= horizon + 1:
-        raise MeasurementTimesError(
-            f"random times need a measurement_budget in 0..{horizon + 1} (horizon {horizon}), "
-            f"got {measurement_budget}"
-        )
+    """Draw sets of N measurement times with equal probability, (sets, N); each row is sorted."""
     order = rng.permuted(np.tile(np.arange(horizon + 1), (sets, 1)), axis=1)
     return np.sort(order[:, :measurement_budget], axis=1)
 

@@ -72,27 +72,17 @@ class Cloud:
             )
         if not np.isfinite(self.x).all():
             component, particle = np.argwhere(~np.isfinite(self.x))[0].tolist()
-            got = self.x[component, particle]
+            got = f"x[{component}] = {self.x[component, particle]} of particle {particle}"
+            raise PriorError(f"a prior must have finite states, got {got}")
+        weight, particles = self.weight, self.x.shape[1]
+        if weight is not None and not (
+            weight.shape == (particles,) and np.isfinite(weight).all()
+            and weight.min() >= 0.0 and weight.any()
+        ):  # fmt: skip
             raise PriorError(
-                f"a prior must have finite states, got x[{component}] = {got} of particle "
-                f"{particle}"
+                f"a prior must have one weight for each of its {particles} particles, finite, at "
+                f"least 0, and not all 0, got {shown(weight)}"
             )
-        if self.weight is None:
-            return
-        if self.weight.shape != self.x.shape[1:]:
-            raise PriorError(
-                f"a prior must have one weight for each of its {self.x.shape[1]} particles, got "
-                f"{shown(self.weight.shape)}"
-            )
-        usable = np.isfinite(self.weight) & (self.weight >= 0)
-        if not usable.all():
-            particle = int(np.argmin(usable))
-            raise PriorError(
-                "a prior must have finite weights of at least 0, got "
-                f"{self.weight[particle]} for particle {particle}"
-            )
-        if not self.weight.any():
-            raise PriorError("a prior must have a weight above 0, got none")
 
     @property
     def components(self) -> int:

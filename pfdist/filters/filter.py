@@ -276,7 +276,6 @@ class Filter:
         return (self._ahead if self._ahead.t <= t else self._filter).at(t)
 
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
-        """The estimate of an instant that is not measured."""
         prior = _prior(self._filter if at is None else at)
         belief: Belief = Normal(mean, np.sqrt(variance))
         if isinstance(prior, Cloud):

@@ -318,7 +318,6 @@ def _unroll(x: Any) -> None:
 
 
 def _normals(kinds: Sequence[str], noise: Sequence[Any]) -> list[Any]:
-    """The normal components of noise."""
     return [each for kind, each in zip(kinds, noise, strict=True) if kind == "normal"]
 
 
@@ -343,7 +342,6 @@ def _in_triangle(i: int, j: int) -> int:
 
 
 def _cholesky(matrix: list[list[Any]]) -> list[list[Any]]:
-    """The lower triangular root of a symmetric positive matrix."""
     root: list[list[Any]] = []
     for i, row in enumerate(matrix):
         root.append([])
@@ -369,7 +367,6 @@ def _pivots(matrix: list[list[Any]]) -> tuple[list[list[Any]], list[Any]]:
 
 
 def _solved(root: list[list[Any]], b: Sequence[Any]) -> list[Any]:
-    """The solution of a lower triangular system."""
     x = list[Any]()
     for i, value in enumerate(b):
         rest, diagonal = value - _dot(root[i][:i], x), root[i][i]

@@ -308,7 +308,6 @@ def _seen(y: Array, measurement: Affine) -> tuple[Array, Affine]:
 
 
 def _begin(matrices: LinearGaussian, prior: Prior | None) -> tuple[Array, Array]:
-    """Mean and covariance of the first state."""
     if prior is None:
         return matrices.initial.offset, _square(matrices.initial.matrix)
     return prior.gaussian.mean, prior.gaussian.covariance

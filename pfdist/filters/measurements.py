@@ -167,19 +167,14 @@ def checked_measurement(
     model does not declare `missing_components`.
     """
     components = model.components[1]
-    if y is None:
-        raise MeasurementsError(f"a measurement must be a number, got None at t = {t}")
     try:
         values = np.atleast_1d(np.array(y, np.float64))
-    except (TypeError, ValueError, OverflowError) as error:
+    except (TypeError, ValueError, OverflowError):
+        values = np.empty(0)
+    if y is None or values.shape != (components,):
         raise MeasurementsError(
-            f"a measurement must be a number or a sequence of numbers, got {shown(y)} at t = {t}"
-        ) from error
-    if values.shape != (components,):
-        got = str(values.size) if values.ndim == 1 else f"an array of shape {values.shape}"
-        raise MeasurementsError(
-            f"a measurement must have as many components as y of the model {model.name}, "
-            f"{components}, got {got} at t = {t}"
+            f"a measurement must have as many numbers as y of the model {model.name}, "
+            f"{components}, got {shown(y)} at t = {t}"
         )
     names = names or [f"y[{component}]" for component in range(components)]
     infinite = np.flatnonzero(np.isinf(values))

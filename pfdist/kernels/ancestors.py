@@ -130,7 +130,6 @@ def _first_lanes(left: Vector) -> Vector:
 
 @vectorised("16 f8")
 def _numbers(value: Vector) -> Vector:
-    """A number in all lanes."""
     return splat(value, LANES)
 
 
@@ -150,7 +149,6 @@ def _leave_out(log_weight: Array, i: Vector, left: Vector) -> None:
 
 @vectorised("f8")
 def _largest(values: Vector) -> Vector:
-    """The largest of all lanes."""
     return values.reduced(lambda a, b: (a > b).select(a, b))
 
 

@@ -329,7 +329,6 @@ def _fill_log_weights(instant):
 
 @entry(Instant)
 def _sort(instant):
-    """Sort the particles of each weighed draw by their state."""
     at = read(instant).at
     request, batch, source, target = request_of(at.work), batch_of(at.work), present(at), other(at)
     for d in range(at.draws):
@@ -572,7 +571,6 @@ def _finish(instant):
 
 @entry(Instant)
 def _keep(instant):
-    """Copy the particles and their weights into the results."""
     at = read(instant).at
     request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
     cloud, particles = present(at), request.particles
@@ -620,7 +618,6 @@ def filter_all(
 
 
 def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Steps:
-    """The steps that this filter needs."""
     weights, saves = request.weights, bool((plan.slots >= 0).any())
     draws_again = request.rows.size > 0
     has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0

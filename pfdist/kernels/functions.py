@@ -75,7 +75,6 @@ def _plus(x: Vector, rest: Vector, number: float) -> Pair:
 
 
 def _quotient(above: Pair, below: Pair) -> Pair:
-    """A quotient of sums of two numbers."""
     ratio = above[0] / below[0]
     lost = (-ratio).fma(below[0], above[0]) + (above[1] - ratio * below[1])
     return ratio, lost / below[0]
@@ -693,7 +692,6 @@ def hypot(x: Vector, y: Vector) -> Vector:
 
 
 def _exponent(x: Vector) -> Vector:
-    """The exponent of a number above 0, as an integer."""
     tiny = x < _SMALLEST_NORMAL
     bits = tiny.select(x * 18014398509481984.0, x).bits("i8") >> 52  # times 2^54
     return bits - tiny.select(bits.number(54), bits.number(0))

@@ -120,7 +120,6 @@ def _last_measured(instant):
 
 @compiled
 def _go(instant, path):
-    """Take a chunk of particles along the path."""
     request, batch = request_of(path.at.work), batch_of(path.at.work)
     source, target = ahead(present(path.at), path.place), ahead(other(path.at), path.place)
     if path.first >= 0:
@@ -216,7 +215,6 @@ def _fill_noises(instant, first, k):
 
 @compiled
 def _components(at, t):
-    """The number of components of the noise of the step from t."""
     request, count = request_of(at.work), np.int64(0)
     process = INITIAL_NOISE if t < 0 else PROCESS_NOISE
     for c in range(request.components):
@@ -266,7 +264,6 @@ def _look(instant, path):
 
 @compiled
 def _step_back(path, step):
-    """Go a step back with the derivatives."""
     t, states = path.first + step, request_of(path.at.work).states
     block = path.block + (SWEPT_INITIAL if t < 0 else SWEPT)
     back = ahead(_record(path, step), states * CHUNK)

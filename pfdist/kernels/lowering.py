@@ -63,8 +63,6 @@ class Split(NamedTuple):
 
 
 class _Writer:
-    """Collects different operations."""
-
     def __init__(self) -> None:
         self.operations: list[Operation] = []
         self._numbers: dict[Any, int] = {}
@@ -298,7 +296,6 @@ class _Arranged:
         return len(self.operations) - 1
 
     def _place(self, count: int = 1) -> int:
-        """The first of some places in memory."""
         self.size += count
         return self.size - count
 
@@ -400,7 +397,6 @@ class _Function:
         builder.ret_void()
 
     def _load(self, *arrays: str) -> None:
-        """Load what a short program takes from some arrays."""
         if self._arranged.is_short:
             for number in sorted(self._arranged.needed(self._arranged.pieces[0])):
                 if self._arranged.operations[number].name in arrays:
@@ -459,7 +455,6 @@ class _Function:
         return Array(self._builder, self._given[name], "f4" if name == "noise" else "f8")
 
     def _row(self, array: str, row: Any) -> Vector:
-        """The place of a vector in a row."""
         place = self._builder.mul(row, self._given[f"{array}_stride"])
         return Vector(self._builder, self._builder.add(place, self._given["position"]), "i8")
 
@@ -471,7 +466,6 @@ class _Function:
         return Vector(self._builder, self._builder.mul(place, _index(LANES)), "i8")
 
     def _kept(self, place: Any) -> Vector:
-        """A value in memory."""
         return self._array("memory").load(self._place(place), LANES)
 
     def _keep(self, place: int, value: Vector) -> None:
@@ -481,7 +475,6 @@ class _Function:
     # --- operations -------------------------------------------------------------------------------
 
     def _compute(self, numbers: Sequence[int]) -> None:
-        """Compute operations, one after another."""
         loop: Any = None
         for number in numbers:
             name, arguments, which = self._arranged.operations[number]

@@ -114,7 +114,6 @@ def _begin(work, now):
 
 @compiled
 def _measure(work, now, states):
-    """Simulate the measurements by all sensors."""
     request = _request(work)
     _fill(work, now, MEASUREMENT_NOISE, request.start + now.k, TRUTH_MEASUREMENT)
     for sensor in range(request.sensors):

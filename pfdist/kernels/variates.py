@@ -98,7 +98,6 @@ def _threefry(key: Words, counters: Sequence[Words]) -> list[Words]:
 
 
 def _key(stream: Vector, t: Vector, role: Vector, component: Vector) -> Words:
-    """The key as vectors."""
     words = stream, stream >> 32, t, (role << 16) | component
     return [splat(each.to("u4"), LANES) for each in words]
 
@@ -177,7 +176,6 @@ def _centred(high: Vector, low: Vector) -> Vector:
 
 
 def _box_muller(word_a: Vector, word_b: Vector) -> tuple[Vector, Vector]:
-    """Two independent normal variates."""
     radius = (_exponential(word_a) * 2.0).call("sqrt")
     # An angle of at most an eighth of a turn; two bits of the word choose the eighth.
     s = (word_b << 2).bits("i4").to("f4") * 2.0**-32
@@ -308,8 +306,6 @@ def fill_of_draws(row):
 
 
 class _Rows(NamedTuple):
-    """A row of variates for each draw."""
-
     words: NDArray[np.uint32]
     out: NDArray[np.float32]
     draws: NDArray[np.int64]

@@ -88,20 +88,20 @@ def checked_fields(model: Any) -> dict[str, Any]:
     """
     try:
         fields = dict(_Fields(**{name: getattr(model, name) for name in _Fields.model_fields}))
+        _check_sensors(model)
+        for name in own_formulas(model):
+            _check_signature(getattr(model, name), name, ARGUMENTS[name])
+        for name in model.parameter_ranges:
+            if name not in model.parameters:
+                known = ", ".join(model.parameters) or "none"
+                raise ModelError(
+                    f"parameter_ranges must name parameters, got {name!r}; parameters: {known}"
+                )
+        for name, value in model.parameters.items():
+            _check_parameter(name, value, *model.parameter_ranges.get(name, (-math.inf, math.inf)))
     except ModelError as error:
-        advice = _advice_on_noise(error.argument, getattr(model, error.argument))
+        advice = _advice_on_noise(error.argument, getattr(model, error.argument or "name"))
         raise ModelError(f"model {model.name}: {error}{advice}") from error
-    _check_sensors(model)
-    for name in own_formulas(model):
-        _check_signature(model, name, ARGUMENTS[name])
-    for name in model.parameter_ranges:
-        if name not in model.parameters:
-            raise ModelError(
-                f"model {model.name}: parameter_ranges must name parameters, got {name!r}; "
-                f"parameters: {', '.join(model.parameters) or 'none'}"
-            )
-    for name, value in model.parameters.items():
-        _check_parameter(model, name, value)
     return fields
 
 
@@ -119,30 +119,23 @@ def _check_sensors(model: Any) -> None:
     """Check the names of sensors; each sensor's formulas are checked with the system."""
     names = [*model.sensors]
     if len(names) > MOST_SENSORS:
-        raise ModelError(
-            f"model {model.name}: sensors must be at most {MOST_SENSORS}, got {len(names)}"
-        )
+        raise ModelError(f"sensors must be at most {MOST_SENSORS}, got {len(names)}")
     for name in names:
         if not (isinstance(name, str) and _SENSOR_NAME.fullmatch(name)):  # as in ``12 x-ray``
             raise ModelError(
-                f"model {model.name}: sensors must have names of a letter and up to 39 letters, "
-                f"digits, hyphens and underscores, got {shown(name)}"
+                "sensors must have names of a letter and up to 39 letters, digits, hyphens and "
+                f"underscores, got {shown(name)}"
             )
     given = [name for name in MEASURING if getattr(model, name) is not formula_of_each_sensor]
     if names and (given or model.measurement_noise):
-        raise ModelError(
-            f"model {model.name}: each sensor must have its own "
-            f"{(*given, 'measurement_noise')[0]}, and the model must have none"
-        )
+        own = (*given, "measurement_noise")[0]
+        raise ModelError(f"each sensor must have its own {own}, and the model must have none")
     if not names and len(given) < len(MEASURING):
-        raise ModelError(
-            f"model {model.name}: measurement and log_likelihood must be given, or sensors"
-        )
+        raise ModelError("measurement and log_likelihood must be given, or sensors")
 
 
-def _check_signature(model: Any, name: str, arguments: tuple[str, ...]) -> None:
-    function = getattr(model, name)
-    expected = f"model {model.name}: {name} must be a function of ({', '.join(arguments)})"
+def _check_signature(function: Any, name: str, arguments: tuple[str, ...]) -> None:
+    expected = f"{name} must be a function of ({', '.join(arguments)})"
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError) as error:
@@ -150,8 +143,7 @@ def _check_signature(model: Any, name: str, arguments: tuple[str, ...]) -> None:
     try:
         signature.bind(*arguments)
     except TypeError as error:
-        place = place_of_function(function)
-        raise ModelError(f"{expected}, got {signature}{place}") from error
+        raise ModelError(f"{expected}, got {signature}{place_of_function(function)}") from error
 
 
 def _advice_on_noise(name: str, kinds: Any) -> str:
@@ -169,22 +161,19 @@ def _advice_on_noise(name: str, kinds: Any) -> str:
     return f"; declare {noise!r}, and write pfdist.densities.{draw}({arguments}) in the formula"
 
 
-def _check_parameter(model: Any, name: str, value: Parameter) -> None:
+def _check_parameter(name: str, value: Parameter, low: float, high: float) -> None:
     if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
-        raise ModelError(
-            f"model {model.name}: the name of a parameter must be that of a variable, got {name!r}"
-        )
-    low, high = model.parameter_ranges.get(name, (-math.inf, math.inf))
+        raise ModelError(f"the name of a parameter must be that of a variable, got {name!r}")
     for t, number in enumerate(values_of_parameter(value)):
         if isinstance(number, bool) or not isinstance(number, int | float):
             raise ModelError(
-                f"model {model.name}: parameter {name} must be a number, or a sequence of "
-                f"numbers, one for each instant, got {shown(value)}"
+                f"parameter {name} must be a number, or a sequence of numbers, one for each "
+                f"instant, got {shown(value)}"
             )
         if not (math.isfinite(number) and low <= number <= high):
+            at = "" if number is value else f" for t = {t}"
             raise ModelError(
-                f"model {model.name}: parameter {name} must be a finite number in "
-                f"{low:g}..{high:g}, got {number!r}{'' if number is value else f' for t = {t}'}"
+                f"parameter {name} must be a finite number in {low:g}..{high:g}, got {number!r}{at}"
             )
 
 
@@ -217,7 +206,6 @@ def _variates(kinds: tuple[str, ...]) -> tuple[Any, ...]:
 
 
 def _call(model: Any, name: str, *arguments: Any) -> Any:
-    """The checked value of a formula."""
     formula = getattr(model, name)
     if (example := getattr(formula, "example", None)) is not None:  # a run lacks the formula
         return example
@@ -312,7 +300,6 @@ def _wrong_shape(value: Any) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value is a number or an array of numbers."""
     return not isinstance(value, tuple | list) and np.asarray(value).dtype.kind in "fiub"
 
 

@@ -116,7 +116,6 @@ class Flow:
 
 
 def _varies(value: Any) -> bool:
-    """Whether a parameter has a value for each instant."""
     return isinstance(value, np.ndarray | Covariate)
 
 

@@ -115,8 +115,6 @@ class _Known:
 
 @dataclass(frozen=True)
 class _Parameters:
-    """Parameters with distributions."""
-
     distributions: Distributions
 
     @property
@@ -126,7 +124,6 @@ class _Parameters:
 
     @property
     def _pairs(self) -> list[tuple[str, tuple[float, float]]]:
-        """The kind of each distribution, with its numbers."""
         return [pair for each in self.distributions.values() for pair in each.items()]
 
     @property
@@ -177,8 +174,6 @@ def _quantile(kind: str, first: float, second: float, variate: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Scenarios:
-    """Scenarios by their numbers."""
-
     scenarios: tuple[Scenario, ...]
 
     names, noise = ("scenario",), ("uniform",)
@@ -218,7 +213,6 @@ class _Scenarios:
 
 
 def _looked_up(values: Sequence[Parameter], number: Any) -> Any:
-    """The value of the scenario with a number."""
     if any(isinstance(each, tuple) for each in values):
         return _Varying(values, number)
     return take(values, number)

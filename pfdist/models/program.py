@@ -316,7 +316,6 @@ def steps_of(count: float, most: int) -> int:
 
 
 def _of_loop(name: str, given: list[Any], which: Any, step: int, states: list[Any]) -> Any:
-    """The value of an operation of a loop."""
     if name == "state":
         return states[which]
     if name == "step":

@@ -113,7 +113,6 @@ class Programs:
 def _recorded_again(
     program: Program, row: int, recording: Recording, groups: Mapping[str, Any], t: Any, p: Any
 ) -> tuple[Symbol, ...]:
-    """Record what a program computes on symbols."""
     if recording.unrolls:
         program = unrolled(program, _counts(program, row, t, p))
     numbers = list[int]()

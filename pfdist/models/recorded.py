@@ -99,7 +99,6 @@ def _functions(kept: Any, now: Any, names: Iterable[str]) -> dict[str, Any]:
 
 
 def _recorded(models: Sequence[StateSpaceModel], name: str, instants: range) -> Any:
-    """A formula of a model, for the parameters of several."""
     model, function = models[0], getattr(models[0], name)
     if function is squared_error or isinstance(function, Declared):
         return function
@@ -137,7 +136,6 @@ def check_same_functions(model: StateSpaceModel, other: StateSpaceModel, instant
 
 
 def _values(model: StateSpaceModel, name: str, t: int, entries: slice) -> Array:
-    """The values of a formula for some numbers, (components, numbers)."""
     formula, column = formula_of(model, name), 0
     given: dict[str, Any] = {"t": t, "p": model.p}
     for argument, count in formula.arguments.items():
@@ -197,7 +195,6 @@ def differences(kept: StateSpaceModel, now: StateSpaceModel) -> Iterator[tuple[s
 
 
 def _shown(value: Any) -> str:
-    """A field of a model as an error shows it."""
     if value is None or (isinstance(value, tuple) and not value):
         return "nothing"
     if isinstance(value, tuple):

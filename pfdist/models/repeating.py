@@ -66,7 +66,6 @@ def _recorded(
     each: Sequence[Sequence[Any]],
     most: int,
 ) -> tuple[Any, ...]:
-    """The values after a loop that is recorded."""
 
     def operand(value: Any) -> int:
         return recording.operand(as_float(np.asarray(value)[()]))

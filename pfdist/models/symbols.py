@@ -390,7 +390,6 @@ def _plain(value: Any) -> Any:
 
 
 def _record(name: str, *values: Any) -> Symbol:
-    """Record an operation on symbols and numbers."""
     recording: Recording = next(each.recording for each in values if type(each) is Symbol)
     number = recording.add(name, tuple(map(recording.operand, values)))
     return Symbol(recording, number, "mask" if name in MASKS else "float")
@@ -426,7 +425,6 @@ def _binary(name: str, first: Any, second: Any) -> Any:
 
 
 def _kind(value: Any) -> str:
-    """The kind of a symbol or a number."""
     if type(value) is Symbol:
         return value.kind
     if isinstance(value, bool | np.bool_):
@@ -459,7 +457,6 @@ def _of_conditions(name: str, *values: Any) -> Any:
 
 
 def _mask_of(symbol: Symbol, value: Any) -> Symbol:
-    """A mask that is a symbol, also of a number."""
     if isinstance(value, Symbol):
         return value
     recording = symbol.recording

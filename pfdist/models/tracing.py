@@ -195,7 +195,6 @@ class Formula:
             return ()
 
     def _given(self, name: str, count: int, recording: Recording, mode: str, t: int) -> Any:
-        """An argument of a call."""
         if name == "t":
             if mode != MODES[0]:
                 return t
@@ -206,7 +205,6 @@ class Formula:
         return tuple(Symbol(recording, recording.add(name, (), i)) for i in range(count))
 
     def _outputs(self, value: Any) -> list[Any]:
-        """The results of a call, as symbols and numbers."""
         components = [value]
         if isinstance(value, tuple) or (isinstance(value, np.ndarray) and value.ndim):
             components = list(value)
@@ -317,7 +315,6 @@ class _DiffersError(Exception):
 
 
 def _symbolic(formula: Formula, mode: str, instants: range) -> Traced:
-    """Trace with symbols alone."""
     program = _recorded_at(formula, mode, instants[0])
     _check_same(formula, program, formula.recorded(mode, instants[0]), None)
     _check_numbers(formula, instants, lambda t: (program, 0))
@@ -404,7 +401,6 @@ def _divisions_by_zero(formula: Formula, program: Program, instants: range) -> l
 
 
 def _few(instants: range) -> list[int]:
-    """The first, the middle and the last instant."""
     return sorted({instants[0], instants[len(instants) // 2], instants[-1]})
 
 

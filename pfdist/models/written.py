@@ -41,7 +41,6 @@ _WORDS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
 def _data_of(model: StateSpaceModel) -> dict[str, Any]:
-    """A recorded model as data for JSON."""
     data = {name: _plain(getattr(model, name)) for name in PLAIN}
     return data | {
         "proposal_noise": [],  # which versions before had, so that keys of models are as they were
@@ -92,7 +91,6 @@ def _plain(value: Any) -> Any:
 
 
 def _formula(model: StateSpaceModel, name: str) -> Any:
-    """A recorded formula; None for the squared error."""
     formula = getattr(model, name)
     if isinstance(formula, Declared):
         return {"declared": formula.identity, "results": results_of(model, name)}
@@ -222,7 +220,6 @@ def _read_formula(name: str, model: str, data: Any) -> Programs | Declared:
 
 
 def _read_identity(data: Any) -> dict[str, Any]:
-    """The identity that a batched model declares."""
     keys = {"version", "files", "libraries", "coupled", "together"}
     _need({*data} == keys, "an identity has other keys")
     _need(type(data["together"]) is int and data["together"] > 0, "together must be at least 1")

@@ -53,12 +53,11 @@ def gain_figure(tables: Tables, name: str) -> Plot:
 
 
 def title_of_gain(relative: Gain, which: str, reference: str) -> str:
-    """The share of draws in which a set has a lower error than the reference, in a sentence."""
+    """What the histogram shows, in a sentence."""
     if not relative.counts.any():
         return "No draw has a finite gain."
-    share = 100 * relative.positive / relative.relative.count
-    draws = f"{share:.1f} % of {relative.relative.count:,} draws"
-    return f"The error is lower with {which} than with {reference} in {draws}."
+    draws = f"{relative.relative.count:,} draws"
+    return f"How much lower the error is with {which} than with {reference}, in each of {draws}."
 
 
 def gain(

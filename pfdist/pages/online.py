@@ -168,7 +168,6 @@ def _draws_of(source: Run | OnlineDraws) -> OnlineDraws:
 
 
 def _styles(draws: OnlineDraws) -> dict[str, dict[str, Any]]:
-    """The styles of the sets of the run, and that of the online times."""
     return styles_of(draws.rows, [draws.reference, draws.plan, "online"])
 
 

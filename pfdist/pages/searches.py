@@ -31,7 +31,6 @@ from pfdist.pages.style import GREY
 from pfdist.problem.methods import METHODS
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import ComparisonStatistics, Run
-from pfdist.results.pairs import formatted_ranks
 from pfdist.results.stored_run import named_sets, own_estimation, statistics_of
 
 _PANEL, _LEGEND_LINE = 1.9, 0.15  # inches of a panel without its legend, and of a legend's line
@@ -310,7 +309,6 @@ def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     """Draw the expected MSE of each set, the best on top, and how far it is from the best.
 
     The bar of a set is the 95 % interval of the difference from the best set on the same draws.
-    The rank stands behind the name.
 
     Parameters
     ----------
@@ -341,14 +339,10 @@ def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
         )  # fmt: skip
     ax.set_ylim(len(table) - 0.5, -0.5)
     step = math.ceil(len(table) / _MOST_ROWS)
-    ranks_of = map(formatted_ranks, table["best_rank"], table["worst_rank"])
-    named = [
-        f"{styles[name]['label']}, {rank}"
-        for name, rank in zip(table["name"], ranks_of, strict=True)
-    ]
+    named = [styles[name]["label"] for name in table["name"]]
     ax.set_yticks(range(0, len(named), step), named[::step])
     ax.tick_params(axis="y", length=0)
     label_error(ax, table)
     ax.set_xlabel(ax.get_ylabel())
-    ax.set_ylabel("set, rank")
+    ax.set_ylabel("set")
     return ax

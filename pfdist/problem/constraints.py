@@ -348,22 +348,15 @@ def _check_limits(constraints: Constraints) -> None:
 
 def _check_budget_or_price(constraints: Constraints) -> None:
     """Refuse a budget with prices, and prices without a sum, not above 0 or of a wrong number."""
-    given = (constraints.measurement_budget, constraints.price, constraints.total_price)
-    if given == (None, None, None):
+    given = {
+        name: getattr(constraints, name) is not None
+        for name in ("measurement_budget", "price", "total_price")
+    }
+    if [*given.values()] not in ([True, False, False], [False, True, True]):
+        got = " and ".join(name for name, is_given in given.items() if is_given) or "none of them"
         raise MeasurementTimesError(
-            "measurement_budget must be given, or instead price and total_price"
+            f"measurement_budget must be given, or instead price and total_price, got {got}"
         )
-    if constraints.counted and given[1:] != (None, None):
-        name = "price" if constraints.total_price is None else "total_price"
-        raise MeasurementTimesError(
-            "measurement_budget must be given without price and total_price, "
-            f"got measurement_budget and {name}"
-        )
-    if None in given[1:] and not constraints.counted:
-        got, lacks = (
-            ("price", "total_price") if constraints.price is not None else ("total_price", "price")
-        )
-        raise MeasurementTimesError(f"{lacks} must be given with {got}")
     price, instants = constraints.price, constraints.possible
     if price is not None and len(price) != instants:
         raise MeasurementTimesError(

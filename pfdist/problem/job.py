@@ -41,6 +41,13 @@ if TYPE_CHECKING:  # a job is read without Numba
     from pfdist.models import NamedModel
 
 
+def _needs(what: str, *needed: tuple[bool, str]) -> None:
+    """Raise a `ValueError` about the first need that is not met."""
+    for is_met, text in needed:
+        if not is_met:
+            raise ValueError(f"{what} needs {text}")
+
+
 def override(data: dict[str, Any], change: str) -> None:
     """Change a value in the data of a job file, in place.
 
@@ -202,14 +209,10 @@ class Job(Section):
                 raise ValueError(
                     f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
                 )
-            if names.count(name) > 1:
+            if [*names, *named].count(name) > 1:
                 raise ValueError(
-                    f"search names must be unique, got {name!r} twice: give one of these searches "
-                    'another name with name = "..."'
-                )
-            if name in named:
-                raise ValueError(
-                    f"comparison.sets must have other names than the searches, got {name!r} in both"
+                    "names of searches and of comparison.sets must differ from each other, got "
+                    f'{name!r} twice: give a search another name with name = "..."'
                 )
         reference = self.comparison.reference
         if isinstance(reference, str) and reference not in (REGULAR, *named):
@@ -218,50 +221,46 @@ class Job(Section):
                 f"comparison.reference must be {REGULAR!r}, a list of times, for instance "
                 f"[0, 3, 6], or the name of a set of comparison.sets ({sets}), got {reference!r}"
             )
-        if not names and not named:
-            raise ValueError(
-                "search must name at least one search, unless comparison.sets gives sets to "
-                "compare, got none"
-            )
+        _needs("a job", (bool(names or named), "a search, or comparison.sets with sets to compare"))
         return self
 
     @model_validator(mode="after")
     def _can_have_scenarios(self) -> Self:
         if self.scenarios is None:
             return self
-        if self.online is not None and not self.scenarios.is_learned:
-            raise ValueError(
-                "a job with a section online must have no scenarios, or scenarios.filter = "
-                f"'learned', got {self.scenarios.filter!r}"
-            )
-        if self.budget is not None and self.scenarios.is_worst:
-            raise ValueError("a job with the worst scenario must have no section budget, got one")
-        for search in self.search:
-            if self.scenarios.is_worst and METHODS[search.method].additive and not search.polish:
-                others = ", ".join(name for name, each in METHODS.items() if not each.additive)
-                raise ValueError(
-                    "scenarios.criterion = 'worst' needs searches that compare whole sets "
-                    f"({others}), or polish = true, got {search.name} of method {search.method!r}: "
-                    "it adds errors of instants, so it can only optimise the mean"
-                )
+        if self.online is not None:
+            needed = f"no scenarios, or scenarios.filter = 'learned', got {self.scenarios.filter!r}"
+            _needs("online", (self.scenarios.is_learned, needed))
+        if self.scenarios.is_worst:
+            additive = [
+                each.name for each in self.search
+                if METHODS[each.method].additive and not each.polish
+            ]  # fmt: skip
+            others = ", ".join(name for name, each in METHODS.items() if not each.additive)
+            _needs(
+                "scenarios.criterion = 'worst'",
+                (self.budget is None, "a job without a section budget"),
+                (not additive, f"searches that compare whole sets ({others}), or polish = true, "
+                               f"got {', '.join(additive)}: errors of instants only add up to the "
+                               "mean"),
+            )  # fmt: skip
         return self
 
     @model_validator(mode="after")
     def _has_sets_of_every_number(self) -> Self:
         if self.budget is None:
             return self
-        if self.comparison.reference != REGULAR or self.comparison.named:
-            got = "comparison.sets" if self.comparison.named else "a single set of times"
-            raise ValueError(f"budget needs comparison.reference = {REGULAR!r}, got {got}")
-        if not self.problem.feasible.counted:
-            raise ValueError("budget needs problem.measurement_budget, got problem.total_price")
-        methods = [search.method for search in self.search]
-        if methods != [DEFAULT_METHOD]:
-            raise ValueError(
-                f"budget needs one search of method {DEFAULT_METHOD!r}, got {', '.join(methods)}"
-            )
-        if self.search[0].polish:
-            raise ValueError("budget needs a search with polish = false, got true")
+        methods, comparison = [search.method for search in self.search], self.comparison
+        is_regular = comparison.reference == REGULAR and not comparison.named
+        got = "comparison.sets" if comparison.named else "a single set of times"
+        _needs(
+            "budget",
+            (is_regular, f"comparison.reference = {REGULAR!r}, got {got}"),
+            (self.problem.feasible.counted, "problem.measurement_budget, got problem.total_price"),
+            (methods == [DEFAULT_METHOD],
+             f"one search of method {DEFAULT_METHOD!r}, got {', '.join(methods)}"),
+            (not any(each.polish for each in self.search), "a search with polish = false"),
+        )  # fmt: skip
         for number in (self.budget.least, self.budget.most):
             try:
                 self.feasible(number)
@@ -273,24 +272,18 @@ class Job(Section):
     def _has_draws_to_compare(self) -> Self:
         if self.online is None:
             return self
-        if self.budget is not None:
-            raise ValueError("online needs a job with one measurement budget, got a budget section")
-        if not self.search:
-            raise ValueError("online needs a search for the first plan, got search = []")
-        if any(search.name == ONLINE for search in self.search):
-            raise ValueError(f"online needs searches of other names, got a search {ONLINE!r}")
-        if ONLINE in self.comparison.named:
-            raise ValueError(f"online needs sets of other names, got comparison.sets.{ONLINE}")
-        if self.online.draws > self.comparison.draws:
-            raise ValueError(
-                f"online.draws must be at most comparison.draws = {self.comparison.draws}, got "
-                f"{self.online.draws}: the same draws are compared"
-            )
-        if self.comparison.until.half_width:
-            raise ValueError(
-                "online needs comparison.until.half_width = 0, got "
-                f"{self.comparison.until.half_width:g}: the comparison must not end early"
-            )
+        draws, until = self.comparison.draws, self.comparison.until.half_width
+        names = {*self.comparison.named, *(search.name for search in self.search)}
+        _needs(
+            "online",
+            (self.budget is None, "a job with one measurement budget, got a budget section"),
+            (bool(self.search), "a search for the first plan, got search = []"),
+            (ONLINE not in names, f"searches and sets of other names, got {ONLINE!r}"),
+            (self.online.draws <= draws, f"online.draws of at most comparison.draws = {draws}, got "
+                                         f"{self.online.draws}: the same draws are compared"),
+            (not until, f"comparison.until.half_width = 0, got {until:g}: the comparison must not "
+                        "end early"),
+        )  # fmt: skip
         return self
 
     @model_validator(mode="after")

@@ -150,7 +150,6 @@ def dotted(values: Values, before: str = "") -> dict[str, Any]:
 
 
 def _length(group: Values) -> int:
-    """Number of values of each key of a group."""
     lengths = {key: len(values) for key, values in group.items()}
     if len(set(lengths.values())) != 1:
         got = ", ".join(f"{count} of {key}" for key, count in lengths.items()) or "no key"

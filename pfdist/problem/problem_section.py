@@ -29,7 +29,7 @@ from pfdist.common.section import Listed, Section
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.constraints import Limit, Money, money
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.sections import Moment, is_list_of
+from pfdist.problem.sections import Moment, MomentsAndRanges, is_list_of
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.written import instants_of, measurements_of
 
@@ -39,7 +39,6 @@ _LONGEST_UNIT = 40  # characters
 _STEP = re.compile(rf"(\d{{1,9}}(?:\.\d{{1,9}})?) ?({'|'.join(SECONDS)})")
 _YEARS = (1000, 9000)  # of a clock with dates
 _Numbers = Listed[Moment]
-_Times = Listed[Annotated[Time | str, AfterValidator(plain_time)]]
 _Finite = int | Annotated[float, Field(allow_inf_nan=False)]
 _Price = Annotated[_Finite, AfterValidator(plain_time)]
 _Prices = Listed[_Price] | dict[str, _Price]
@@ -136,8 +135,8 @@ class SensorSection(Section):
     price: Annotated[_Finite | _Prices, AfterValidator(plain_time)] | None = _priced(
         "price", "cost"
     )
-    forbidden: _Times | None = None
-    allowed: _Times | None = None
+    forbidden: MomentsAndRanges | None = None
+    allowed: MomentsAndRanges | None = None
     most: _Budget | None = None
     minimum_spacing: Time | None = None
 
@@ -189,15 +188,15 @@ class ProblemSection(Section):
     times: Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS)] | None = None
     instant_weights: _Numbers | None = None
     measurement_budget: _Budget | None = None
-    forbidden: _Times | None = None
-    allowed: _Times | None = None
-    required: _Times | None = None
+    forbidden: MomentsAndRanges | None = None
+    allowed: MomentsAndRanges | None = None
+    required: MomentsAndRanges | None = None
     minimum_spacing: Moment | None = None
     price: _Prices | None = _priced("price", "cost")
     total_price: Annotated[Moment, Field(gt=0, lt=2**63)] | None = _priced(
         "total_price", "total_cost"
     )
-    sensors: dict[str, SensorSection] | None = None
+    sensors: Annotated[dict[str, SensorSection], Field(min_length=2)] | None = None
 
     @field_validator("horizon", "times", mode="before")
     @classmethod
@@ -219,14 +218,7 @@ class ProblemSection(Section):
     @field_validator("sensors", mode="before")
     @classmethod
     def _are_sensors(cls, value: Any) -> Any:
-        if is_list_of(value, str):
-            value = {name: {} for name in value}
-        if value is not None and not (isinstance(value, dict) and len(value) > 1):
-            raise ValueError(
-                "problem.sensors must be the names of two sensors or more, or a section for each "
-                f"of them, got {shown(value)}"
-            )
-        return value
+        return {name: {} for name in value} if is_list_of(value, str) else value
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:

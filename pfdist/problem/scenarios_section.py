@@ -12,7 +12,7 @@ from pfdist.common.scenario import Scenario
 from pfdist.common.section import Listed, Section
 from pfdist.common.streams import stream_key
 from pfdist.errors import shown
-from pfdist.problem.sections import Parameter, checked_parameters, is_list_of
+from pfdist.problem.sections import Parameter, is_list_of
 
 MOST_SCENARIOS = 100
 _DISTRIBUTIONS = (
@@ -76,7 +76,7 @@ class Scenarios(Section):
                 f"[{{ k = 1.0 }}, {{ k = 1.5 }}], or distributions, as k = {_DISTRIBUTIONS}, got "
                 f"{shown(value)}"
             )
-        return tuple(checked_parameters(each, "scenarios.parameters") for each in value)
+        return tuple(value)
 
     @model_validator(mode="after")
     def _fit(self) -> Self:
@@ -158,7 +158,6 @@ class Scenarios(Section):
 
     @property
     def _listed(self) -> Sequence[Mapping[str, Any]]:
-        """The parameters of each scenario."""
         if not isinstance(self.parameters, dict):
             return self.parameters
         columns = [
@@ -196,7 +195,6 @@ def _parts(name: str, count: int) -> list[float]:
 
 
 def _quantiles(kind: str, numbers: tuple[float, float], shares: Sequence[float]) -> list[float]:
-    """The quantiles of a distribution at these shares."""
     first, second = numbers
     if kind == "uniform":
         return [first + share * (second - first) for share in shares]

@@ -1,11 +1,10 @@
 """The sections of a job file other than [problem] and [[search]], with bounds and defaults."""
 
-import re
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from pfdist.common.clock import Time, plain_time
 from pfdist.common.measurement_times import REGULAR
@@ -22,7 +21,6 @@ REFERENCE: Final = "reference"  # name of a reference that the job gives, in tab
 MOST_SETS: Final = 100
 """Largest number of sets that a job may give by name; they form almost 5,000 pairs."""
 LONGEST_SET_NAME = 64  # characters, as a name of a table's column may have
-_SET_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{LONGEST_SET_NAME - 1}}}")
 RESERVED: Final = (REGULAR, REFERENCE, "comparison")
 """Names that no search may have, and no given set; only regular times may be called "regular"."""
 _LONGEST_TEXT = 4096  # characters of a path
@@ -34,68 +32,31 @@ else:
     PoolName = Literal[(AUTO_POOL, *POOLS)]
 
 
-def _checked_text(text: str) -> str:
-    if "\0" in text or len(text) > _LONGEST_TEXT:
-        raise ValueError(
-            f"names must have at most {_LONGEST_TEXT:,} characters, and none that is NUL, got "
-            f"{shown(text)}"
-        )
-    return text
-
-
 def is_list_of(value: Any, *kinds: type) -> bool:
     """Whether a value is a list whose entries have exactly one of these types."""
     return isinstance(value, list | tuple) and all(type(entry) in kinds for entry in value)
 
 
-def checked_parameters(values: Any, section: str) -> Any:
-    """Parameters, with tuples for lists; only numbers and lists of numbers are accepted."""
-    if not isinstance(values, dict):
-        return values
-    checked = {}
-    for name, given in values.items():
-        value = given.tolist() if hasattr(given, "tolist") else given
-        is_list = is_list_of(value, int, float) and len(value) > 0
-        if not is_list and type(value) not in (int, float):
-            raise ValueError(
-                f"{section}.{name} must be a number, a list with a number for each instant, or "
-                f'a column of a table, as {{file = "weather.csv", column = "rain"}}, got '
-                f"{shown(value)}"
-            )
-        checked[name] = tuple(map(float, value)) if is_list else float(value)
-    return checked
+def _plain_parameter(given: Any) -> Any:
+    value = given.tolist() if hasattr(given, "tolist") else given
+    return tuple(value) if isinstance(value, list) else value
 
 
-def _checked_set_name(name: Any) -> str:
-    if not (isinstance(name, str) and _SET_NAME.fullmatch(name)):
-        raise ValueError(
-            "names of comparison.sets must be lower-case letters, digits and underscores, a letter "
-            f"first and at most {LONGEST_SET_NAME}, got {shown(name)}"
-        )
-    return name
-
-
-def _written_times(name: str, written: Any) -> str | tuple[Any, ...]:
-    """The times of a set as the job writes them, of a right type; the clock reads them later."""
-    if name in RESERVED and not name == written == REGULAR:
-        raise ValueError(
-            f"comparison.sets must not name a set {name!r}, because pfdist uses this name; got "
-            f"{shown(written)}"
-        )
-    if isinstance(written, str):
-        return written if written == REGULAR else (written,)
-    if not is_list_of(written, int, float, str):
-        raise ValueError(
-            f"comparison.sets.{name} must be {REGULAR!r}, or times, as [0, 3, 6], and ranges, as "
-            f"'0:60:3', got {shown(written)}"
-        )
-    return tuple(map(plain_time, written))
+def _listed_times(written: Any) -> Any:
+    return (written,) if isinstance(written, str) and written != REGULAR else written
 
 
 Moment = Annotated[Time, AfterValidator(plain_time)]
 """A number as a job stores it, such as a time."""
-Parameter = float | tuple[float, ...]
-Text = Annotated[str, AfterValidator(_checked_text)]
+MomentsAndRanges = Listed[Annotated[Time | str, AfterValidator(plain_time)]]
+"""Times and ranges as a job stores them."""
+Parameter = Annotated[
+    float | Annotated[tuple[float, ...], Field(min_length=1)], BeforeValidator(_plain_parameter)
+]
+"""A number, or a number for each instant."""
+Text = Annotated[str, Field(max_length=_LONGEST_TEXT, pattern=r"^[^\x00]*$")]
+_SetName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=LONGEST_SET_NAME)]
+_SetTimes = Annotated[Literal["regular"] | MomentsAndRanges, BeforeValidator(_listed_times)]
 
 
 class FilterModel(Section):
@@ -111,11 +72,6 @@ class FilterModel(Section):
 
     name: Text = ""
     parameters: dict[str, Parameter] = Field(default_factory=dict)
-
-    @field_validator("parameters", mode="before")
-    @classmethod
-    def _are_numbers(cls, values: Any) -> Any:
-        return checked_parameters(values, "model.filter.parameters")
 
 
 class Model(Section):
@@ -134,11 +90,6 @@ class Model(Section):
     name: Text = "ungm"
     parameters: dict[str, Parameter] = Field(default_factory=dict)
     filter: FilterModel = FilterModel()
-
-    @field_validator("parameters", mode="before")
-    @classmethod
-    def _are_numbers(cls, values: Any) -> Any:
-        return checked_parameters(values, "model.parameters")
 
 
 class Filter(Section):
@@ -243,31 +194,26 @@ class Comparison(Section):
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     until: Until = Until()
-    reference: str | tuple[Time | str, ...] = REGULAR
-    sets: dict[str, Literal["regular"] | tuple[Time | str, ...]] | None = None
+    reference: str | MomentsAndRanges = REGULAR
+    sets: Annotated[dict[_SetName, _SetTimes], Field(max_length=MOST_SETS)] | None = None
     control: bool | None = None
 
-    @field_validator("reference", mode="before")
+    @field_validator("reference")
     @classmethod
-    def _is_name_or_times(cls, value: Any) -> Any:
-        if isinstance(value, str):
-            return value
-        if not is_list_of(value, int, float, str):
-            raise ValueError(
-                f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
-                f"[0, 3, 6], got {shown(value)}"
-            )
-        times = tuple(map(plain_time, value))
-        return times if any(isinstance(time, str) for time in times) else tuple(sorted(times))
+    def _are_sorted(cls, value: Any) -> Any:
+        is_text = isinstance(value, str) or any(isinstance(time, str) for time in value)
+        return value if is_text else tuple(sorted(value))
 
-    @field_validator("sets", mode="before")
+    @field_validator("sets")
     @classmethod
-    def _are_named_times(cls, sets: Any) -> Any:
-        if not isinstance(sets, dict):
-            return sets
-        if len(sets) > MOST_SETS:
-            raise ValueError(f"comparison.sets must have at most {MOST_SETS} sets, got {len(sets)}")
-        return {_checked_set_name(name): _written_times(name, sets[name]) for name in sets} or None
+    def _are_not_reserved(cls, sets: Any) -> Any:
+        for name in {*(sets or {})} & {*RESERVED}:
+            if not name == sets[name] == REGULAR:
+                raise ValueError(
+                    f"comparison.sets must not name a set {name!r}, because pfdist uses this name; "
+                    f"got {shown(sets[name])}"
+                )
+        return sets or None
 
     @property
     def named(self) -> dict[str, str | tuple[Time | str, ...]]:

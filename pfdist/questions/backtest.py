@@ -158,7 +158,7 @@ class Backtest(Shown):
                 "replicates": len(self.table) // len(self.sets),
                 "judged": self.judged,
                 "promises": {
-                    name: {"verdict": each.verdict, **vars(each), "deciding": each.deciding}
+                    name: {"verdict": each.verdict, **vars(each)}
                     for name, each in self.promises.items()
                 },
                 "sets": sets,

@@ -1,4 +1,4 @@
-"""The answer of a backtest in words: a verdict for each reference, errors of sets, a report."""
+"""The answer of a backtest in words: found gains, errors of sets, verdicts, a report."""
 
 import math
 from collections.abc import Iterator
@@ -9,20 +9,21 @@ from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.filters.filter_estimate import few_particles
-from pfdist.questions.backtest import CENTRED, FROM_START, Backtest
+from pfdist.questions.backtest import CENTRED, FROM_START, PLAN, Backtest
 from pfdist.questions.subject import change_of, number_of
-from pfdist.results.promise import KEPT, NOT_DECIDED, NOT_KEPT, NOTHING_FORESEEN, Promise
 
-_WORST_FIRST = (NOT_KEPT, NOT_DECIDED, NOTHING_FORESEEN, KEPT)
 _MUCH = 1000.0  # the end of an interval that says nothing
-_FAR_TOO_MANY = 100  # times as many replicates as there are
 _DEPENDENT = 0.3  # lag-1 correlation of differences
 _MEANING = (
     "Errors are squared errors of the filter's prediction, divided by the variance of what is "
-    "judged. A promise is kept if at least half of the foreseen difference of the errors is found, "
-    "with 95 % confidence, and not kept if clearly less is found."
+    "judged."
 )
-_VERDICTS = ("against", "foreseen gain", "found gain", "found / foreseen", "promise")
+_VERDICT_MEANING = (
+    "A promise is kept if at least half of the foreseen difference of the errors is found, with "
+    "95 % confidence, and not kept if clearly less is found."
+)
+_GAINS = ("against", "foreseen gain", "found gain")
+_VERDICTS = ("against", "found / foreseen", "promise")
 _SETS = (
     "times", "error", "foreseen", "error / foreseen", "in 90 % interval", "error without noise",
     "foreseen without noise",
@@ -30,9 +31,9 @@ _SETS = (
 
 
 def answer_of(answer: Backtest) -> Page:
-    """The answer of a terminal: a sentence for each reference, and two tables."""
-    section = Section("", [Text(_headline(answer), prominent=True), _verdicts(answer),
-                           _sets(answer), Facts(_facts(answer))])  # fmt: skip
+    """The answer of a terminal: the found gains in a sentence, and tables."""
+    section = Section("", [Text(_headline(answer), prominent=True), _gains(answer), _sets(answer),
+                           Facts(_facts(answer)), *_verdicts(answer)])  # fmt: skip
     place = ""
     if answer.files:
         kind = "Report" if answer.files[-1].suffix == ".html" else "Figure"
@@ -41,7 +42,7 @@ def answer_of(answer: Backtest) -> Page:
 
 
 def report_of(answer: Backtest) -> Page:
-    """The report: the verdict, the errors by replicate, and some replicates in full."""
+    """The report: the found gains, the errors by replicate, and some replicates in full."""
     # Not above: answers without pictures wait for no Matplotlib.
     from pfdist.pages.backtested import by_replicate, in_full  # noqa: PLC0415
     from pfdist.questions.pictures import picture  # noqa: PLC0415
@@ -49,8 +50,8 @@ def report_of(answer: Backtest) -> Page:
     errors = by_replicate(answer.table, answer.sets)
     full = in_full(answer.shown, answer.quantities[0], answer.time_unit)
     sections = [
-        Section("The verdict", [Text(_headline(answer), prominent=True), _verdicts(answer),
-                                Text(_MEANING)]),
+        Section("The answer", [Text(_headline(answer), prominent=True), _gains(answer),
+                               Text(_MEANING), *_verdicts(answer)]),
         Section("By replicate", [picture(errors, "replicates", "Real error against the error that "
                                          "the model foresaw, for each replicate.")]),
         Section("Is the model right?", [_sets(answer), Facts(_facts(answer))]),
@@ -60,7 +61,7 @@ def report_of(answer: Backtest) -> Page:
     ]  # fmt: skip
     replicates = number_of(_count(answer), "replicate")
     return Page(
-        "Does the plan keep its promise?",
+        "Does the plan help on real measurements?",
         f"A plan, judged by the measurements of {replicates}. {answer.data.name}, pfdist "
         f"{pfdist.__version__}",
         sections,
@@ -75,28 +76,19 @@ def _count(answer: Backtest) -> int:
 
 
 def _headline(answer: Backtest) -> str:
-    """Say for both grids, the worse first, whether the foreseen gain was found."""
-    grids = [(name, answer.promises[name]) for name in (FROM_START, CENTRED)]
-    grids.sort(key=lambda grid: (_WORST_FIRST.index(grid[1].verdict), grid[1].ratio))
-    said = [_sentence(answer.sets[name], each) for name, each in grids]
-    return " ".join(said)
-
-
-def _sentence(other: str, promised: Promise) -> str:
-    change = change_of(promised.found, [each if math.isfinite(each) else None
-                                        for each in promised.found_interval])  # fmt: skip
-    found = f"the error is {change.replace('few draws', 'few replicates')}"
-    foreseen = _foreseen(promised.foreseen, promised.foreseen_interval)
-    verdict = promised.verdict
-    if verdict == NOTHING_FORESEEN:
-        return f"No gain was foreseen against {other} (foreseen: {foreseen}); {found}."
-    said = f"{verdict.capitalize()} against {other}: {found}; the model foresaw {foreseen}"
-    if verdict != NOT_DECIDED or not promised.deciding:
-        return f"{said}."
-    if promised.deciding > _FAR_TOO_MANY * promised.replicates:
-        found_part = f"{100 * promised.ratio:.0f} % of the foreseen difference of the errors"
-        return f"{said}. Found was {found_part}, so near half that more replicates hardly decide."
-    return f"{said}. It takes about {promised.deciding:,} replicates to decide."
+    gains = []
+    for name in sorted((FROM_START, CENTRED), key=lambda name: answer.promises[name].found):
+        gain = answer.promises[name]
+        ends = [each if math.isfinite(each) else None for each in gain.found_interval]
+        change = change_of(gain.found, ends).replace("few draws", "few replicates")
+        gains.append(f"{change} than with {answer.sets[name]}")
+    ratio, (low, high) = answer.ratios[PLAN]
+    value, lowest, highest = with_interval(ratio, low, high)
+    interval = f" (95 % CI {lowest} to {highest})" if high < _MUCH else ""
+    return (
+        f"With the plan, the error is {', and '.join(gains)}. It is {value} times the error that "
+        f"the model foresees{interval}."
+    )
 
 
 def _foreseen(gain: float, interval: tuple[float, float]) -> str:
@@ -112,18 +104,29 @@ def _gain(gain: float, interval: tuple[float, float]) -> Cell:
     return Cell(f"{value} ({low} to {high}) %", gain)
 
 
-def _verdicts(answer: Backtest) -> Table:
+def _gains(answer: Backtest) -> Table:
     rows = [
         [
             Cell(answer.sets[name]),
             Cell(_foreseen(each.foreseen, each.foreseen_interval), each.foreseen),
             _gain(each.found, each.found_interval),
+        ]
+        for name, each in answer.promises.items()
+    ]
+    return Table("Gain of the plan (95 % CI)", _GAINS, rows)
+
+
+def _verdicts(answer: Backtest) -> list[Table | Text]:
+    rows = [
+        [
+            Cell(answer.sets[name]),
             Cell(_ratio(each.ratio, each.interval), each.ratio),
             Cell(each.verdict),
         ]
         for name, each in answer.promises.items()
     ]
-    return Table("Gain of the plan (95 % CI)", _VERDICTS, rows)
+    caption = "Whether half of the foreseen gain is found (95 % CI)"
+    return [Table(caption, _VERDICTS, rows, detail=True), Text(_VERDICT_MEANING, detail=True)]
 
 
 def _ratio(ratio: float, interval: tuple[float, float]) -> str:
@@ -173,7 +176,6 @@ def _facts(answer: Backtest) -> list[tuple[str, str]]:
 
 
 def _reasons(answer: Backtest) -> Iterator[str]:
-    """Each reason with the names of the replicates."""
     names = dict[str, list[str]]()
     for name, why in answer.left_out.items():
         names.setdefault(why, []).append(name)

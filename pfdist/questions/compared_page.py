@@ -1,4 +1,4 @@
-"""How sets compare: their ranks and pairs, in each scenario, and with times chosen online."""
+"""How sets compare: their order and pairs, in each scenario, and with times chosen online."""
 
 import math
 from collections import defaultdict
@@ -21,18 +21,13 @@ from pfdist.common.rounding import with_error
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import ERROR_HEAD, Subject, change_of, effect, number_of
 from pfdist.results.columns import COLUMNS, Row, interval_cell, rows_of
-from pfdist.results.pairs import formatted_ranks
 from pfdist.results.stored_run import named_sets
 
 _OF_A_SET = ("label", "measurements", "price", "expected_mse")
-_PAIRS_HEAD = (
-    "first", "second", "first minus second", "clear", "in % of second",
-    "draws where first is lower, %",
-)  # fmt: skip
-_RANKS_MEANING = (
-    "All sets filter the same draws, so differences are far more exact than the errors. A rank is "
-    "that of a set among those from which it differs clearly, so several may have the same. "
-    "Intervals in brackets are 95 % CIs for one set alone."
+_PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
+_SETS_MEANING = (
+    "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
+    "in brackets are 95 % CIs for one set alone."
 )
 _PAIRS_MEANING = (
     "If a difference is negative, the first set of the pair has the lower error. A difference is "
@@ -41,16 +36,18 @@ _PAIRS_MEANING = (
 
 
 def compared(subject: Subject) -> Section | None:
-    """The ranks and the pairs of a run whose job names sets."""
+    """The sets of a run whose job names sets, the best first, and their pairs."""
     run = subject.run
     if not (subject.is_compared and named_sets(run)):
         return None
     ranks, pairs = (rows_of(run.table(name)) for name in ("ranks", "pairs"))
     best_is_reference = ranks[0].name == subject.reference_row.name
     last = f"lower than {subject.reference_row.label} by, %"
-    head = ["rank", *(COLUMNS[name].head for name in _OF_A_SET), "above the best by, %", last]
+    head = [*(COLUMNS[name].head for name in _OF_A_SET), "above the best by, %", last]
     cells = [_set_row(subject, row, pairs, ranks[0].name) for row in ranks]
-    sets = Table(f"Ranks on {number_of(run.draws_compared, 'draw')}", head, cells, optional=[last])
+    sets = Table(
+        f"Best first, on {number_of(run.draws_compared, 'draw')}", head, cells, optional=[last]
+    )
     sets = without_column(sets, *([last] if best_is_reference else []))
     rows = [_pair_row(subject, pair) for pair in pairs]
     is_answer = not (subject.worst_decides or subject.found_rows)
@@ -58,9 +55,9 @@ def compared(subject: Subject) -> Section | None:
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),
         without_empty_columns(sets),
-        Text(_RANKS_MEANING, detail=True),
+        Text(_SETS_MEANING, detail=True),
         Figures(["compared"] if subject.found_rows else ["times", "compared"]),
-        Table("Pairs of sets", _PAIRS_HEAD, rows, detail=True, optional=_PAIRS_HEAD[:-4:-1]),
+        Table("Pairs of sets", _PAIRS_HEAD, rows, detail=True, optional=_PAIRS_HEAD[:-3:-1]),
         Text(_PAIRS_MEANING, detail=True),
     ]
     return Section("How the sets compare", blocks)
@@ -106,7 +103,6 @@ def _set_row(subject: Subject, row: Row, pairs: Sequence[Row], best: str) -> lis
     gain, low, high = _lower(pairs, row.name, best)
     above = (None if each is None else -each for each in (gain, high, low))
     return [
-        Cell(formatted_ranks(row.best_rank, row.worst_rank), row.best_rank),
         *(COLUMNS[name].cell(of_set) for name in _OF_A_SET),
         interval_cell(*above, is_percent=True) if row.difference else Cell(""),
         COLUMNS["gain_of_means"].cell(of_set),
@@ -116,13 +112,11 @@ def _set_row(subject: Subject, row: Row, pairs: Sequence[Row], best: str) -> lis
 def _pair_row(subject: Subject, pair: Row) -> list[Cell]:
     gains = (pair.gain_of_means, pair.gain_of_means_high, pair.gain_of_means_low)
     relative = (None if gain is None else -gain for gain in gains)
-    wins = (pair.first_wins, pair.first_wins_low, pair.first_wins_high)
     return [
         *(Cell(subject.rows[name].label) for name in (pair.first, pair.second)),
         interval_cell(pair.difference, pair.low, pair.high),
         Cell("yes" if pair.clear else "no"),
         interval_cell(*relative, is_percent=True),
-        interval_cell(*wins, is_percent=True),
     ]
 
 
@@ -224,7 +218,7 @@ def parameters_text(parameters: Mapping[str, Any]) -> str:
 
 # --- times chosen one after another ---------------------------------------------------------------
 
-_SHOWN = ("label", "expected_mse", "gain_of_means", "positive_fraction")
+_SHOWN = ("label", "expected_mse", "gain_of_means")
 _NOTHING = dict.fromkeys(_SHOWN)
 _FIGURES = ("online_gain", "online_times", "online_draw")
 
@@ -240,7 +234,7 @@ def online(subject: Subject) -> Section | None:
     rows = [Row(**_NOTHING | each | {"label": labels[each["name"]]}) for each in sets]
     table = Table(
         f"Expected MSE on {number_of(result['draws'], 'draw')}",
-        ("times", ERROR_HEAD, "online is lower by, %", "draws where online is lower, %"),
+        ("times", ERROR_HEAD, "online is lower by, %"),
         [[COLUMNS[name].cell(row) for name in _SHOWN] for row in rows],
     )
     meaning = (

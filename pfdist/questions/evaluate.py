@@ -152,7 +152,6 @@ def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Tim
 def _evaluated(
     built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool
 ) -> dict[str, Evaluation]:
-    """The evaluation of each set by name, with times on the clock."""
     evaluator, times, count = built.evaluator, tuple(sets.values()), len(sets)
     exact, scenarios, errors = [None] * count, None, np.empty(0)
     if evaluator.exact:

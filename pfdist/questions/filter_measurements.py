@@ -274,7 +274,6 @@ def filter_measurements(
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
-    """The estimate of the filter at each instant, by the measurements up to it."""
     measured = dict(zip(rows.t, rows.y, strict=True))
     for t in range(filtering.now.t, filtering.horizon + 1):
         known = t in measured  # the answer warns

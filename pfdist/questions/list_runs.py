@@ -13,7 +13,6 @@ from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError, reason_of, relative
 from pfdist.results import Run, open_run
 from pfdist.results.columns import Row
-from pfdist.results.pairs import formatted_ranks
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.summary import summary_of
 from pfdist.store import is_held
@@ -124,7 +123,8 @@ def _found(run: Run) -> dict[str, Any]:
         found |= {"gain_of_means": gain, "found": words}
     elif found["has_budget"]:
         numbers = [row.measurements for row in rows]
-        found["found"] = f"{formatted_ranks(min(numbers), max(numbers))} measurements"
+        ends = dict.fromkeys([min(numbers), max(numbers)])
+        found["found"] = f"{' to '.join(map(str, ends))} measurements"
     return found
 
 

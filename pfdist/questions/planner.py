@@ -236,7 +236,6 @@ class Planner:
         ]
 
     def _on_clock(self, estimate: Estimate) -> Estimate:
-        """An estimate whose times are on the clock."""
         time: Any = self.clock.time(estimate.t)
         few: Any = None if estimate.collapsed is None else self.clock.time(estimate.collapsed)
         return replace(estimate, t=time, collapsed=few)

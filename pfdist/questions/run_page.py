@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from pfdist.common.parts import (
@@ -48,7 +47,6 @@ from pfdist.questions.subject import (
 from pfdist.questions.why_page import worth
 from pfdist.results import Run
 from pfdist.results.columns import COLUMNS, Row, sets_table
-from pfdist.results.moments import quantile_name
 from pfdist.results.stored_run import (
     copies_of,
     evaluations_of,
@@ -65,22 +63,14 @@ _LOOKS_BETTER = (
     "on the same draws. Picking the best of several sets makes it look slightly better than it is."
 )
 _BY_EXACT_ERRORS = "by their expected MSEs, which are exact."
-_GAINS_SHOWN = (
-    "label", "expected_mse", "gain_of_means", "positive_fraction", "mean_relative_gain",
-)  # fmt: skip
+_GAINS_SHOWN = ("label", "expected_mse", "gain_of_means")
 _GAINS = (
     "The expected MSE is the mean over all draws, with its standard error. The next column is how "
-    "much lower it is than that of the first row. The mean gain is the mean of the relative "
-    "gains of single draws, 1 - MSE / MSE of the first row, as in the paper. Intervals in brackets "
-    "are 95 % CIs."
-)
-_WHY_GAINS_DISAGREE = (
-    " In a draw the MSE can fall by at most 100 % but rise by more, which pulls this mean down. "
-    "The gain of the expected MSE weighs each draw by its error."
+    "much lower it is than that of the first row. Intervals in brackets are 95 % CIs."
 )
 _PAPERS: tuple[Any, ...] = "ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular"
 _PAPER_PRINTS = (
-    " The paper prints 27.7 % and 87.5 % (500 particles, 1,000 draws, 25 generations of 50 sets)."
+    "The paper prints 27.7 % and 87.5 % (500 particles, 1,000 draws, 25 generations of 50 sets)."
 )
 _SEARCHES_HEAD = (
     "search", "method", "sets evaluated", COLUMNS["search_mse"].head, "against fresh draws", "why",
@@ -250,16 +240,10 @@ def gains(subject: Subject) -> Section | None:
         return None
     draws = number_of(subject.run.draws_compared, "draw")
     fresh = " that took no part in the search" if found_sets(subject.run) else ""
-    is_detail = bool(named_sets(subject.run))  # the ranks say it then
-    heads = [COLUMNS[name].head for name in _GAINS_SHOWN]
-    table = sets_table(
-        f"Expected MSE on {draws}{fresh}", subject.rows.values(), _GAINS_SHOWN,
-        optional=[heads[-1], heads[-2]], detail=is_detail,
-    )  # fmt: skip
+    table = sets_table(f"Expected MSE on {draws}{fresh}", subject.rows.values(), _GAINS_SHOWN)
+    said: list[Block] = [table, *_papers_gains(subject), Text(_GAINS, detail=True)]
     blocks: list[Block] = [
-        table,
-        *(replace(text, detail=is_detail) for text in _relative_gains(subject)),
-        Text(_GAINS, detail=True),
+        *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it
         *_degenerate(subject),
         *_broken(subject),
         Figures(["gain", "draw"], subject.shown),
@@ -270,32 +254,21 @@ def gains(subject: Subject) -> Section | None:
     return Section("What the times gain", blocks)
 
 
-def _relative_gains(subject: Subject) -> Iterator[Text]:
-    """The mean gain of the paper's search, and why that of the best set differs from its gain."""
-    job, noise = subject.run.job, subject.reference_row.gain_over_itself
+def _papers_gains(subject: Subject) -> Iterator[Text]:
+    """The gain that the paper prints, where a run repeats the paper's experiment."""
+    job = subject.run.job
     model = job["model"]
-    papers = {each["name"] for each in job.get("search", ()) if each["method"] == "genetic"}
     experiment = model["name"], model["parameters"], job["problem"], job["comparison"]["reference"]
-    best = subject.by_error[0] if subject.found_rows else ""
-    for name, row in subject.rows.items():
-        disagree = row.gains_disagree and name == best
-        if name not in papers and not disagree:
-            continue
-        share = percent(row.positive_fraction, 1)
-        gain, phrase = _mean_relative_gain(row), phrase_of(row.label)
-        text = f"The mean relative gain of {phrase} is {gain}; {share} of the draws gain."
-        if name in papers and experiment == _PAPERS:
-            text += _PAPER_PRINTS
-        if disagree:
-            text += _WHY_GAINS_DISAGREE
-            if noise:
-                text += f" Two filters with the same times would give {percent(noise)}."
-        yield Text(text)
-
-
-def _mean_relative_gain(row: Row) -> str:
-    ends = [row.mean_relative_gain_low, row.mean_relative_gain_high]
-    return percent_with_interval(row.mean_relative_gain, ends)
+    if experiment != _PAPERS:
+        return
+    for search in job["search"]:
+        if search["method"] == "genetic" and (row := subject.rows.get(search["name"])):
+            ends = [row.mean_relative_gain_low, row.mean_relative_gain_high]
+            gain = percent_with_interval(row.mean_relative_gain, ends)
+            yield Text(
+                f"The mean relative gain of {phrase_of(row.label)} is {gain}; "
+                f"{percent(row.positive_fraction, 1)} of the draws gain. {_PAPER_PRINTS}"
+            )
 
 
 def _degenerate(subject: Subject) -> list[Text]:
@@ -316,24 +289,12 @@ def _broken(subject: Subject) -> Iterator[Text]:
 
 
 def _details(row: Row) -> Facts:
-    """Remaining results of a set."""
     facts = list[tuple[str, str]]()
     if row.description:
         facts.append(("what it is", row.description))
     if row.particle_loss is not None and row.particle_loss_limit is not None:
         loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
         facts.append(("error due to finite particles", loss))
-    if row.reference is not None:
-        facts.append(("mean relative gain", _mean_relative_gain(row)))
-        quartiles = (getattr(row, quantile_name(share)) for share in (0.25, 0.5, 0.75))
-        facts.append(("quartiles of gains", ", ".join(percent(each, 1) for each in quartiles)))
-        facts.append(
-            ("mean log10 of the ratio of MSEs", COLUMNS["mean_log10_ratio"].cell(row).text)
-        )
-    if row.gain_over_itself_draws is not None:
-        ends = [row.gain_over_itself_low, row.gain_over_itself_high]
-        itself = percent_with_interval(row.gain_over_itself, ends)
-        facts.append(("mean gain over itself, by other noise", itself))
     return Facts(facts, f"More about {phrase_of(row.label)}", detail=True)
 
 

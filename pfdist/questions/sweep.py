@@ -244,7 +244,6 @@ def _seconds_a_step(built: Built) -> float:
 
 
 def _state(folder: Path, job: Job) -> str:
-    """How far the run of a point is."""
     if not holds_run(folder):
         return "none"
     recorded, wanted = read_recorded(folder)[1], job.identity()

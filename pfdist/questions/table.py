@@ -142,7 +142,6 @@ def _write_parquet(frame: pd.DataFrame, path: Path) -> None:
 
 
 def _arrow(column: "pd.Series[Any]") -> pa.Array:
-    """A column as Arrow holds it; values of different types become texts."""
     if pd.api.types.is_float_dtype(column):
         return pa.array(column.to_numpy(), from_pandas=True)
     values = [None if is_missing(value) else value for value in column.tolist()]

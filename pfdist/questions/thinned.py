@@ -143,7 +143,6 @@ def matched_of(
 
 
 def _wanted(times: Times, clock: Clock) -> list[tuple[float, int]]:
-    """The time and the sensor of each possible measurement."""
     sensors = max(1, len(clock.sensors))
     return [(clock.times[number // sensors], number % sensors) for number in times]
 

@@ -166,11 +166,10 @@ _DECLARED = [
     ),
     Column(
         name="positive_fraction", has_interval=True, is_percent=True,
-        head="draws with a lower MSE, %",
         meaning="share of draws with a positive relative gain; interval by Wilson",
     ),
     Column(
-        name="mean_relative_gain", has_interval=True, is_percent=True, head="mean gain, %",
+        name="mean_relative_gain", has_interval=True, is_percent=True,
         meaning="mean of 1 - mse / mse of the reference over the draws, the paper's figure; filter "
         "noise biases it low; interval by Student's t",
     ),

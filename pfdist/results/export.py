@@ -32,13 +32,9 @@ def checked_export(path: str | Path, clock: Clock) -> Path:
     """
     file = path_argument("export", path)
     kind = file.suffix.lower()
-    if kind not in _KINDS:
+    if kind not in _KINDS or (kind == ".ics" and not clock.calendar):
         raise ArgumentError(
-            f"export must end in {' or '.join(_KINDS)}, got {shown(str(path))}", argument="export"
-        )
-    if kind == ".ics" and not clock.calendar:
-        raise ArgumentError(
-            f"export must end in .csv, or the job must have problem.clock.start, got "
+            "export must end in .csv, or in .ics if the job has problem.clock.start, got "
             f"{shown(str(path))}",
             argument="export",
         )

@@ -188,17 +188,6 @@ def ranks_table(pairs: pd.DataFrame, errors: Mapping[str, tuple[float, float]]) 
     return pd.DataFrame(rows, columns=list(RANK_COLUMNS))
 
 
-def formatted_ranks(best: int, worst: int) -> str:
-    """An interval of ranks as text.
-
-    Examples
-    --------
-    >>> formatted_ranks(1, 1), formatted_ranks(2, 3)
-    ('1', '2 to 3')
-    """
-    return str(best) if best == worst else f"{best} to {worst}"
-
-
 # --- of a run -------------------------------------------------------------------------------------
 
 

@@ -21,7 +21,6 @@ HALF = 0.5
 """A promise is kept if at least this part of the foreseen gain is found."""
 LEAST_GAIN = 0.02
 """A smaller foreseen gain is no promise."""
-_ROUNDED = 100  # a larger number of replicates is rounded to two digits
 _FEWEST = 2  # blocks that have an interval
 _Z = 1.959963984540054  # of a 95 % interval from very many draws
 
@@ -83,17 +82,6 @@ class Promise:
         if low >= HALF:
             return KEPT
         return NOT_KEPT if high < HALF else NOT_DECIDED
-
-    @property
-    def deciding(self) -> int | None:
-        """Number of replicates that would decide, if the ratio stays; None if it is unknown."""
-        low, high = self.interval
-        width = self.ratio - low if self.ratio > HALF else high - self.ratio
-        apart = abs(self.ratio - HALF)
-        if not (math.isfinite(width) and apart):
-            return None
-        needed = max(self.replicates + 1, math.ceil(self.replicates * (width / apart) ** 2))
-        return int(float(f"{needed:.2g}")) if needed > _ROUNDED else needed
 
 
 def promise(plan: Errors, other: Errors, block: int = 1) -> Promise:
@@ -165,7 +153,6 @@ def _error_by_model(foreseen: Array) -> float:
 
 
 def _pairs(x: Array, y: Array, block: int) -> Pairs:
-    """The moments of the means of blocks."""
     blocks = np.array_split(np.stack([x, y]), max(1, x.size // block), axis=1)
     pairs = Pairs()
     pairs.add(*np.array([each.mean(axis=1) for each in blocks]).T)

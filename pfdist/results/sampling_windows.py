@@ -166,7 +166,6 @@ def sentences(rows: Rows, unit: str = "") -> list[str]:
 
 
 def _listed(windows: Sequence[SamplingWindow]) -> str:
-    """The measurements of some windows in words."""
     if windows[0].sensor:
         return formatted_times(window.measurement for window in windows)
     places = {window.t: window.inside[window.t] for window in windows}

@@ -94,7 +94,6 @@ def _typed(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _given(run: StoredRun) -> Iterable[Results]:
-    """The results of each set before the comparison."""
     problem = problem_of(run)
     for entry in run.table("compared").to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
@@ -160,14 +159,12 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
 
 
 def _exact(name: str, value: float) -> Results:
-    """An exact value, with its interval of one point."""
     return {name: value, f"{name}_low": value, f"{name}_high": value}
 
 
 def _add_results(
     run: StoredRun, rows: dict[str, Results], statistics: ComparisonStatistics
 ) -> None:
-    """Add the results of the compared draws to the rows of the sets."""
     for name, row in rows.items():
         row["draws"] = statistics.mse[name].count
         row["degenerate_draws"] = statistics.degenerate_draws[name]

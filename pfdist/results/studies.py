@@ -144,7 +144,6 @@ def _average(
 
 
 def _own_interval(row: Mapping[Any, Any], value: str) -> tuple[float, float]:
-    """The 95 % interval of a result in a row."""
     error = row.get(_ERRORS.get(value, ""), math.nan)
     if not is_missing(error):
         return Estimate(row[value], error).interval()

@@ -183,12 +183,10 @@ def _real(work: ReplicateWork) -> tuple[Array, int, int]:
 
 
 def _estimates(filtered: Sequence[Filtered]) -> Array:
-    """The filter's mean of z with each set, (S, D, T+1, q)."""
     return np.stack([each.estimate for each in filtered if each.estimate is not None])
 
 
 def _filtered(evaluator: Evaluator, draws: Draws, work: ReplicateWork) -> list[Filtered]:
-    """The results of the filter with each set."""
     engine, settings = evaluator.computed_by, evaluator.settings(work.estimation)
     return [
         engine.filters.filter_checked_draws(

@@ -146,7 +146,6 @@ def ways_out(built: Built) -> str:
 
 
 def _range_rows(names: Sequence[str], ranges: Sequence[Range]) -> pa.Table:
-    """Rows of the table ``range_sums``, in order of the sets."""
     rows = [
         {"position": place, "name": name, "draw": first, "draws": draws, "sums": sums[place]}
         for place, name in enumerate(names)
@@ -156,7 +155,6 @@ def _range_rows(names: Sequence[str], ranges: Sequence[Range]) -> pa.Table:
 
 
 def _result(rows: pa.Table) -> Result:
-    """The result from which these rows were made."""
     names = rows.column_names
     mse, control, degenerate = (
         np.array([rows[name].to_numpy() for name in names if name.startswith(start)]).T

@@ -348,12 +348,10 @@ class Prover:
 
     @property
     def _streams(self) -> tuple[int, int]:
-        """Keys of the noise of the filters and of the draws."""
         seed = self._built.job.seed
         return stream_of("bound", seed, "filter"), stream_of("bound", seed, "draws")
 
     def _columns(self, compared_draws: int) -> dict[str, Any]:
-        """The columns that all rows of one proof share."""
         return {
             "window": self.settings.window,
             "work": self._most_steps,
@@ -364,7 +362,6 @@ class Prover:
         }
 
     def _rows(self, looks: list[Look], compared_draws: int) -> pa.Table:
-        """Rows of the table ``bound``."""
         relaxation = self.relaxation
         sizes = {"windows": len(relaxation.windows), "longest_gap": relaxation.longest_gap}
         shares = {"shares": self.shares} if self.shares else {}

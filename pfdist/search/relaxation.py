@@ -381,7 +381,6 @@ def _longest_gap(
 
 
 def _cells(constraints: Constraints, window: int, longest_gap: int) -> int:
-    """About how many errors count."""
     instants, sensors = constraints.horizon + 1, constraints.sensors
     windows = instants * sensors * (longest_gap * sensors) ** (window - 1)
     return int(windows * longest_gap) + instants**2 * sensors

@@ -153,7 +153,6 @@ def forget_pages(folder: Path, *names: str) -> None:
 
 
 def _content(listing: Listing) -> dict[str, Any]:
-    """The content of files.json, as JSON has it."""
     about = {name: [*hashes] for name, hashes in listing.about.items()}
     content = {**asdict(listing), "files": sorted(listing.files), "about": about}
     text = json.dumps(content, sort_keys=True)

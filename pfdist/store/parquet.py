@@ -340,7 +340,6 @@ class Store:
         return set(filter(_is_own, found))
 
     def _listed(self) -> set[Path]:
-        """Published files, as files.json lists them."""
         listing = read_listing(self.path)
         return set() if listing is None else {self.path / name for name in listing.files}
 

@@ -460,7 +460,6 @@ class ClockColumns:
 
     @cached_property
     def _dates(self) -> list[str]:
-        """The date of each instant; empty if the unit has no start."""
         has_start = calendar_of(self.unit) is not None
         return [formatted_time(time, self.unit) for time in self.times] if has_start else []
 

@@ -56,7 +56,6 @@ def test_a_report_is_written_unless_it_is_declined() -> None:
     "line",
     [
         "evaluate a.toml --times 0 x",
-        "evaluate a.toml --times 0,x",
         "evaluate a.toml --times",
         "evaluate a.toml b.toml --times 0",
         "evaluate --job a.toml --times 0",

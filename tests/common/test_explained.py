@@ -1,4 +1,4 @@
-"""Validation errors are explained from their types, in words that pydantic did not write.
+"""Validation errors are a sentence: in our words for the commonest mistakes, else in pydantic's.
 
 A misspelt name is followed by the name that was meant, or by nothing.
 """
@@ -10,7 +10,6 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import PydanticCustomError
 
 from pfdist.common.nearest import did_you_mean, did_you_mean_path, quoted_names
 from pfdist.common.section import Arguments, Whole, checked, explained
@@ -51,23 +50,19 @@ def sentence(data: dict[str, Any]) -> str:
     ("key", "value", "said"),
     [
         ("whole", 0, "whole must be at least 1, got 0"),
-        ("whole", 2**63, f"whole must be less than {2**63:,}, got {2**63}"),
+        ("whole", 2**63, f"whole must be less than {2**63}, got {2**63}"),
         ("whole", 1.0, "whole must be an integer, got 1.0"),
-        ("whole", "1", "whole must be an integer, got '1'"),
         ("even", 7, "even must be a multiple of 2, got 7"),
-        ("share", 0.0, "share must be greater than 0, got 0.0"),
         ("share", 1.5, "share must be at most 1, got 1.5"),
         ("share", "x", "share must be a number, got 'x'"),
-        ("finite", float("nan"), "finite must be a finite number, got nan"),
         ("flag", 1, "flag must be true or false, got 1"),
-        ("name", "A", "name must be a string that matches ^[a-z]+$, got 'A'"),
-        ("name", "abcdef", "name must be at most 5 characters long, got 'abcdef'"),
-        ("name", 3, "name must be a string, got 3"),
+        ("name", "A", "name: String should match pattern '^[a-z]+$', got 'A'"),
         ("kind", "new", "kind must be 'fresh' or 'common', got 'new'"),
-        ("several", [], "several must be a list of at least 1 entries, got []"),
-        ("several", [1, 2, 3], "several must be a list of at most 2 entries, got [1, 2, 3]"),
-        ("several", 3, "several must be a list, got 3"),
-        ("parameters", 3, "parameters must be a section, got 3"),
+        (
+            "several",
+            [],
+            "several: List should have at least 1 item after validation, not 0, got []",
+        ),
         ("inner", 3, "inner must be a section, got 3"),
         (
             "inner",
@@ -88,19 +83,11 @@ def sentence(data: dict[str, Any]) -> str:
             "either: got 'atuo'; did you mean 'auto'? Allowed: an integer or 'auto'",
         ),
         ("entries", (1, 2.5), "each entry of entries must be an integer or a string, got 2.5"),
-        ("prices", 3, "prices must be a list or a section, got 3"),
         ("prices", {"a": "x"}, "prices must be a number, got 'x'"),
-        ("zzz", 3, f"unknown key 'zzz', allowed: {', '.join(Section.model_fields)}"),
     ],
 )
 def test_each_type_of_error_has_its_own_words(key: str, value: object, said: str) -> None:
     assert sentence({key: value}) == said
-
-
-def test_an_unknown_type_of_error_is_named() -> None:
-    details = [{"type": PydanticCustomError("strange", "prose"), "loc": ("a",), "input": 3}]
-    error = ValidationError.from_exception_data("Section", details)  # type: ignore[arg-type]
-    assert explained(error, Section) == "a must be valid (strange), got 3"
 
 
 @checked

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from pfdist.cli.commands import COMMANDS
-from pfdist.cli.program import arguments_of, program
+from pfdist.cli.program import program
 
 every = pytest.mark.parametrize("name", COMMANDS)
 COLUMNS = 80
@@ -26,10 +26,8 @@ def test_one_sentence_describes_it_and_begins_the_docstring_of_its_function(name
 
 @every
 def test_every_argument_is_described(name: str) -> None:
-    described = dict(arguments_of(program(), name))
-    assert [
-        words for words, text in described.items() if not text.partition("(default")[0].strip()
-    ] == []
+    arguments = program()[name].assemble_argument_collection(parse_docstring=True)
+    assert [each.name for each in arguments if not each.parameter.help] == []
 
 
 @every
@@ -40,18 +38,21 @@ def test_its_help_fits_a_terminal_says_whether_it_goes_on_and_ends_with_examples
     assert (code, error) == (0, "")
     assert max(map(len, text.splitlines())) <= COLUMNS
     words = " ".join(text.split())
-    assert words.startswith(COMMANDS[name].sentence)
-    assert f"usage: pfdist {name} " in words
+    assert words.startswith(f"Usage: pfdist {name} ")
+    function = pkgutil.resolve_name(COMMANDS[name].function)
+    about = (inspect.getdoc(function) or "").partition("\nParameters\n---")[0]
+    assert " ".join(about.replace("``", "").split()) in words
     assert ("the same command resumes" in words) is COMMANDS[name].resumes
     examples = COMMANDS[name].examples
     assert examples
     assert all(f"pfdist {name}" in line for line in examples)
-    expected = [text for line, does in examples.items() for text in (f"  # {does}", f"  {line}")]
-    assert text.partition("\nexamples:\n")[2].splitlines() == expected
+    expected = [text for line, does in examples.items() for text in (f" # {does}", f" {line}")]
+    shown = text.partition("\nExamples:")[2].splitlines()
+    assert [each.rstrip() for each in shown if each.strip()] == expected
 
 
 @every
 def test_an_unknown_option_is_refused_with_2(name: str, call: Call) -> None:
     code, _, error = call(name, "--unknown-option")
     assert code == 2
-    assert error.startswith(f"pfdist {name}: error: unknown option --unknown-option")
+    assert error.startswith(f"pfdist {name}: error: Unknown option: --unknown-option")

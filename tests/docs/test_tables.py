@@ -12,7 +12,6 @@ import pytest
 
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
-from pfdist.cli.program import arguments_of, program
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
 from pfdist.kernels.schemes import SCHEMES
@@ -107,10 +106,9 @@ def test_the_reference_has_every_table_column_and_option(tables: ModuleType) -> 
             generic = re.sub("(regular|relaxation|genetic)", "SET", column.name)
             assert re.search(rf"\| `{generic}` \| .* \|", columns), (path.name, column.name)
     usage = tables.usage()
-    app = program()
     for name in COMMANDS:
         assert f"## {name}\n" in usage
-        assert all(f"| `{words}` |" in usage for words, _ in arguments_of(app, name))
+        assert all(f"| `{words}` |" in usage for words, _ in tables.arguments_of(name))
 
 
 def test_a_measured_number_with_an_error_stands_in_a_made_table_or_in_what_a_command_prints() -> (

@@ -128,22 +128,12 @@ COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
         (HEAD, "the table must have rows, got none"),
         ("day;t;y0\na;0;1", "the column t is missing, got day;t;y0; columns must be separated by "
                             "commas; decimals have a point"),
-        (f"{HEAD}\na,0,high", "column 'y0' in row 1 must be a number, got 'high'"),
-        (f"{HEAD}\na,0\na,1,2,3", "lines must have as many values as the first"),
         (f"{HEAD}\n,0,1", "column 'day' must not be empty, got nothing in row 1"),
-        (f"{HEAD}\na,0,1\nNaN,0,1", "column 'day' must not be empty, got nothing in row 2"),
-        (f"{HEAD},y0\na,0,1,2", "the columns must have different names, got 'y0' twice"),
         ("day,y0\na,1", "the column t is missing, got day, y0"),
-        ("day,t\na,1", "replicate 'a': the columns must be t, y0 or t, y_turbidity, got 't'"),
-        (f"{HEAD},y_turbidity\na,0,1,1", "the columns must be t, y0 or t, y_turbidity, got 't, y0, "
-                                         "y_turbidity'"),
         (f"{HEAD},nois\na,0,1,1", f"unknown column 'nois'; did you mean 'noise'? Columns: "
                                   f"{COLUMNS}"),
-        (f"{HEAD},sensor\na,0,1,1", f"unknown column 'sensor'. Columns: {COLUMNS}"),
-        (f"{HEAD},y1\na,0,1,1", f"unknown column 'y1'. Columns: {COLUMNS}"),
         ("t,y0\n0,1", "replicate must be a column with names of systems: the table has none, got "
                       "'t'"),
-        ("t,day,y0\n0,a,1", "replicate must be a column with names of systems: day, got 't'"),
         (f"{HEAD},z0,z_turbidity\na,0,1,1,1", "columns of z must be z0 or z_turbidity, got z0, "
                                               "z_turbidity"),
         (f"{HEAD},z0\na,0,1,inf", "replicate 'a': z0 must have one finite value at each time, got "
@@ -152,14 +142,9 @@ COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
                                          "twice"),
         (f"{HEAD}\na,0,inf", "replicate 'a': a measurement must be finite, or NaN where a "
                              "component is missing, got y0 = inf at t = 0"),
-        (f"{HEAD}\na,,1", "replicate 'a': t must be an integer, got nan"),
         (f"{HEAD}\na,1.5,1", "replicate 'a': t must be an integer, got 1.5"),
         (f"{HEAD}\na,0,1\na,5,1", "replicate 'a': t must lie in 0..4, got 5"),
-        (f"{HEAD}\na,-1,1", "replicate 'a': t must lie in 0..4, got -1"),
-        (f"{HEAD},train\na,0,1,2", "replicate 'a': train must be 0 or 1 in all rows, got [2.0]"),
         (f"{HEAD},train\na,0,1,0\na,1,1,1", "train must be 0 or 1 in all rows, got [0.0, 1.0]"),
-        (f"{HEAD},train\na,0,1,yes", "column 'train' in row 1 must be a number, got 'yes'"),
-        (f"{HEAD},train\na,0,1,", "train must be 0 or 1 in all rows, got [nan]"),
         (f"{HEAD},noise\na,0,1,\na,1,1,1", "replicate 'a': noise must be a finite number in all "
                                            "rows, got nan"),
         (f"{HEAD},noise\na,0,1,.1\na,2,1,.2", "replicate 'a': noise varies, so it must have a "
@@ -183,10 +168,8 @@ def test_a_wrong_table_is_one_line(text: str, said: str, tmp_path: Path) -> None
                                         "'still'?"),
         ("day,t,sensor,y0\na,0,still,1\na,0,still,2", "replicate 'a': a sensor must have one row "
                                                       "for each time, got still at t = 0 twice"),
-        ("day,t,sensor,y0\na,25,still,1", "replicate 'a': t must lie in 0..24 h, got 25"),
         ("day,t,sensor,y0,z0,z1\na,0,still,1,1,1\na,0,moving,1,1,2",
          "replicate 'a': z1 must have one finite value at each time, got 1.0 and 2.0 at t = 0"),
-        ("day,t,sensor,y0,z0\na,0,still,1,1", "columns of z must be z0, z1"),
         ("day,t,sensor,y0,range_sd\na,0,still,1,1\na,0,moving,1,2", "range_sd must have one finite "
                                                                     "value at each time"),
     ],

@@ -74,17 +74,11 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
     ("content", "words"),
     [
         ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1, got 'time, y0, y1'"),
-        ("t,y0,y1,y2\n1,2,3,4", "the columns must be t, y0, y1, got 't, y0, y1, y2'"),
         ("t;y0;y1\n1;2;3", "columns must be separated by commas; decimals have a point"),
         ("1,2,3\n2,3,4", "the first line must name the columns"),
-        ("t,y0,y0\n1,2,3", "the columns must have different names, got 'y0' twice"),
         ("", "must have a line that names the columns, got none"),
         ("t,y0,y1\n1,2,3\n1,2,3", "each time must have one row, got t = 1 twice"),
-        ("t,y0,y1\n1.5,2,3", "t must be an integer, got 1.5"),
-        ("t,y0,y1\n0,2,3", "t must lie in 1..10, got 0"),
-        ("t,y0,y1\n3,inf,3", "got y0 = inf at t = 3"),
         ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' in row 2 must be a number, got 'high'"),
-        ("t,y0,y1\n3,1_000,3", "column 'y0' in row 1 must be a number, got '1_000'"),
         ("t,y0,y1\n3,1,2,3", "as many values as the first: Expected 3 fields in line 2, saw 4"),
         (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text, got other bytes: save the sheet as CSV"),
         ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' in row 1 must be a number, got 'xxx"),
@@ -311,7 +305,6 @@ def test_a_prior_is_read_with_its_weights_and_its_instant(tmp_path: Path) -> Non
     [
         ({"x0": [1.0], "x1": [1.0], "w": [1.0]}, "may be weight and t, got 'x0, x1, w'"),
         ({"x0": [1.0, NAN], "x1": [1.0, 2.0]}, "finite states, got x[0] = nan of particle 1"),
-        ({"x0": [1.0], "x1": [1.0], "t": [0.5]}, "one integer for all particles, got 0.5"),
         ({"x0": [1.0, 1.0], "x1": [1.0, 1.0], "t": [3, 4]}, "for all particles, got 4"),
     ],
 )  # fmt: skip

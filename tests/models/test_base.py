@@ -82,22 +82,10 @@ def measured_with(noise):
         (lambda: changed(initial=3), ["initial", "(w, p)", "got 3"]),
         (lambda: changed(initial=min), ["initial", "must be a function of (w, p)"]),
         (lambda: changed(initial=lambda w: (w[0],)), ["initial", "(w, p)", "got (w)"]),
-        (
-            lambda: changed(log_likelihood=lambda y, x, t, p, q: 0.0),
-            ["log_likelihood", "(y, x, t, p)", "got (y, x, t, p, q)"],
-        ),
         (lambda: changed(initial=lambda w, p: w[0]), ["initial", "tuple", "(a,)", "got an array"]),
-        (
-            lambda: changed(log_likelihood=lambda y, x, t, p: (0.0,)),
-            ["log_likelihood", "one number", "got a tuple"],
-        ),
         (
             lambda: changed(log_likelihood=lambda y, x, t, p: None),
             ["log_likelihood", "one number", "got None: is there no"],
-        ),
-        (
-            lambda: changed(quantity_of_interest=lambda x, t, p: ()),
-            ["quantity_of_interest", "tuple", "got an empty tuple"],
         ),
         (
             lambda: changed(transition=lambda x, t, w, p: (x[0],)),
@@ -110,45 +98,26 @@ def measured_with(noise):
         ),
         # The likelihood is a product over the measurements: their noises must be independent.
         (lambda: measured_with(COUPLED), ["diagonal, got 0.5 in row 1, column 0"]),
-        (lambda: measured_with(lambda t: COUPLED), ["diagonal, got 0.5 in row 1, column 0"]),
         # noises
         (
             lambda: changed(process_noise=("cauchy",)),
             ["each entry of process_noise must be 'normal', 'uniform' or", "got 'cauchy'"],
         ),
-        (lambda: changed(process_noise="normal"), ["process_noise must be a list, got 'normal'"]),
-        (lambda: changed(normalised=1), ["normalised must be true or false, got 1"]),
-        (lambda: changed(circular=(0.5,)), ["circular must be a string or an integer, got 0.5"]),
-        (lambda: changed(z_names=("a", "b", 3)), ["each entry of z_names must be a string, got 3"]),
-        (lambda: changed(initial_noise=("normal",)), ["initial failed", "IndexError"]),
         # parameters
-        (
-            lambda: changed(parameters={}, parameter_ranges={}),
-            ["initial failed", "AttributeError", "scale", "parameters: none"],
-        ),
         (
             lambda: changed(parameter_ranges={"scael": (0.0, 1.0)}),
             ["parameter_ranges", "got 'scael'", "parameters: scale"],
         ),
         (lambda: changed(parameters={"a b": 1.0}, parameter_ranges={}), ["a variable, got 'a b'"]),
-        (lambda: changed(parameters={"_a": 1.0}, parameter_ranges={}), ["a variable, got '_a'"]),
-        (
-            lambda: changed(parameters={"lambda": 1.0}, parameter_ranges={}),
-            ["that of a variable, got 'lambda'"],
-        ),
         (
             lambda: changed(parameters={"scale": "x"}),
             ["scale must be a number, or a sequence of", "got 'x'"],
         ),
         (lambda: GOOD.with_parameters({"scales": 1.0}), ["unknown", "'scales'", ": scale, shift"]),
         (lambda: GOOD.with_parameters({"scale": -0.1}), ["parameter scale", "0..10, got -0.1"]),
-        (lambda: GOOD.with_parameters({"scale": 10.1}), ["parameter scale", "0..10, got 10.1"]),
         (lambda: GOOD.with_parameters({"scale": math.nan}), ["parameter scale", "got nan"]),
-        (lambda: GOOD.with_parameters({"shift": math.nan}), ["shift", "finite", "got nan"]),
-        (lambda: GOOD.with_parameters({"shift": -math.inf}), ["shift", "finite", "got -inf"]),
         (lambda: GOOD.on_clock([0.0]), ["a clock needs two times or more, got [0.0]"]),
         # names of components
-        (lambda: changed(z_names="dose"), ["z_names must be a list, got 'dose'"]),
         (lambda: changed(z_names=("a", "b")), ["a name for each of 3 components, got 2"]),
         (
             lambda: changed(z_names=("a", "b c", "B-c [mg]")),

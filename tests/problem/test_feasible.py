@@ -333,10 +333,10 @@ def test_many_sets_are_counted_exactly_and_drawn() -> None:
 
 BUDGET = {"measurement_budget": 3}
 IMPOSSIBLE = [
-    ({}, r"measurement_budget must be given, or instead price and total_price$"),
-    (BUDGET | {"total_price": 5}, r"given without .*, got measurement_budget and total_price$"),
-    ({"price": ()}, r"^total_price must be given with price$"),
-    ({"total_price": 5}, r"^price must be given with total_price$"),
+    ({}, r"measurement_budget must be given, or instead price and total_price, got none of them$"),
+    (BUDGET | {"total_price": 5}, r"must be given, or .*, got measurement_budget and total_price$"),
+    ({"price": ()}, r"got price$"),
+    ({"total_price": 5}, r"got total_price$"),
     ({"price": (1, 2), "total_price": 5}, r"price needs 11 values, one for each instant, got 2$"),
     ({"price": (0,) + (1,) * 10, "total_price": 5}, r"price must be above 0, got 0$"),
     ({"price": (3,) * 11, "total_price": 2}, r"and the cheapest has the price 3, got 2$"),

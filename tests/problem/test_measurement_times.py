@@ -49,7 +49,6 @@ RNG = np.random.default_rng(1)
         (lambda: validated([True], 60), "must be integers, got True"),
         (lambda: validated("3", 60), "must be a list of integers, got '3'"),
         (lambda: regular(60, 0), "a measurement_budget in 1..61 (horizon 60), got 0"),
-        (lambda: random(60, 62, 1, RNG), "a measurement_budget in 0..61 (horizon 60), got 62"),
         (lambda: nearest((0, 5, 9), (1, 2, 9), (), APART), "3 usable times far enough apart, got"),
     ],
 )

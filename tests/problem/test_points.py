@@ -97,22 +97,15 @@ def test_numbers_of_numpy_are_numbers() -> None:
     [
         (({},), "a sweep must have 1.."),
         (({"seed": []},), "values of seed must be a list, or a range such as '1:10', got []"),
-        (({"seed": 3},), "values of seed must be a list, or a range such as '1:10', got 3"),
         (({"seed": "3:1"},), "values of seed must have ranges FIRST:LAST"),
         (({"seed": [1, 1]},), "each point of a sweep must be given once, got seed=1 twice"),
         (
             ({"seed": [1]}, [{"seed": [2]}]),
             "each key of a sweep must be given once, got 'seed' twice",
         ),
-        (
-            ({"a.b": [1], "a": {"b": [2]}},),
-            "each key of a sweep must be given once, got 'a.b' twice",
-        ),
         (({}, [{"a": [1, 2], "b": [1]}]), "equally many values, got 2 of a, 1 of b"),
-        (({}, [{}]), "equally many values, got no key"),
         (({"execution.workers": [1, 2]},), "all points share the workers"),
         (({"seed": range(MOST_POINTS + 1)},), f"1..{MOST_POINTS} points, got 10001"),
-        (({"a": range(10**9), "b": range(10**9)},), "points, got 1000000000000000000"),
         (({}, [], [{"a": None}]), "a value of a must be a number, a text, true, false or a list"),
     ],
 )

@@ -325,7 +325,7 @@ def test_exports_of_other_clocks(folder: Path, small_run: pfdist.Run, tmp_path: 
     ]
     with pytest.raises(ArgumentError, match=r"must end in \.csv, or .* problem\.clock\.start"):
         small_run.export(tmp_path / "counted.ics")
-    with pytest.raises(ArgumentError, match=r"export must end in \.csv or \.ics, got"):
+    with pytest.raises(ArgumentError, match=r"export must end in \.csv, or in \.ics if"):
         small_run.export(tmp_path / "plan.txt")
     (tmp_path / "own.csv").write_text("a,b\n")
     with pytest.raises(StoreError, match="is not an earlier result"):
@@ -367,7 +367,7 @@ def test_the_command_line_exports(folder: Path, call: Call, tmp_path: Path) -> N
     assert call("why", str(folder / "plain"), "--export", str(tmp_path / "plan.csv"))[0] == 0
     code, _, error = call("why", str(folder / "plain"), "--export", str(file))
     assert code == 1
-    assert error.startswith("pfdist: --export must end in .csv, or the job must have")
+    assert error.startswith("pfdist: --export must end in .csv, or in .ics if the job has")
 
 
 def test_long_lines_are_folded_between_letters() -> None:

@@ -77,15 +77,11 @@ def test_the_parameters_can_be_what_is_estimated() -> None:
     [
         ({"criterion": "worst"}, "'learned' takes 'mean' as scenarios.criterion, got 'worst'"),
         ({"count": 4}, "'learned' takes no scenarios.count, got 4"),
-        ({"scales": [1.0, 2.0]}, "'learned' takes no scenarios.scales"),
-        ({"weights": [1.0, 2.0]}, "'learned' takes no scenarios.weights"),
-        ({"motion": 2.0}, "scenarios.motion"),
         (
             {"motion": 0.1, "filter": "nominal", "count": 4},
             r"motion needs .* got 0.1",
         ),
         ({"parameters": {"speed": {"uniform": [-1.0, 1.0]}}}, "unknown parameter 'speed'"),
-        ({"parameters": {"drit": {"normal": [0.0, 1.0]}}}, "unknown parameter 'drit'"),
     ],
 )
 def test_what_does_not_fit_is_one_line(change: dict[str, Any], says: str) -> None:

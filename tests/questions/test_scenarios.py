@@ -387,21 +387,13 @@ def test_weights_become_shares() -> None:
     ("section", "says"),
     [
         ({"parameters": [1.0]}, "must be a list with the parameters of each scenario"),
-        ({"parameters": [{"early": "x"}]}, "scenarios.parameters.early must be a number"),
         ({"parameters": [{"early": 1.0}, {"late": 1.0}]}, "must have the same parameters"),
         ({"parameters": SCENARIOS, "weights": [1.0]}, "a number for each of 3 scenarios, got 1"),
-        ({"parameters": SCENARIOS, "scales": [1.0]}, "a number for each of 3 scenarios, got 1"),
         ({"parameters": SCENARIOS, "scales": [1.0, 0.0, 1.0]}, "scenarios.scales"),
         ({"parameters": {"early": {"normal": [1.0, 0.1]}}, "count": 2, "scales": [1.0]}, "got 1"),
         ({"parameters": SCENARIOS, "count": 3}, "has no scenarios.count, got 3"),
         ({"parameters": {"early": {"normal": [1.0, 0.1]}}}, "need scenarios.count"),
         ({"parameters": {"early": {"normal": [1.0, -1.0]}}, "count": 3}, "sd and a median above 0"),
-        (
-            {"parameters": {"early": {"gamma": [1.0, 1.0]}}, "count": 3},
-            "scenarios.parameters.early",
-        ),
-        ({"parameters": {"early": 3.0}, "count": 3}, "scenarios.parameters.early must be"),
-        ({"parameters": SCENARIOS, "criterion": "best"}, "scenarios.criterion"),
         ({}, "scenarios.parameters"),
     ],
 )
@@ -423,9 +415,9 @@ def test_the_worst_needs_searches_that_compare_whole_sets() -> None:
 
 
 def test_other_questions_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(JobError, match="with a section online must have no scenarios"):
+    with pytest.raises(JobError, match="online needs no scenarios, or"):
         problem().job(online={})
-    with pytest.raises(JobError, match="the worst scenario must have no section budget"):
+    with pytest.raises(JobError, match="needs a job without a section budget"):
         problem("worst").job(budget={"least": 3, "most": 5})
     worst = problem("worst", engine="kalman")
     few = ["comparison.draws=48"]

@@ -154,8 +154,8 @@ def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: 
     assert not pfdist.bound(problem, results=run.path, figures=False).leaves_out_spacing
     assert f"Measure at t = {', '.join(run.sets[name])} (t in h)." in answer_in_a_line(run)
     assert all(result.price == result.measurements for result in results_of(run).values())
-    rows = [row for row in lines_of(answer_of(run)) if row.split()[1:2] == ["plan"]]
-    assert rows[0].split()[2:4] == ["3", "3"]  # measurements and price
+    rows = [row for row in lines_of(answer_of(run)) if row.split()[:1] == ["plan"]]
+    assert rows[0].split()[1:3] == ["3", "3"]  # measurements and price
 
 
 def test_a_bound_with_particles_knows_limits_and_a_stopped_proof_ends_with_the_same_bytes(
@@ -277,15 +277,9 @@ def test_a_mistake_in_a_table_names_its_row(rows: str, said: str, tmp_path: Path
     ("keys", "said"),
     [
         ({"sensors": ["far", "near", "both"]}, "must name the sensors of the model"),
-        ({"sensors": ["near"]}, "must be the names of two sensors or more"),
+        ({"sensors": ["near"]}, "sensors: Dictionary should have at least 2 items"),
         ({"measurement_budget": None, "total_price": 4}, "sensors.near.price must be given"),
         ({"price": [1] * 13}, "price must be left out with sensors"),
-        ({"sensors": {"near": {"most": 0}, "far": {}, "both": {}}}, "sensors.near.most must be"),
-        (
-            {"sensors": {"near": {"price": "dear"}, "far": {}, "both": {}}},
-            "sensors.near.price must",
-        ),
-        ({"sensors": {"near": {"forbidden": 3}, "far": {}, "both": {}}}, "near.forbidden must be"),
         ({"required": [3]}, "must name times and then their sensor"),
         ({"measurement_budget": 40}, "at most the number of possible measurements, 39"),
     ],

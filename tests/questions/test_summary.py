@@ -12,7 +12,7 @@ from oracles.results_of import results_of
 from pfdist import Job, Problem, StateSpaceModel
 from pfdist.common.parts import Table
 from pfdist.common.percent import HEAVY, rounded_up
-from pfdist.common.rounding import with_error, with_interval
+from pfdist.common.rounding import with_error
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.pages.terminal import lines_of
 from pfdist.problem.search_section import CommonNoiseSettings
@@ -98,59 +98,8 @@ def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
     assert result.gain_over_itself_low < result.gain_over_itself < result.gain_over_itself_high
 
 
-SKEWED = """
-import numpy as np
-from pfdist import StateSpaceModel, where
-
-# Most draws fade from their start, where a measurement tells most; the others jump late.
-model = StateSpaceModel(
-    name="skewed",
-    initial=lambda w, p: (w[0], w[1]),
-    transition=lambda x, t, w, p: (
-        where(x[1] > 1, x[0] + where(t > 6, 5.0 * w[0], 0.0), x[0] * 0.5 + 0.05 * w[0]), x[1]
-    ),
-    measurement=lambda x, t, v, p: (x[0] + 0.1 * v[0],),
-    log_likelihood=lambda y, x, t, p: -50.0 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal", "normal"), process_noise=("normal",), measurement_noise=("normal",),
-)
-"""
-
-
-@pytest.mark.slow
-def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it_says_why(
-    small_job: Job, tmp_path: Path
-) -> None:
-    (tmp_path / "skewed.py").write_text(SKEWED)
-    small = ["search.genetic.generations=1", "search.random.evaluations=2"]
-    changes = ["model.name=skewed.py:model", "comparison.draws=1500", "filter.particles=100"]
-    # The found times measure late, where the jumps are; this reference where most draws vary.
-    required = ["problem.required=[8, 9, 10, 12]", "comparison.reference=[0, 1, 2, 3]"]
-    job = pfdist.load_job(small_job.path, [*small, *changes, *required])
-    run = pfdist.run(job, tmp_path / "run", figures=False)
-    genetic = results_of(run)["genetic"]
-    assert genetic.mean_relative_gain < 0 < genetic.gain_of_means
-    assert genetic.gains_disagree
-    text = _all_that_is_said(run)
-    best = run.best
-    shown = with_interval(
-        *(100 * getattr(best, f"gain_of_means{end}") for end in ("", "_low", "_high"))
-    )
-    headline = "The expected MSE is {} % lower (95 % CI {} to {} %)".format(*shown)
-    assert 0 < text.index(headline) < text.index("mean relative gain")
-    noise = results_of(run)["reference"].gain_over_itself
-    assert f"Two filters with the same times would give {100 * noise:.2f} %" in text
-    visible = " ".join(" ".join(lines_of(answer_of(run))).split())
-    value, *ends = with_interval(
-        *(100 * getattr(genetic, f"mean_relative_gain{end}") for end in ("", "_low", "_high"))
-    )
-    told = f"relative gain of the set genetic is {value} % (95 % CI {ends[0]} to {ends[1]} %);"
-    assert told in visible
-    assert ("In a draw the MSE can fall by at most 100 %" in visible) is (best.name == "genetic")
-
-
 @pytest.mark.parametrize("is_papers", [True, False])
-def test_the_papers_search_shows_its_figures_and_its_own_experiment_those_of_the_paper(
+def test_the_papers_experiment_alone_shows_the_papers_figures(
     is_papers: bool, finished: Callable[..., Path]
 ) -> None:
     """The paper, section 3: a mean relative gain of 27.7 %, and 87.5 % of the draws gain."""
@@ -165,10 +114,11 @@ def test_the_papers_search_shows_its_figures_and_its_own_experiment_those_of_the
     genetic = results_of(run)["genetic"]
     share = 100 * genetic.positive_fraction
     told = re.search(r"relative gain of the set genetic is (-?[\d.]+) % \(.*?\); (.*)", text)
-    assert told is not None
-    assert float(told[1]) == pytest.approx(100 * genetic.mean_relative_gain, abs=0.5)
-    assert told[2].startswith(f"{share:.1f} % of the draws gain.")
-    assert ("The paper prints 27.7 % and 87.5 %" in text) == is_papers
+    assert bool(told) == is_papers
+    if told:
+        assert float(told[1]) == pytest.approx(100 * genetic.mean_relative_gain, abs=0.5)
+        paper = "The paper prints 27.7 % and 87.5 %"
+        assert told[2].startswith(f"{share:.1f} % of the draws gain. {paper}")
 
 
 @pytest.mark.slow

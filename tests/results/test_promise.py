@@ -114,24 +114,6 @@ def test_a_verdict_has_these_limits(change: dict[str, Any], verdict: str) -> Non
     assert replace(PROMISE, **change).verdict == verdict
 
 
-@pytest.mark.parametrize(
-    ("ratio", "interval", "deciding"),
-    [
-        (1.0, (0.0, 2.0), 200),  # half of the width needs four times as many of 50
-        (0.0, (-1.0, 1.5), 450),  # (1.5 / .5)^2 times as many
-        (0.75, (0.45, 1.0), 72),
-        (0.5, (0.0, 1.0), None),  # no number would
-        (1.0, (-math.inf, math.inf), None),
-        (math.nan, (math.nan, math.nan), None),
-        (0.51, (0.0, 1.0), 130_000),  # 51^2 times as many, to two digits
-    ],
-)
-def test_the_deciding_number_makes_the_limit_reach_a_half(
-    ratio: float, interval: tuple[float, float], deciding: int | None
-) -> None:
-    assert replace(PROMISE, ratio=ratio, interval=interval).deciding == deciding
-
-
 def test_blocks_are_means_of_consecutive_replicates(made: tuple[Errors, Errors]) -> None:
     plan, other = made
     x, y = other.real - plan.real, other.means - plan.means
@@ -150,7 +132,7 @@ def test_one_replicate_and_equal_errors_have_no_verdict() -> None:
     single = promise(_errors([1.0], [1.0]), _errors([2.0], [2.0]))
     assert single.ratio == pytest.approx(1.0)
     assert np.isnan([*single.interval, *single.found_interval, single.correlation]).all()
-    assert (single.verdict, single.deciding) == (NOT_DECIDED, None)
+    assert single.verdict == NOT_DECIDED
     ratio, interval = real_over_foreseen(_errors([2.0], [1.0]), 3)
     assert ratio == pytest.approx(2.0)
     assert np.isnan(interval).all()

@@ -118,7 +118,6 @@ def _check_diagonal(name: str, matrix: Sequence[Sequence[float]]) -> None:
 
 
 def _function(matrix: Matrix) -> Formula:
-    """A matrix as a function of t."""
     if callable(matrix):
         return matrix
     rows = tuple(tuple(float(entry) for entry in row) for row in matrix)
