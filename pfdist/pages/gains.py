@@ -53,7 +53,7 @@ def gain_figure(tables: Tables, name: str) -> Plot:
 
 
 def title_of_gain(relative: Gain, which: str, reference: str) -> str:
-    """What the histogram shows, in a sentence."""
+    """The title of a histogram, in a sentence."""
     if not relative.counts.any():
         return "No draw has a finite gain."
     draws = f"{relative.relative.count:,} draws"
