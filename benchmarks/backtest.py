@@ -26,7 +26,7 @@ from pfdist.results.promise import (
     KEPT,
     NOT_DECIDED,
     NOT_KEPT,
-    Errors,
+    RelativeErrors,
     promise,
     real_over_foreseen,
 )
@@ -216,7 +216,9 @@ def repeated(
         for repeat in range(repeats):
             part = slice(repeat * size, (repeat + 1) * size)
             chosen = rng.integers(len(groups["plan"]), size=size)
-            of_sets = {name: Errors(real[name][part], groups[name][chosen]) for name in SETS}
+            of_sets = {
+                name: RelativeErrors(real[name][part], groups[name][chosen]) for name in SETS
+            }
             intervals = [real_over_foreseen(each, len(SETS))[1] for each in of_sets.values()]
             wrong += not all(low <= 1.0 <= high for low, high in intervals)
             for name in GRIDS:

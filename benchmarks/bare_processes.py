@@ -11,7 +11,7 @@ from time import perf_counter
 from pfdist import load_model
 from pfdist.common.measurement_times import regular
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 
 
 def measure_rate(processes: int, draws: int, seconds: float) -> float:
@@ -45,7 +45,7 @@ def measure_rate(processes: int, draws: int, seconds: float) -> float:
 
 def _work(barrier: Barrier, rates: "Queue[float]", draws: int, seconds: float) -> None:
     evaluator = Evaluator(load_model("ungm"), horizon=60)
-    task = Work((regular(60, 21),), (60,), (1,), 2, (0, draws), Estimation(500))
+    task = FilterWork((regular(60, 21),), (60,), (1,), 2, (0, draws), Estimation(500))
     evaluator(task)  # compiles
     barrier.wait()
     start, done = perf_counter(), 0

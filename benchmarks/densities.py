@@ -14,10 +14,18 @@ from matplotlib.figure import Figure
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist.densities import DENSITIES
-from pfdist.kernels.blocks import Source, compile_blocks, run
+from pfdist.kernels.blocks import Source, compile_blocks, run_block
 from pfdist.kernels.cached import entry
 from pfdist.kernels.memory import call, read
-from pfdist.kernels.variates import FILTER_PROCESS, KINDS, SPARE, Key, Row, fill, number_of_words
+from pfdist.kernels.variates import (
+    FILTER_PROCESS,
+    KINDS,
+    SPARE,
+    Key,
+    VariateRow,
+    fill,
+    number_of_words,
+)
 from pfdist.kernels.vectors import LANES
 from pfdist.models.tracing import Formula, trace
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
@@ -111,13 +119,13 @@ def _looping(name: str, *, draws: bool) -> Callable[[], None]:
         blocks = compiled.blocks
         address, shared = int(blocks.addresses[0, 0]), blocks.table[blocks.places[0, 0] :]
         for _ in range(CALLS):
-            run(compiled.code, address, out, arrays, shared)
+            run_block(compiled.code, address, out, arrays, shared)
 
     return call
 
 
 class _Often(NamedTuple):
-    row: Row
+    row: VariateRow
     fill: int  # address of `fill`
 
 
@@ -125,7 +133,7 @@ def _filling(kind: str) -> Callable[[], None]:
     width = -(-PARTICLES // LANES) * LANES
     words = np.zeros(number_of_words(1, width), np.uint32)
     out, key = np.empty(width + SPARE, np.float32), Key(np.uint64(1), 0, int(FILTER_PROCESS), 0)
-    often = _Often(Row(words, out, width, KINDS.index(kind), key, 0, 1), fill.address)
+    often = _Often(VariateRow(words, out, width, KINDS.index(kind), key, 0, 1), fill.address)
     return lambda: _fill_often(often)
 
 
@@ -133,7 +141,7 @@ def _filling(kind: str) -> Callable[[], None]:
 def _fill_often(often):  # type: ignore[no-untyped-def]
     (words, out, width, kind, key, _, draws), address = read(often)
     for draw in range(CALLS):
-        call(address, Row(words, out, width, kind, key, draw, draws))
+        call(address, VariateRow(words, out, width, kind, key, draw, draws))
 
 
 def summary(tables: Tables) -> str:

@@ -35,7 +35,7 @@ from pfdist.pools.ray_pool import RayPool
 from pfdist.runner import door
 from pfdist.runner.build import build
 from pfdist.runner.comparison_phase import comparison_steps
-from pfdist.runner.door import Session, complete
+from pfdist.runner.door import RunSession, complete
 from pfdist.runner.driver import drive
 from pfdist.runner.identity import opened
 from pfdist.runner.pace import Pace
@@ -217,14 +217,14 @@ def run(cores: int, wanted: float | str) -> dict[str, float]:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="driver-"))
         path = Path(folder, "run")
         with opened(path, few) as store:  # the search
-            complete(drive(Session(few, store)), contextlib.nullcontext(SerialPool()))
+            complete(drive(RunSession(few, store)), contextlib.nullcontext(SerialPool()))
         store = stack.enter_context(opened(path, built))
         guess = Pace(nodes.seconds_a_step, cores, learnt=True)
-        stack.enter_context(patch.object(Session, "pace", lambda *_, **__: guess))
+        stack.enter_context(patch.object(RunSession, "pace", lambda *_, **__: guess))
         pool = stack.enter_context(simulated(nodes))
         memory = process.memory_info().rss
         begin, waited = nodes.clock.now(), nodes.clock.waited
-        complete(drive(Session(built, store)), contextlib.nullcontext(pool))
+        complete(drive(RunSession(built, store)), contextlib.nullcontext(pool))
         end = nodes.clock.now()
         worked = end - begin - (nodes.clock.waited - waited)
         grown = process.memory_info().rss - memory
@@ -267,11 +267,11 @@ def run_search(search: str, measurements: int, draws: int, cores: int) -> dict[s
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="driver-"))
         guess = Pace(nodes.seconds_a_step, cores, learnt=True)
-        stack.enter_context(patch.object(Session, "pace", lambda *_, **__: guess))
+        stack.enter_context(patch.object(RunSession, "pace", lambda *_, **__: guess))
         pool = stack.enter_context(simulated(nodes))
         store = stack.enter_context(opened(Path(folder, "run"), built))
         begin = nodes.clock.now()
-        complete(drive(Session(built, store)), contextlib.nullcontext(pool))
+        complete(drive(RunSession(built, store)), contextlib.nullcontext(pool))
         seconds = nodes.last - begin
     busy = nodes.busy / (cores * seconds)
     return {"core_seconds": nodes.busy, "seconds": seconds, "busy": busy}

@@ -22,7 +22,7 @@ from benchmarks.results import Tables, markdown
 from benchmarks.search_runs import best_known
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
-from pfdist.filters.work import Work
+from pfdist.filters.work import FilterWork
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
 from pfdist.questions.planner import Planner
 from pfdist.runner.build import Built, build
@@ -129,7 +129,7 @@ def _planned(built: Built, fixed: Times, system: int) -> tuple[Times, list[float
 
 def _errors(built: Built, system: int, sets: tuple[Times, ...]) -> NDArray[np.float64]:
     """MSE of one system with each set, with the same noise of the filter."""
-    work = Work(
+    work = FilterWork(
         measurement_times=sets,
         ends=(built.evaluator.horizon,) * len(sets),
         filter_streams=(stream_key(0, "benchmark", "filter"),) * len(sets),

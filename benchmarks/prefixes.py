@@ -22,7 +22,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.kernels.prefixes import plan
+from pfdist.kernels.prefixes import plan_prefixes
 from pfdist.pages.style import COLUMN_INCHES, GREY, SERIES
 
 TITLE = "Prefixes"
@@ -94,7 +94,7 @@ def _one_by_one(draws: Draws, sets: list[Times], particles: int) -> None:
 
 
 def _share_of_steps(sets: list[Times], horizon: int) -> float:
-    planned = plan(tuple(sets), horizon + 1).plan
+    planned = plan_prefixes(tuple(sets), horizon + 1).plan
     return float((planned.ends - planned.begins).sum() / (len(sets) * (horizon + 1)))
 
 

@@ -9,11 +9,11 @@ import pandas as pd
 
 from benchmarks.measure import Say
 from pfdist.common.measurement_times import regular
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.pools.base import Task
 from pfdist.pools.ray_pool import RayPool
 
-_WORK = Work(
+_WORK = FilterWork(
     (regular(60, 21),), (60,), (1,), 2, (0, 1000), Estimation(500)
 )  # as large as a search's tasks are
 

@@ -17,10 +17,10 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import TaskError
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import Work
+from pfdist.filters.work import FilterWork
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built, build
-from pfdist.runner.door import Session, complete
+from pfdist.runner.door import RunSession, complete
 from pfdist.runner.driver import drive
 from pfdist.search import Race
 from pfdist.store import Store
@@ -99,7 +99,7 @@ def search(job: Job, pool: Pool) -> dict[str, Any]:
     (name,) = (section.name for section in job.search)
     with tempfile.TemporaryDirectory(prefix="run-") as folder:
         store, start = Store(Path(folder)), perf_counter()
-        complete(drive(Session(built, store)), counting)
+        complete(drive(RunSession(built, store)), counting)
         seconds = perf_counter() - start
         rows, compared = store.read("evaluations"), store.read("compared").set_index("name")
         steps = int((rows["end"] + 1).sum()) if built.evaluator.exact else counting.steps
@@ -195,7 +195,7 @@ def filtered(
     filter_streams : sequence of int, optional
         Key of each filter's noise, (S,). By default all filters have common noise.
     """
-    work = Work(
+    work = FilterWork(
         measurement_times=tuple(sets),
         ends=(built.job.problem.feasible.horizon,) * len(sets),
         filter_streams=tuple(filter_streams) or (stream,) * len(sets),

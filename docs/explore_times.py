@@ -11,7 +11,7 @@ import numpy as np
 
 from pfdist import load_job
 from pfdist.errors import JobError
-from pfdist.explorer.session import FIRST_DRAWS, Session, reply
+from pfdist.explorer.session import FIRST_DRAWS, ExplorerSession, reply
 
 JOBS = Path(__file__).parent.parent / "jobs"
 MOVES = 9
@@ -30,7 +30,7 @@ def main() -> None:
 
 def ask(name: str, *changes: str) -> None:
     """Print the times of the answers to moves."""
-    session = Session(load_job(JOBS / name, changes))
+    session = ExplorerSession(load_job(JOBS / name, changes))
     first = seconds(session, session.first_draws, 0)
     whole = seconds(session, FIRST_DRAWS, 1)
     label = ", ".join([f"`{name}`", *(change.replace("filter.", "") for change in changes)])
@@ -38,7 +38,7 @@ def ask(name: str, *changes: str) -> None:
     print(f"| {label} | {draws} | {1000 * first:.0f} | {1000 * whole:.0f} |", flush=True)  # noqa: T201
 
 
-def seconds(session: Session, draws: int, number: int) -> float:
+def seconds(session: ExplorerSession, draws: int, number: int) -> float:
     """Median time of an answer on so many draws, in seconds."""
     taken = []
     for move in range(MOVES + 1):

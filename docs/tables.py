@@ -24,7 +24,7 @@ from pfdist.cli.program import program
 from pfdist.cli.words import FLAGS, shown_default
 from pfdist.common.component_names import Component
 from pfdist.common.rounding import with_error
-from pfdist.common.section import Section, keys_of
+from pfdist.common.section import JobSection, keys_of_section
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.schemes import SCHEMES
@@ -42,8 +42,8 @@ from pfdist.problem.sections import (
     Comparison,
     EvaluationSection,
     Execution,
-    Filter,
     FilterModel,
+    FilterSection,
     Model,
     Until,
 )
@@ -67,13 +67,13 @@ _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 _SHARED = 3  # commands that have an option with the same words
 _UNBOUNDED = 2**63  # whole numbers of a job have 64 bits
 _MARKED = re.compile(r"(?s)(<!-- table: (\w+) -->\n).*?(<!-- end -->)")
-_SECTIONS: Mapping[str, type[Section]] = {
+_SECTIONS: Mapping[str, type[JobSection]] = {
     "[model]": Model,
     "[model.filter]": FilterModel,
     "[problem]": ProblemSection,
     "[problem.clock]": ClockSection,
     "[problem.sensors.NAME]": SensorSection,
-    "[filter]": Filter,
+    "[filter]": FilterSection,
     "[evaluation]": EvaluationSection,
     "[scenarios]": Scenarios,
     "[[search]]": SearchSection,
@@ -142,7 +142,7 @@ def keys() -> str:
     seed = {"seed": Job.model_fields["seed"]}
     tables = [_table_of_keys("Above all sections", seed, Job)]
     for head, section in _SECTIONS.items():
-        tables.append(_table_of_keys(f"`{head}`", keys_of(section), section))
+        tables.append(_table_of_keys(f"`{head}`", keys_of_section(section), section))
     return "\n\n".join(tables)
 
 
@@ -597,7 +597,7 @@ def _documented(documented: type) -> dict[str, tuple[str, str]]:
     }
 
 
-def _table_of_keys(head: str, fields: Mapping[str, FieldInfo], section: type[Section]) -> str:
+def _table_of_keys(head: str, fields: Mapping[str, FieldInfo], section: type[JobSection]) -> str:
     described = _documented(section)
     rows = []
     for key, field in fields.items():
@@ -670,7 +670,7 @@ def _allowed(annotation: Any) -> str:
 
 
 def _is_section(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, Section)
+    return isinstance(annotation, type) and issubclass(annotation, JobSection)
 
 
 def _value(value: Any) -> str:

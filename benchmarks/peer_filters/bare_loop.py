@@ -22,7 +22,7 @@ from pfdist.kernels.variates import (
     SPARE,
     TILE,
     Key,
-    Row,
+    VariateRow,
     fill,
     number_of_words,
 )
@@ -115,4 +115,4 @@ def _loop(work):  # type: ignore[no-untyped-def]
 @njit
 def _fill(work, width, kind, t, role, draw):  # type: ignore[no-untyped-def]
     key = Key(work.stream, t, role, np.int64(0))
-    call(work.fill, Row(work.words, work.noise, width, kind, key, draw, 1))
+    call(work.fill, VariateRow(work.words, work.noise, width, kind, key, draw, 1))

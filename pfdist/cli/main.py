@@ -20,7 +20,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import complaint, line_of, welcome
 from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stream_for_json
 from pfdist.common import stopping
-from pfdist.common.parent import report
+from pfdist.common.parent import report_code
 from pfdist.errors import (
     PfdistError,
     PfdistWarning,
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code = _main(sys.argv[1:], ends=True)
     finally:
-        report(code)
+        report_code(code)
     return code
 
 
@@ -124,7 +124,7 @@ def _run(line: "Line", *, ends: bool) -> int:
         if ends:  # threads of a lost cluster could end the process with another code
             with contextlib.suppress(OSError):
                 flush_output()
-            os._exit(report(code))
+            os._exit(report_code(code))
         return code
     except Exception as error:
         return _error(error, debug=line.debug)

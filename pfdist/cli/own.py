@@ -90,12 +90,12 @@ def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:
         Whether the page is opened in the browser.
     """
     try:
-        from pfdist.explorer.server import page_of
+        from pfdist.explorer.server import explorer_page
     except ModuleNotFoundError as error:
         raise PfdistError(
             f"explore needs {error.name}, which is not installed: pip install 'pfdist[explore]'"
         ) from error
-    yield from page_of(job, port=port, browser=browser)
+    yield from explorer_page(job, port=port, browser=browser)
 
 
 def status(run: str, *, export: str | None = None) -> "Run":

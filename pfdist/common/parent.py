@@ -25,7 +25,7 @@ _pipes = list[int]()  # to the parent; empty in Python and in notebooks
 _reported = list[int]()
 
 
-def report(code: int) -> int:
+def report_code(code: int) -> int:
     """Report to the parent the exit code with which this process is about to end; give it back."""
     _reported.append(code)
     for pipe in _pipes:

@@ -34,13 +34,13 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 
-class Section(BaseModel):
+class JobSection(BaseModel):
     """Base class of the sections of a job file: frozen, with strict types, without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
-def keys_of(section: type[BaseModel]) -> dict[str, FieldInfo]:
+def keys_of_section(section: type[BaseModel]) -> dict[str, FieldInfo]:
     """The fields of a section by the keys of a job file."""
     return {field.alias or name: field for name, field in section.model_fields.items()}
 
@@ -67,7 +67,7 @@ Number = Annotated[float, BeforeValidator(_plain)]
 """An argument that is a number of Python or of NumPy."""
 
 
-class Arguments(Section):
+class Arguments(JobSection):
     """Base class of function arguments that are checked together.
 
     Raises
@@ -226,7 +226,7 @@ def _allowed_keys(place: Sequence[int | str], model: type[BaseModel]) -> list[st
     """Keys of a section, by its place; none if there is no section."""
     kind = reduce(_inner, place, model)
     kinds = [each for each in (kind, *get_args(kind)) if isinstance(each, type)]
-    return [key for each in kinds if issubclass(each, BaseModel) for key in keys_of(each)]
+    return [key for each in kinds if issubclass(each, BaseModel) for key in keys_of_section(each)]
 
 
 def _did_you_mean_elsewhere(name: str, model: type[BaseModel]) -> str:
@@ -244,7 +244,7 @@ def _inner(kind: Any, part: int | str) -> Any:
     if isinstance(kind, dict):
         return kind if isinstance(part, int) else kind.get(part)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        field = keys_of(kind).get(str(part))
+        field = keys_of_section(kind).get(str(part))
         return None if field is None else _kinds(field) or field.annotation
     origin = get_origin(kind)
     members = [each for each in get_args(kind) if each is not NoneType]

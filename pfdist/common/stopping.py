@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Iterable
 
-from pfdist.common.parent import become_child, received, report, say
+from pfdist.common.parent import become_child, received, report_code, say
 
 _CODES: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 75, signal.SIGUSR1: 75}  # exit codes
 _STOPPING = "Stopping after the work in flight; press Ctrl-C again to end now"
@@ -91,4 +91,4 @@ def _listen(numbers: Iterable[int]) -> None:
 def _end_after(seconds: float) -> None:
     time.sleep(seconds)
     say("Stopped.")
-    os._exit(report(_CODES[_received[0]]))
+    os._exit(report_code(_CODES[_received[0]]))

@@ -25,7 +25,7 @@ _TIMED = 4  # times that the speed is measured; other programs may disturb some 
 Array = NDArray[np.float64]
 
 
-class Errors(NamedTuple):
+class SetErrors(NamedTuple):
     """The errors of a set on the first D draws of a stream."""
 
     mse: NDArray[Any]  # (D,); empty with an exact engine
@@ -33,7 +33,7 @@ class Errors(NamedTuple):
     at: NDArray[Any]  # (D, T+1, q): of each component of z; of an exact engine, (1, T+1, 1)
 
 
-class Filtered:
+class FilteredSets:
     """Sets that filter the same draws under the same noise; several threads may ask.
 
     Parameters
@@ -48,7 +48,7 @@ class Filtered:
         self._built, self._stream = built, stream
         self._evaluator = built.evaluator
         self.exact = built.evaluator.exact
-        self._known, self._lock = OrderedDict[Times, Errors](), threading.Lock()
+        self._known, self._lock = OrderedDict[Times, SetErrors](), threading.Lock()
 
     @property
     def components(self) -> list[Component]:
@@ -66,7 +66,7 @@ class Filtered:
             seconds.append(time.perf_counter() - start)
         return min(seconds) / BLOCK
 
-    def errors(self, times: Times, draws: int) -> Errors:
+    def errors(self, times: Times, draws: int) -> SetErrors:
         """The errors of a set on the first draws; those that are known are not computed again."""
         with self._lock:
             known = self._known.get(times)
@@ -74,15 +74,15 @@ class Filtered:
         if known is None or (done < draws and not self.exact):
             more = self._computed(times, done, draws)
             both = None if known is None else zip(known, more, strict=True)
-            known = more if both is None else Errors(*map(np.concatenate, both))
+            known = more if both is None else SetErrors(*map(np.concatenate, both))
         with self._lock:
             self._known[times] = known
             self._known.move_to_end(times)
             while sum(each.at.nbytes for each in self._known.values()) > MOST_BYTES:
                 self._known.popitem(last=False)
-        return Errors(*(each[:draws] for each in known))
+        return SetErrors(*(each[:draws] for each in known))
 
-    def _computed(self, times: Times, first: int, end: int) -> Errors:
+    def _computed(self, times: Times, first: int, end: int) -> SetErrors:
         evaluator = self._evaluator
         if self.exact:
             return self._exact(times)
@@ -90,11 +90,11 @@ class Filtered:
         result = evaluator.filtered(evaluator.work(*given, trajectories=True))
         apart = result.estimates[0] - result.z
         at = np.where(evaluator.model.is_angle, 1.0 - np.cos(apart), apart**2)
-        return Errors(result.mse[:, 0], result.degenerate[:, 0], at)
+        return SetErrors(result.mse[:, 0], result.degenerate[:, 0], at)
 
-    def _exact(self, times: Times) -> Errors:
+    def _exact(self, times: Times) -> SetErrors:
         at = self._built.exact_over_time(times)
-        return Errors(np.empty(0), np.empty(0, np.bool_), at[..., None])
+        return SetErrors(np.empty(0), np.empty(0, np.bool_), at[..., None])
 
     def evaluations(self, sets: Sequence[Times], draws: int) -> list[Evaluation]:
         """The evaluations of sets on the first draws, of which nothing is kept."""
@@ -104,11 +104,11 @@ class Filtered:
         result = self._evaluator.filtered(self._evaluator.work(*given))
         found = zip(result.mse.T, result.degenerate.T, strict=True)
         return [
-            self.evaluation(times, Errors(*each, np.empty(0)))
+            self.evaluation(times, SetErrors(*each, np.empty(0)))
             for times, each in zip(sets, found, strict=True)
         ]
 
-    def evaluation(self, times: Times, errors: Errors) -> Evaluation:
+    def evaluation(self, times: Times, errors: SetErrors) -> Evaluation:
         """The evaluation of a set from its errors on these draws."""
         return Evaluation(
             times,
@@ -119,11 +119,11 @@ class Filtered:
             degenerate=errors.degenerate,
         )
 
-    def curves(self, evaluation: Evaluation, errors: Errors) -> Array:
+    def curves(self, evaluation: Evaluation, errors: SetErrors) -> Array:
         """The typical error at each instant, (T+1, q), in the unit of z."""
         return self._typical(self._mean(evaluation, errors))
 
-    def typical(self, evaluation: Evaluation, errors: Errors) -> str:
+    def typical(self, evaluation: Evaluation, errors: SetErrors) -> str:
         """The typical error of each component of z over all instants, in words."""
         mean = self._mean(evaluation, errors)
         typical = self._typical(np.average(mean, axis=0, weights=self._evaluator.weights))
@@ -135,7 +135,7 @@ class Filtered:
             for name, each, error, is_angle in zip(names, parts, typical, angles, strict=False)
         )
 
-    def _mean(self, evaluation: Evaluation, errors: Errors) -> Array:
+    def _mean(self, evaluation: Evaluation, errors: SetErrors) -> Array:
         """The mean error at each instant, (T+1, q); the draws of the worst scenario may decide."""
         own = evaluation.scenarios == evaluation.worst_scenario if evaluation.is_worst else ...
         mean: Array = errors.at[own].mean(axis=0)

@@ -31,7 +31,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from pfdist.common import stopping
 from pfdist.errors import ArgumentError
-from pfdist.explorer.session import Session, reply
+from pfdist.explorer.session import ExplorerSession, reply
 from pfdist.problem.problem import JobSource
 from pfdist.results import Run
 
@@ -52,7 +52,7 @@ _HEADERS = {
 _FILES = {"": "text/html", "explore.js": "text/javascript", "explore.css": "text/css"}
 
 
-def server_of(session: Session, token: str, port: int) -> uvicorn.Server:
+def server_of(session: ExplorerSession, token: str, port: int) -> uvicorn.Server:
     """The server of the page, its script and its style, which answers the messages of pages.
 
     Parameters
@@ -129,13 +129,13 @@ class _Own:
         return origins == [b"http://" + hosts[0]] or not (origins or needs_origin)
 
 
-def page_of(job: JobSource | Run, *, port: int = 0, browser: bool = True) -> Iterator[str]:
+def explorer_page(job: JobSource | Run, *, port: int = 0, browser: bool = True) -> Iterator[str]:
     """Yield the page's address, then serve the page until Ctrl-C.
 
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        See `Session`.
+        See `ExplorerSession`.
     port : int
         Port of the page; 0: any that is free.
     browser : bool
@@ -148,7 +148,7 @@ def page_of(job: JobSource | Run, *, port: int = 0, browser: bool = True) -> Ite
     """
     if not 0 <= port <= _MOST_PORT:
         raise ArgumentError(f"port must be 0 to {_MOST_PORT:,}, got {port}", argument="port")
-    session = Session(job)
+    session = ExplorerSession(job)
     with _listening(port) as listening:
         port, token = listening.getsockname()[1], secrets.token_urlsafe()
         address = f"http://{ADDRESS}:{port}/{token}/"

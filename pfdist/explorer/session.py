@@ -25,7 +25,7 @@ from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, StoreError, reason_of
-from pfdist.explorer.filtered import Change, Filtered
+from pfdist.explorer.filtered import Change, FilteredSets
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK
 from pfdist.problem.job import job_toml
@@ -59,7 +59,7 @@ class Judgement(NamedTuple):
     again: bool  # whether it was judged once more, as the best of several sets
 
 
-class Session:
+class ExplorerSession:
     """A problem and the answers about its sets of measurement times; several threads may ask.
 
     Parameters
@@ -82,7 +82,7 @@ class Session:
         self.job, self.feasible = self.built.job, self.built.feasible
         self._clock = self.job.problem.clock
         self.built.evaluator.compile(self.built.comparing)
-        self.played = Filtered(self.built, stream_of("explore", self.job.seed))
+        self.played = FilteredSets(self.built, stream_of("explore", self.job.seed))
         self._lock = threading.Lock()
         self._judged, self._judgements = list[Judgement](), 0
         self.best = self.run.best if self.run and self.job.budget is None else None
@@ -270,7 +270,7 @@ class Session:
     def _judge(self, name: str, times: Times, *, again: bool = False) -> None:
         with self._lock:
             number, self._judgements = self._judgements, self._judgements + 1
-        fresh = Filtered(self.built, stream_of("judge", self.job.seed, number, times))
+        fresh = FilteredSets(self.built, stream_of("judge", self.job.seed, number, times))
         own, other = fresh.evaluations([times, self.plan or self.even], self.judging_draws)
         with self._lock:
             self._judged.append(Judgement(name, times, Change.between(own, other), again))
@@ -352,7 +352,7 @@ def _opened(source: JobSource | Run, say: Say) -> tuple[Run | None, Built]:
 _LONGEST_NAME = 200  # characters that are shown
 
 
-def reply(session: Session, message: Any) -> dict[str, Any]:
+def reply(session: ExplorerSession, message: Any) -> dict[str, Any]:
     """The answer to a message of the page, as JSON values; any error is one line.
 
     Parameters

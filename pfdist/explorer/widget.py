@@ -5,7 +5,7 @@ from importlib.resources import files
 from typing import Any
 
 from pfdist.errors import PfdistError
-from pfdist.explorer.session import Session, reply
+from pfdist.explorer.session import ExplorerSession, reply
 from pfdist.problem.problem import JobSource
 from pfdist.results import Run
 
@@ -33,7 +33,7 @@ def explore(problem_or_run: JobSource | Run) -> Any:
     PfdistError
         The job or a model is not possible, or anywidget is not installed.
     """
-    return _widget_class()(Session(problem_or_run))
+    return _widget_class()(ExplorerSession(problem_or_run))
 
 
 @cache
@@ -50,7 +50,7 @@ def _widget_class() -> type[Any]:
         _esm = (folder / "explore.js").read_text("utf-8")
         _css = (folder / "explore.css").read_text("utf-8")
 
-        def __init__(self, session: Session) -> None:
+        def __init__(self, session: ExplorerSession) -> None:
             super().__init__()
             self.session = session
             self.on_msg(lambda _, message, __: self.send(reply(session, message)))

@@ -25,21 +25,21 @@ from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
 from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
-from pfdist.filters.settings import check_filter, check_fits
+from pfdist.filters.settings import check_filter_settings, check_fits
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import (
     GUIDED,
     PLAIN,
     Estimation,
+    FilterWork,
     Result,
-    Work,
     columns,
     control_of,
     cut,
     joined,
 )
 from pfdist.models import StateSpaceModel, squared_error
-from pfdist.models.by_value import by_value, made
+from pfdist.models.by_value import by_value, models_made
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import Parameter, check_lengths
 from pfdist.models.recorded import check_same_functions, declared, recorded
@@ -243,7 +243,7 @@ class Evaluator:
         mean: NDArray[np.float64] = np.sum([each.share * mse for each, mse in parts], axis=0)
         return mean
 
-    def sum_errors(self, work: Work) -> NDArray[np.float64]:
+    def sum_errors(self, work: FilterWork) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
 
         All sets of the work have the same filter noise. Values after a set's end are arbitrary. A
@@ -270,15 +270,15 @@ class Evaluator:
         draws: tuple[int, int],
         estimation: Estimation,
         **others: Any,
-    ) -> Work:
-        """The work of filtering S sets up to T under the same noise, and other fields of `Work`."""
+    ) -> FilterWork:
+        """The work of filtering S sets up to T under the same noise, and other fields."""
         same: dict[str, Any] = {
             "ends": (self.horizon,) * len(sets),
             "filter_streams": (stream,) * len(sets),
             "sensors": self.sensors,
             "together": max(1, self.most_together // estimation.particles),
         }
-        return Work(
+        return FilterWork(
             measurement_times=tuple(sets),
             draws_stream=draws_stream,
             draws=draws,
@@ -356,14 +356,14 @@ class Evaluator:
                 f"{engine!r}: {PLAIN!r} is for every engine"
             )
         if not self.exact:
-            check_filter(self.believed, self.model, estimation)
+            check_filter_settings(self.believed, self.model, estimation)
 
     @property
     def seconds_a_step(self) -> float:
         """A rough guess of the seconds of a particle-step; models differ."""
         return self.computed_by.seconds_a_step
 
-    def __call__(self, work: Work) -> Result:
+    def __call__(self, work: FilterWork) -> Result:
         """Per-draw MSE of every set of times in a work, after a check of its settings and times.
 
         Errors are those of `check`, a ModelError if a formula failed, and a MeasurementTimesError
@@ -416,23 +416,23 @@ class Evaluator:
         mse, degenerate, errors = self.computed_by.filters.errors_over_time(self.believed, *given)
         return mse, degenerate, errors / self.scale
 
-    def results(self, works: Iterable[Work]) -> list[Result]:
+    def results(self, works: Iterable[FilterWork]) -> list[Result]:
         """Results of works, as a task computes them; the caller has checked settings and times.
 
         Raises `ModelError` if a formula failed.
         """
         return [work.result(self._for(work)).in_ranges(work) for work in works]
 
-    def _for(self, work: Work) -> "Evaluator":
+    def _for(self, work: FilterWork) -> "Evaluator":
         """The evaluator with the filter's model of a work."""
         return self.truth if work.knows_truth else self
 
-    def pieces(self, work: Work, seconds: float) -> list[Work]:
+    def pieces(self, work: FilterWork, seconds: float) -> list[FilterWork]:
         """The parts of a work, cut between draws, each of about this many seconds."""
         draws = max(1, int(seconds / self.seconds_a_step / work.steps_a_draw))
         return [replace(work, draws=piece) for piece in cut(range(*work.draws), draws)]
 
-    def filtered(self, work: Work) -> Result:
+    def filtered(self, work: FilterWork) -> Result:
         """Per-draw MSE as from `__call__`, for a work that the caller has checked."""
         numbers = self.scenarios_of(work.draws_stream, range(*work.draws))
         if numbers is not None:
@@ -538,7 +538,7 @@ def _arrived(content: bytes, settings: dict[str, Any]) -> Evaluator:
 
     It is compiled before its first task, because the time of tasks is limited.
     """
-    model, filter_model = made(content)
+    model, filter_model = models_made(content)
     evaluator = Evaluator(model=model, filter_model=filter_model, **settings)
     evaluator.compile(*evaluator.estimations)
     return evaluator

@@ -29,20 +29,20 @@ from pfdist.filters.engines import (
 )
 from pfdist.filters.filter_estimate import (
     Belief,
-    Estimate,
+    FilterEstimate,
     Normal,
     Particles,
     estimate_of,
-    explained,
     explained_by_normal,
     few_particles,
     quantity,
     surprise_of_particles,
+    weights_given,
 )
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.measurements import checked_instant, checked_measurement
 from pfdist.filters.one_filter import OneFilter, formatted_instant
-from pfdist.filters.settings import check_filter
+from pfdist.filters.settings import check_filter_settings
 from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import threshold_of
@@ -138,7 +138,7 @@ class Filter:
         except ValueError as error:
             raise ArgumentError(str(error)) from error
         settings = Estimation(particles, resampling, prior=start, threshold=threshold)
-        check_filter(self.model, self.model, settings)
+        check_filter_settings(self.model, self.model, settings)
         if engine == COMPILED.name:
             for formula in declared(self.model).values():
                 raise formula.why
@@ -159,7 +159,7 @@ class Filter:
         self._now = self._estimate(mean[-1], variance[-1])
 
     @property
-    def now(self) -> Estimate:
+    def now(self) -> FilterEstimate:
         """The current estimate of z: that at the last update."""
         return self._now
 
@@ -189,7 +189,9 @@ class Filter:
             "may lack a constant"
         )
 
-    def update(self, t: int, y: float | Sequence[float] | Array, *, warn: bool = True) -> Estimate:
+    def update(
+        self, t: int, y: float | Sequence[float] | Array, *, warn: bool = True
+    ) -> FilterEstimate:
         """Move the filter to t and give it the measurement there.
 
         Parameters
@@ -242,7 +244,7 @@ class Filter:
         self._now, self._collapsed = now, now.collapsed
         return now
 
-    def predict(self, t: int) -> Estimate:
+    def predict(self, t: int) -> FilterEstimate:
         """The estimate of z(t); the filter does not move.
 
         Parameters
@@ -275,7 +277,9 @@ class Filter:
         """Predict up to t, from the last prediction if that is on the way."""
         return (self._ahead if self._ahead.t <= t else self._filter).at(t)
 
-    def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
+    def _estimate(
+        self, mean: Array, variance: Array, at: OneFilter | None = None
+    ) -> FilterEstimate:
         prior = _prior(self._filter if at is None else at)
         belief: Belief = Normal(mean, np.sqrt(variance))
         if isinstance(prior, Cloud):
@@ -292,7 +296,7 @@ class Filter:
         if isinstance(prior, Gaussian):
             log_density, surprise = explained_by_normal(self.model, prior, y)
             return Normal(mean[-1], np.sqrt(variance[-1])), log_density, surprise
-        share, log_density = explained(self.model, prior, y)
+        share, log_density = weights_given(self.model, prior, y)
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         if surprise < SUSPICIOUS:
             surprise = self._confirmed(surprise, prior.t, y)

@@ -82,7 +82,7 @@ Belief = Particles | Normal
 # --- particles ----------------------------------------------------------------------------------
 
 
-def explained(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
+def weights_given(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
     """Weights of particles after the measurement y(t), (m,), at their instant; their sum is 1.
 
     The second result is the logarithm of the mean weight before that: log p(y(t) | earlier
@@ -179,7 +179,7 @@ def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tu
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class FilterEstimate:
     """A filter's estimate of z at an instant.
 
     Parameters
@@ -237,7 +237,7 @@ def estimate_of(
     belief: Belief,
     surprise: float | None = None,
     collapsed: int | None = None,
-) -> Estimate:
+) -> FilterEstimate:
     """The estimate at t, from its moments; t was measured if there is a surprise.
 
     `collapsed` is that of the estimate before t.
@@ -247,7 +247,7 @@ def estimate_of(
         collapsed = t
     with np.errstate(all="ignore"):  # 1 - variance is below 0 where z is no angle
         squares = np.where(is_angle, -2 * np.log1p(-variance), variance)
-    return Estimate(
+    return FilterEstimate(
         t,
         surprise is not None,
         mean,

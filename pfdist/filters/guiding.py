@@ -27,7 +27,7 @@ import numpy as np
 from pfdist.errors import ModelError
 from pfdist.models import StateSpaceModel
 from pfdist.models.derivatives import product, pulled
-from pfdist.models.program import Array, evaluate
+from pfdist.models.program import Array, evaluate_program
 from pfdist.models.symbols import Recording, Symbol
 from pfdist.models.twin import twin_of
 
@@ -261,7 +261,7 @@ def _derivatives_at(
     _, by_x, by_v = _derivatives_of_measurement(model, states, t, model.p)
     gradient, _ = _derivatives_of_likelihood(model, states, values, t, model.p)
     program = recording.closed([*chain(*by_x, *by_v), *gradient])
-    found = evaluate(program, {"x": x, "y": y}, t, model.parameters)
+    found = evaluate_program(program, {"x": x, "y": y}, t, model.parameters)
     rows = np.array([np.broadcast_to(each, _SIMULATED) for each in found])
     slopes, noises = rows[: m * n].reshape(m, n, -1), rows[m * n : -n].reshape(m, -1, _SIMULATED)
     return slopes, noises, rows[-n:]

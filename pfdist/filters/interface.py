@@ -31,7 +31,7 @@ from pfdist.common.measurement_times import Times, validated
 from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.settings import check_filter, check_start
+from pfdist.filters.settings import check_filter_settings, check_start
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR, ErrorWeights, Estimator
 from pfdist.kernels.schemes import ALWAYS
@@ -62,7 +62,7 @@ class Filtered:
     # (D, P): weights of the last particles, if trajectories were wanted and the filter carries them
     weight: NDArray[np.float64] | None = None
     # (2, D, T+1, q), if trajectories were wanted: where z of the truth lies among the particles at
-    # measured instants, see `pfdist.kernels.batch.Results`; NaN elsewhere, and if the truth
+    # measured instants, see `pfdist.kernels.batch.FilterArrays`; NaN elsewhere, and if the truth
     # is not among them
     ranks: NDArray[np.float64] | None = None
     # (D, T+1), if trajectories were wanted of particles: the effective sample size after the last
@@ -98,7 +98,7 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         models, priors or settings.
         """
         settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
-        check_filter(model, draws.model, settings)
+        check_filter_settings(model, draws.model, settings)
         check_start(model, draws, prior)
         last, sensors = draws.instants[-1], len(model.parts)
         times = validated_from(draws.start, measurement_times, last, sensors)

@@ -22,11 +22,11 @@ from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.interface import Filtered, all_or_none, checking
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
-from pfdist.kernels.batch import Request, Results
+from pfdist.kernels.batch import FilterArrays, FilterRequest
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
-from pfdist.kernels.prefixes import Plan, Planned, plan
+from pfdist.kernels.prefixes import Plan, Planned, plan_prefixes
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
@@ -36,7 +36,7 @@ KERNEL_VERSION = 7
 
 
 class _Wanted(NamedTuple):
-    """Arrays that the filter fills besides the mse; see `pfdist.kernels.batch.Results`."""
+    """Arrays that the filter fills besides the mse; see `pfdist.kernels.batch.FilterArrays`."""
 
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     sizes: NDArray[np.float64] = np.empty((0, 0))
@@ -185,7 +185,7 @@ def _filter(
     blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)
     streams = np.array(filter_streams(stream, settings.estimator), np.uint64)
     kinds = codes_of(model.initial_noise, model.process_noise)
-    request = Request(
+    request = FilterRequest(
         draws=mse.shape[0],
         filters=streams.size,
         sets=mse.shape[1],
@@ -223,9 +223,9 @@ def _filter(
         kinds=kinds,
     )
     estimate, variance = wanted.moments
-    results = Results(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
+    results = FilterArrays(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
     filter_all(blocks, request, planned, results, scheme.name)
-    callbacks.check()
+    callbacks.raise_callback_error()
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate
@@ -237,11 +237,11 @@ def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = N
     if start:
         sets = [tuple(time - start * sensors for time in times) for times in sets]
     stops = None if ends is None else tuple(end + 1 - start for end in ends)
-    return plan(tuple(sets), instants, stops, sensors)
+    return plan_prefixes(tuple(sets), instants, stops, sensors)
 
 
 def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any], ...]:
-    """States, choice and weights of the prior's particles; see `pfdist.kernels.batch.Request`."""
+    """States, choice and weights of the prior's particles; see `FilterRequest`."""
     if settings.prior is None:
         return np.empty((draws.x.shape[2], 0)), np.empty((0, 0, 0), np.int64), np.empty(0)
     if isinstance(settings.prior, Gaussian):

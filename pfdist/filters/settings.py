@@ -47,7 +47,9 @@ def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
         )
 
 
-def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation) -> None:
+def check_filter_settings(
+    model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation
+) -> None:
     """Raise an error if a filter's settings are wrong or do not fit its model and the truth.
 
     Raises ArgumentError for a value that is not allowed, and ModelError for a setting or model that

@@ -53,7 +53,7 @@ def simulate(
         return draws
     sensors = [(part.y.start, part.v.start) for part in model.parts]
     kinds = codes_of(model.initial_noise, model.process_noise, model.noise_of_measurements)
-    request = simulation.Request(
+    request = simulation.SimulationRequest(
         len(index),
         len(draws.instants),
         *model.components,
@@ -67,7 +67,7 @@ def simulate(
         kinds.shape[1],
         kinds,
     )
-    work = simulation.Work(
+    work = simulation.SimulationCall(
         compiled.blocks,
         request,
         draws.x,
@@ -80,6 +80,6 @@ def simulate(
         fill_of_draws.address,
     )
     simulation.simulate_draws(work)
-    callbacks.check()
+    callbacks.raise_callback_error()
     check_finite(model, draws, stream)
     return draws

@@ -12,7 +12,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
 from pfdist.kernels.estimators import CONTROL, ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
-from pfdist.kernels.prefixes import plan
+from pfdist.kernels.prefixes import plan_prefixes
 from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def control_of(own: Estimation) -> Estimation:
 
 
 @dataclass(frozen=True)
-class Work:
+class FilterWork:
     """S sets of measurement times with which the same draws are filtered."""
 
     measurement_times: tuple[Times, ...]
@@ -103,7 +103,7 @@ class Work:
     # whether the control variate of each error is wanted, too; the filter must know the truth
     controlled: bool = False
     # If not 0, the errors at each instant are wanted, too: of each draw, or as sums over ranges of
-    # at most so many draws, a power of 2, from `Evaluator.results`; see `ranges_of`.
+    # at most so many draws, a power of 2, from `Evaluator.results`; see `ranges_of_draws`.
     over_time: int = 0
     together: int = 1  # draws whose particles a function of arrays gets in one array
 
@@ -114,7 +114,7 @@ class Work:
         """
         return evaluator.filtered(self)
 
-    def part(self, draws: tuple[int, int], sets: Sequence[int] = ()) -> "Work":
+    def part(self, draws: tuple[int, int], sets: Sequence[int] = ()) -> "FilterWork":
         """The same work on other draws, with all sets or only those at the given places."""
         if len(sets) in (0, len(self.measurement_times)):
             return replace(self, draws=draws)
@@ -172,14 +172,14 @@ def _instants(
     for same_noise in columns(streams).values():
         stops = tuple(ends[column] + 1 for column in same_noise)
         same = tuple(sets[column] for column in same_noise)
-        planned = plan(same, max(stops), stops, sensors).plan
+        planned = plan_prefixes(same, max(stops), stops, sensors).plan
         total += int(np.sum(planned.ends - planned.begins))
     return total
 
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a `Work` of D draws and S sets."""
+    """The result of a `FilterWork` of D draws and S sets."""
 
     mse: NDArray[np.float64]  # (D, S)
     # (D, T+1, q), with trajectories; else empty
@@ -204,12 +204,12 @@ class Result:
     # is wanted, or (R, S, T+1): sums over ranges of draws; if they are wanted; else empty
     errors: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
-    def in_ranges(self, work: Work) -> "Result":
+    def in_ranges(self, work: FilterWork) -> "Result":
         """The same result with sums over ranges of draws, if the work wants them."""
         if not work.over_time:
             return self
         first, sums = work.draws[0], list[NDArray[np.float64]]()
-        for start, draws in ranges_of(*work.draws, work.over_time):
+        for start, draws in ranges_of_draws(*work.draws, work.over_time):
             errors = self.errors[start - first : start - first + draws]
             while len(errors) > 1:
                 errors = errors[::2] + errors[1::2]
@@ -217,7 +217,7 @@ class Result:
         return replace(self, errors=np.stack(sums))
 
 
-def ranges_of(first: int, end: int, most: int) -> list[tuple[int, int]]:
+def ranges_of_draws(first: int, end: int, most: int) -> list[tuple[int, int]]:
     """Cut draws into ranges, each with its first draw and its number of draws.
 
     The number is a power of 2 of at most `most`, and divides the first draw. A sum over a range is

@@ -40,14 +40,14 @@ from pfdist.kernels.variates import (
     SPARE,
     UNIFORM,
     Key,
-    Row,
+    VariateRow,
     fill,
     number_of_words,
 )
 from pfdist.kernels.vectors import (
     LANES,
-    Array,
     Vector,
+    VectorArray,
     iota,
     splat,
     vectorised,
@@ -134,14 +134,14 @@ def _numbers(value: Vector) -> Vector:
 
 
 @vectorised("16 f8")
-def _larger(highest: Vector, log_weight: Array, i: Vector) -> Vector:
+def _larger(highest: Vector, log_weight: VectorArray, i: Vector) -> Vector:
     """The larger of each lane and of a log-weight that is finite."""
     value = log_weight.load(i, LANES)
     return ((value > highest) & (value < math.inf)).select(value, highest)
 
 
 @vectorised()
-def _leave_out(log_weight: Array, i: Vector, left: Vector) -> None:
+def _leave_out(log_weight: VectorArray, i: Vector, left: Vector) -> None:
     """Let all but the first of some log-weights be those of weight 0."""
     value = log_weight.load(i, LANES)
     log_weight.store(i, _first_lanes(left).select(value, value.number(-math.inf)))
@@ -172,7 +172,12 @@ def _exp2(x: Vector) -> Vector:
 
 @vectorised("16 f8")
 def _weigh(
-    carry: Vector, log_weight: Array, i: Vector, highest: Vector, weight: Array, cumulative: Array
+    carry: Vector,
+    log_weight: VectorArray,
+    i: Vector,
+    highest: Vector,
+    weight: VectorArray,
+    cumulative: VectorArray,
 ) -> Vector:
     """Weights of some particles, and cumulative sums from those before."""
     value = log_weight.load(i, LANES)
@@ -207,7 +212,7 @@ def weigh(log_weight, origin, width, particles, weight, cumulative):
 
 
 @vectorised("16 f8")
-def _add_weights(total: Vector, weight: Array, i: Vector) -> Vector:
+def _add_weights(total: Vector, weight: VectorArray, i: Vector) -> Vector:
     return total + weight.load(i, LANES).to("f8")
 
 
@@ -221,7 +226,9 @@ def sum_of_weights(weight, origin, width):
 
 
 @vectorised("16 f8")
-def _cumulate(carry: Vector, weight: Array, i: Vector, cumulative: Array, zero: Vector) -> Vector:
+def _cumulate(
+    carry: Vector, weight: VectorArray, i: Vector, cumulative: VectorArray, zero: Vector
+) -> Vector:
     """Cumulative sums of some weights from those before."""
     sums = _prefix(weight.load(i, LANES), zero.to("f4"))
     cumulative.store(i, sums.to("f8") + carry)
@@ -237,7 +244,7 @@ def cumulate(weight, origin, width, cumulative):
 
 
 @vectorised("16 f8")
-def _add_weighted(total: Vector, weight: Array, values: Array, i: Vector) -> Vector:
+def _add_weighted(total: Vector, weight: VectorArray, values: VectorArray, i: Vector) -> Vector:
     """Add weighted values; a value of weight 0 does not count, even if it is infinite."""
     numbers = values.load(i, LANES)
     weights = weight.load(i, LANES).to("f8")
@@ -255,7 +262,7 @@ def weighted_sum(weight, values, origin, width):
 
 
 @vectorised("16 f8")
-def _add_first(total: Vector, values: Array, i: Vector, left: Vector) -> Vector:
+def _add_first(total: Vector, values: VectorArray, i: Vector, left: Vector) -> Vector:
     """Add so many of some values."""
     numbers = values.load(i, LANES).to("f8")
     return total + _first_lanes(left).select(numbers, numbers.number(0.0))
@@ -271,7 +278,7 @@ def sum_of_first(values, origin, particles):
 
 
 @vectorised("16 f8")
-def _add_squares(total: Vector, weight: Array, i: Vector) -> Vector:
+def _add_squares(total: Vector, weight: VectorArray, i: Vector) -> Vector:
     weights = weight.load(i, LANES).to("f8")
     return weights.fma(weights, total)
 
@@ -290,8 +297,8 @@ def sum_of_squares(weight, origin, width):
 
 @vectorised()
 def _store_starts(
-    cumulative: Array, i: Vector, scale: Vector, shift: Vector, most: Vector,
-    starts: Array, to: Vector,
+    cumulative: VectorArray, i: Vector, scale: Vector, shift: Vector, most: Vector,
+    starts: VectorArray, to: Vector,
 ) -> None:  # fmt: skip
     """The number of systematic points below each of some cumulative weights."""
     below = (cumulative.load(i, LANES) * scale - shift).call("ceil")
@@ -305,12 +312,14 @@ def _integers(value: Vector) -> Vector:
 
 
 @vectorised()
-def _store_same(out: Array, i: Vector, value: Vector) -> None:
+def _store_same(out: VectorArray, i: Vector, value: Vector) -> None:
     out.store(i, splat(value.to("i4"), LANES))
 
 
 @vectorised("16 i4")
-def _spread(carry: Vector, marks: Array, i: Vector, ancestor: Array, to: Vector) -> Vector:
+def _spread(
+    carry: Vector, marks: VectorArray, i: Vector, ancestor: VectorArray, to: Vector
+) -> Vector:
     """Running maxima of marks, from those before."""
     value, zeros, lanes = marks.load(i, LANES), carry.number(0), range(LANES)
 
@@ -329,7 +338,7 @@ def _spread(carry: Vector, marks: Array, i: Vector, ancestor: Array, to: Vector)
 
 
 @vectorised()
-def _mark(starts: Array, j: Vector, marks: Array) -> None:
+def _mark(starts: VectorArray, j: Vector, marks: VectorArray) -> None:
     """Mark the first children of some particles with these; behind the last nothing counts."""
     for more in range(_MARKS):
         number = (j + more).to("i4")
@@ -356,7 +365,9 @@ def _expand(starts, particles, count, marks, ancestor, origin):
 
 
 @vectorised("16 f8")
-def _add_noise(carry: Vector, noise: Array, i: Vector, sums: Array, zero: Vector) -> Vector:
+def _add_noise(
+    carry: Vector, noise: VectorArray, i: Vector, sums: VectorArray, zero: Vector
+) -> Vector:
     """Sums of exponential variates, from those before."""
     part = _prefix(noise.load(i, LANES), zero.to("f4")).to("f8")
     sums.store(i, part + carry)
@@ -365,7 +376,7 @@ def _add_noise(carry: Vector, noise: Array, i: Vector, sums: Array, zero: Vector
 
 @vectorised()
 def _store_scaled(
-    values: Array, i: Vector, scale: Vector, most: Vector, out: Array, to: Vector
+    values: VectorArray, i: Vector, scale: Vector, most: Vector, out: VectorArray, to: Vector
 ) -> None:
     """Values in units, as integers."""
     scaled, limit = values.load(i, LANES) * scale, splat(most, LANES)
@@ -376,7 +387,7 @@ def _store_scaled(
 def _fill_noise(scratch, width, kind, drawn, draw):
     """Fill the noise that places the points of a draw."""
     key = Key(drawn.stream, drawn.key, RESAMPLING, _COMPONENT)
-    row = Row(scratch.words, scratch.noise, width, kind, key, draw, 1)
+    row = VariateRow(scratch.words, scratch.noise, width, kind, key, draw, 1)
     call(scratch.fill, row)
 
 
@@ -404,7 +415,12 @@ def _stratified_points(scratch, to, drawn, draw, count):
 
 @vectorised()
 def _add_ranks(
-    shares: Array, first: Vector, points: Array, begin: Vector, ranks: Array, to: Vector
+    shares: VectorArray,
+    first: Vector,
+    points: VectorArray,
+    begin: Vector,
+    ranks: VectorArray,
+    to: Vector,
 ) -> None:
     """Add to some ranks the number of shares, of as many, that do not exceed each point."""
     point = points.load(begin, LANES)
@@ -416,7 +432,7 @@ def _add_ranks(
 
 
 @vectorised("i8")
-def _passes(shares: Array, first: Vector, points: Array, begin: Vector) -> Vector:
+def _passes(shares: VectorArray, first: Vector, points: VectorArray, begin: Vector) -> Vector:
     """1 if the last of some points passes the last of some shares, else 0."""
     return (shares.load(first, 0, LANES - 1) <= points.load(begin, 0, LANES - 1)).to("i8")
 
@@ -635,7 +651,12 @@ def _place(search, number, pair):
 
 @vectorised()
 def _take_four(
-    ancestor: Array, a: Vector, source: Array, origin: Vector, target: Array, to: Vector
+    ancestor: VectorArray,
+    a: Vector,
+    source: VectorArray,
+    origin: Vector,
+    target: VectorArray,
+    to: Vector,
 ) -> None:
     for lane in range(4):
         index = ancestor.load(a, 0, lane).to("i8")
@@ -643,7 +664,7 @@ def _take_four(
 
 
 @compiled
-def take(scratch, source, target, draws, width):
+def take_ancestors(scratch, source, target, draws, width):
     """Copy the state of each particle's ancestor to another row."""
     for d in range(draws):
         origin, ancestors = d * width, d * scratch.span

@@ -16,7 +16,7 @@ from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.memory import ahead, call, readers
 from pfdist.kernels.prefixes import Plan
-from pfdist.kernels.variates import Key, Row
+from pfdist.kernels.variates import Key, VariateRow
 
 INITIAL, TRANSITION, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
     np.arange(9)  # NumPy's: Numba compiles a function again for each integer of Python
@@ -41,7 +41,7 @@ After the sensors come the blocks of guided sensors, see `pfdist.kernels.guided`
 """
 
 
-class Request(NamedTuple):
+class FilterRequest(NamedTuple):
     """A request to filter D draws with F filters; T+1 is the number of instants.
 
     Compiled functions get pointers to the arrays.
@@ -94,7 +94,7 @@ class Request(NamedTuple):
 INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
 
 
-class Results(NamedTuple):
+class FilterArrays(NamedTuple):
     """The arrays that the filter fills, for the U sets of the plan; unneeded ones are empty."""
 
     mse: NDArray[np.float64]  # (D, U): errors up to the set's end, over T + 1
@@ -125,7 +125,7 @@ class Wanted(NamedTuple):
     errors_apart: int  # distance of two draws in `errors`; 0 for sums over the draws
 
 
-class Batch(NamedTuple):
+class CloudBatch(NamedTuple):
     """The arrays of a batch of draws; a row has a number for each particle, or for each draw."""
 
     draws: int  # the most that it holds
@@ -161,7 +161,7 @@ class Batch(NamedTuple):
     first_means: NDArray[np.float64]  # (U, T+1, q, row) of two filters; else empty
 
 
-class Saved(NamedTuple):
+class SavedBatches(NamedTuple):
     """Batches from which later sets resume, one for each slot of the plan."""
 
     cloud: NDArray[np.float64]  # (slots, n * stride)
@@ -197,29 +197,29 @@ class Steps(NamedTuple):
     keep: int
 
 
-class Work(NamedTuple):
+class FilterCall(NamedTuple):
     """The data that all functions of a filter share."""
 
     blocks: Blocks
-    request: Request
+    request: FilterRequest
     plan: Plan
-    results: Results
+    results: FilterArrays
     wanted: Wanted
-    batch: Batch
+    batch: CloudBatch
     scratch: Resampling
-    saved: Saved
+    saved: SavedBatches
     steps: Steps
 
 
 (
     blocks_of, request_of, plan_of, results_of, wanted_of, batch_of, scratch_of, saved_of, steps_of,
-) = readers(Work)  # fmt: skip
+) = readers(FilterCall)  # fmt: skip
 
 
 class At(NamedTuple):
     """A batch, and the filter of its draws."""
 
-    work: Annotated[int, Work]  # address
+    work: Annotated[int, FilterCall]  # address
     stream: np.uint64  # key of the filter's noise
     number: int  # of the filter
     first: int  # row of the batch's first draw in the arrays
@@ -277,7 +277,7 @@ def fill_rows(at, process, t, role, noise):
     for c in range(request.components):
         kind = request.kinds[process * request.components + c]
         if kind >= 0:
-            row = Row(
+            row = VariateRow(
                 batch.words, ahead(noise, c * batch.spacious), batch.width, kind,
                 Key(at.stream, t, role, c), request.first_draw + at.first, at.draws,
             )  # fmt: skip
@@ -333,7 +333,7 @@ def of_draws(at, block, t, source, target):
 
 
 @compiled
-def measured_at(at, t, component):
+def sensors_at(at, t, component):
     """The pointer to a component of y(t) of the batch's first draw."""
     request = request_of(at.work)
     instant = at.first * request.instants + t

@@ -22,15 +22,15 @@ from pfdist.kernels.lowering import (
     ARGUMENTS,
     FUNCTION,
     POINTERS,
-    Code,
     Layout,
+    MachineCode,
     machine_code,
     split,
 )
 from pfdist.kernels.memory import ahead
 from pfdist.kernels.vectors import LANES
 from pfdist.models.parameters import Parameter
-from pfdist.models.program import Array, evaluate, merged
+from pfdist.models.program import Array, evaluate_program, merged
 from pfdist.models.tracing import Traced, check_results
 
 _LARGE = 2.0**1000  # the reciprocals of smaller numbers have all digits
@@ -59,7 +59,7 @@ class Compiled:
     """Blocks with their machine code and callbacks, which must live as long as the blocks."""
 
     shared: Blocks
-    code: Code = field(repr=False)
+    code: MachineCode = field(repr=False)
     callbacks: Sequence[Callback] = ()
 
     @property
@@ -128,10 +128,10 @@ class _Program:
         """Values that are the same for all particles, by NumPy, for each instant."""
         some = replace(self.program, outputs=operations)
         parameters, rows = self._source.parameters, np.arange(len(some.constants))
-        values = evaluate(merged(some), {}, self._instants, parameters, rows)
+        values = evaluate_program(merged(some), {}, self._instants, parameters, rows)
         return [np.broadcast_to(each, self._instants.shape) for each in values]
 
-    def table(self, code: Code) -> Array:
+    def table(self, code: MachineCode) -> Array:
         """A row for each instant of the program, with the numbers that its block needs."""
         shared, count = self.split.shared, self._instants.size
         if not shared.outputs:
@@ -140,7 +140,7 @@ class _Program:
         for row, values in zip(slots, self._leaves(self.split.leaves), strict=False):
             row[:count], row[count:] = values, values[0]
         out = np.empty((len(shared.outputs), slots.shape[1]))
-        run(code, code.addresses[shared], out, slots)
+        run_block(code, code.addresses[shared], out, slots)
         return np.ascontiguousarray(out[:, :count].T)
 
 
@@ -150,7 +150,9 @@ _CALL = ctypes.CFUNCTYPE(
 )
 
 
-def run(code: Code, address: int, out: Array, slots: Array, shared: Array | None = None) -> None:
+def run_block(
+    code: MachineCode, address: int, out: Array, slots: Array, shared: Array | None = None
+) -> None:
     """Call a block that needs only rows of slots, (rows, a multiple of `LANES`).
 
     `shared` has the numbers of its instant, if it needs any.

@@ -133,7 +133,7 @@ class Callback:
         return view
 
 
-def check() -> None:
+def raise_callback_error() -> None:
     """Raise the error of a function that was called back in this thread, if there was one."""
     error, _failed.error = getattr(_failed, "error", None), None
     if error is not None:

@@ -19,7 +19,7 @@ from pfdist.kernels.ancestors import (
     sum_of_first,
     sum_of_squares,
     sum_of_weights,
-    take,
+    take_ancestors,
     weigh,
     weighted_sum,
 )
@@ -36,21 +36,20 @@ from pfdist.kernels.batch import (
     SENSORS,
     TRANSITION,
     At,
-    Batch,
+    CloudBatch,
+    FilterArrays,
+    FilterCall,
+    FilterRequest,
     Instant,
-    Request,
-    Results,
-    Saved,
+    SavedBatches,
     Slot,
     Steps,
     Wanted,
-    Work,
     batch_of,
     blocks_of,
     copy_numbers,
     fill_noise,
     is_drawn_again,
-    measured_at,
     of_draws,
     of_particles,
     other,
@@ -60,6 +59,7 @@ from pfdist.kernels.batch import (
     results_of,
     saved_of,
     scratch_of,
+    sensors_at,
     steps_of,
     wanted_of,
     with_given,
@@ -73,7 +73,7 @@ from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, numbe
 from pfdist.kernels.vectors import LANES
 
 
-@entry(Work)
+@entry(FilterCall)
 def filter_draws(work):
     """Filter all draws with all sets of a plan.
 
@@ -303,7 +303,7 @@ def _fill_log_weights(instant):
     at, _, t, _, sensor = instant
     blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
     cloud, used = present(at), at.draws * batch.width
-    y = measured_at(at, t, request.first_components[sensor])
+    y = sensors_at(at, t, request.first_components[sensor])
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
     with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
     if is_drawn_again(instant):
@@ -371,7 +371,7 @@ def _resample(instant):
     source, target = present(at), other(at)
     for c in range(request.states):
         row = c * batch.stride
-        take(scratch, ahead(source, row), ahead(target, row), at.draws, batch.width)
+        take_ancestors(scratch, ahead(source, row), ahead(target, row), at.draws, batch.width)
     for d in range(at.draws):
         if batch.resamples[d]:
             batch.weighted[d], batch.total[d] = 0, float(request.particles)
@@ -593,7 +593,7 @@ _MOST_SAVED = 2**22  # numbers of all saved batches and of the noise of paths, a
 
 
 def filter_all(
-    compiled: Compiled, request: Request, plan: Plan, results: Results, scheme: str
+    compiled: Compiled, request: FilterRequest, plan: Plan, results: FilterArrays, scheme: str
 ) -> None:
     """Filter all draws, in arrays that each call allocates, so that threads can run in parallel.
 
@@ -614,10 +614,10 @@ def filter_all(
     scratch = resampling_scratch(draws, width)
     steps = _needed(request, plan, results, scheme)
     blocks = compiled.blocks
-    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps))
+    filter_draws(FilterCall(blocks, request, plan, results, wanted, batch, scratch, saved, steps))
 
 
-def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Steps:
+def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: str) -> Steps:
     weights, saves = request.weights, bool((plan.slots >= 0).any())
     draws_again = request.rows.size > 0
     has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
@@ -648,8 +648,8 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Step
 
 
 def _arrays(
-    request: Request, plan: Plan, width: int, draws: int
-) -> tuple[Batch, Saved, list[NDArray[np.uint8]]]:
+    request: FilterRequest, plan: Plan, width: int, draws: int
+) -> tuple[CloudBatch, SavedBatches, list[NDArray[np.uint8]]]:
     """The arrays of a batch of draws, and their memory."""
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
     states, quantities, spacious = request.states, request.quantities, stride + SPARE
@@ -658,7 +658,7 @@ def _arrays(
     if request.rows.size:
         steps = guided.longest_gap(plan) + 1
     memory, arrays = zeros(
-        Batch,
+        CloudBatch,
         half=1,
         cloud=2 * (states + 1) * stride,
         origin=states * stride if steps else 0,
@@ -684,12 +684,12 @@ def _arrays(
         first_means=sets * request.instants * quantities * row,
     )
     kept, places = zeros(
-        Saved,
+        SavedBatches,
         cloud=slots * states * stride,
         origin=slots * states * stride if request.rows.size else 0,
         weight=slots * stride,
         numbers=slots * 2 * row,
         flags=slots * 2 * row,
     )
-    batch = Batch(draws, width, stride, spacious, row, **arrays)
-    return batch, Saved(**places), [memory, kept]
+    batch = CloudBatch(draws, width, stride, spacious, row, **arrays)
+    return batch, SavedBatches(**places), [memory, kept]

@@ -31,7 +31,7 @@ _SHIFT = 6755399441055744.0  # 2^52 + 2^51: the low bits of x + _SHIFT are the n
 _SMALLEST_NORMAL = 2.2250738585072014e-308
 _ROOT = 2.0**500  # squares of larger numbers may be infinite
 
-Pair = tuple[Vector, Vector]  # a sum of two numbers, the second far below the first
+DoubleDouble = tuple[Vector, Vector]  # a sum of two numbers, the second far below the first
 
 
 def _bits_of_sign(x: Vector) -> Vector:
@@ -61,20 +61,20 @@ def _nan_where(mask: Vector, x: Vector) -> Vector:
     return mask.select(math.nan, x)
 
 
-def _difference(a: Vector, b: Vector) -> Pair:
+def _difference(a: Vector, b: Vector) -> DoubleDouble:
     """A difference, and what it loses by rounding."""
     rest = a - b
     part = rest - a
     return rest, (a - (rest - part)) - (b + part)
 
 
-def _plus(x: Vector, rest: Vector, number: float) -> Pair:
+def _plus(x: Vector, rest: Vector, number: float) -> DoubleDouble:
     """A number more than x + rest."""
     total, lost = _difference(x, x.number(-number))
     return total, lost + rest
 
 
-def _quotient(above: Pair, below: Pair) -> Pair:
+def _quotient(above: DoubleDouble, below: DoubleDouble) -> DoubleDouble:
     ratio = above[0] / below[0]
     lost = (-ratio).fma(below[0], above[0]) + (above[1] - ratio * below[1])
     return ratio, lost / below[0]
@@ -157,7 +157,7 @@ def _with_huge(value: Vector, function: Callable[..., Vector], x: Vector, *more:
     return where_some(~(size < LARGEST_ANGLE), beyond, value)
 
 
-def _quarter_turns(x: Vector) -> Pair:
+def _quarter_turns(x: Vector) -> DoubleDouble:
     """The nearest multiple of pi/2, as an integer, and the remainder in -pi/4..pi/4."""
     shifted = x.fma(0.6366197723675814, _SHIFT)
     turns = shifted - _SHIFT
@@ -295,7 +295,7 @@ def exp2(x: Vector) -> Vector:
     return _is_nan(x).select(x, value)
 
 
-def _mantissa(x: Vector) -> Pair:
+def _mantissa(x: Vector) -> DoubleDouble:
     """The exponent e, and m - 1, for x = 2^e m with m in 0.707..1.414."""
     tiny = x < _SMALLEST_NORMAL  # without a full mantissa
     bits = tiny.select(x * 18014398509481984.0, x).bits("i8")  # times 2^54
@@ -367,7 +367,7 @@ def log1p(x: Vector) -> Vector:
     )
 
 
-def _expm1_pair(x: Vector) -> Pair:
+def _expm1_pair(x: Vector) -> DoubleDouble:
     """E to the x, minus 1, for x in 0..40."""
     shifted = x.fma(1.4426950408889634, _SHIFT)
     k = shifted - _SHIFT
@@ -405,7 +405,7 @@ def expm1(x: Vector) -> Vector:
 # --- powers -------------------------------------------------------------------------------------
 
 
-def _log_pair(f: Vector) -> Pair:
+def _log_pair(f: Vector) -> DoubleDouble:
     """log(1 + f) for f in -0.3..0.42, to about 66 bits."""
     divisor = f + 2.0
     divisor_rest = f - (divisor - 2.0)
@@ -469,7 +469,7 @@ def cbrt(x: Vector) -> Vector:
 # --- hyperbolic functions -----------------------------------------------------------------------
 
 
-def _half_exponentials(a: Vector) -> Pair:
+def _half_exponentials(a: Vector) -> DoubleDouble:
     """E^a / 2 and e^-a / 2, for a of 0 or more."""
     up = _exp_of_sum(a, halvings=1)
     return up, 0.25 / up
@@ -500,7 +500,7 @@ def tanh(x: Vector) -> Vector:
     return copysign(_is_nan(a).select(a, ratio + rest), x)
 
 
-def _log_of_sum(x: Vector, rest: Vector) -> Pair:
+def _log_of_sum(x: Vector, rest: Vector) -> DoubleDouble:
     """log(1 + x + rest), where `rest` is far below x, a number of 0 or more."""
     u, lost = _plus(x, rest, 1.0)
     e, f = _mantissa(u)
@@ -544,7 +544,7 @@ def arctanh(x: Vector) -> Vector:
 # --- the logarithm of a sum of exponentials -------------------------------------------------------
 
 
-def _exp_pair(x: Vector, rest: Vector) -> Pair:
+def _exp_pair(x: Vector, rest: Vector) -> DoubleDouble:
     """E to the x + rest, to about 57 bits, for an x of 0 or less."""
     limited = _limited(x, -746.0, 0.0)
     shifted = limited.fma(1.4426950408889634, _SHIFT)
@@ -557,18 +557,18 @@ def _exp_pair(x: Vector, rest: Vector) -> Pair:
     return _scaled(value, whole), _scaled(lost, whole)
 
 
-def _sum_of_pairs(a: Pair, b: Pair) -> Pair:
+def _sum_of_pairs(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
     total, lost = _difference(a[0], -b[0])
     return _difference(total, -(lost + (a[1] + b[1])))
 
 
-def _product_of_pairs(a: Pair, b: Pair) -> Pair:
+def _product_of_pairs(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
     product = a[0] * b[0]
     lost = a[0].fma(b[0], -product) + (a[0] * b[1] + a[1] * b[0])
     return _difference(product, -lost)
 
 
-def _long_expm1(x: Vector, rest: Vector) -> tuple[Pair, Vector]:
+def _long_expm1(x: Vector, rest: Vector) -> tuple[DoubleDouble, Vector]:
     """E to the r, minus 1, to about 104 bits, and the integer k, where x + rest = r + k log 2."""
     shifted = x.fma(1.4426950408889634, _SHIFT)
     k = shifted - _SHIFT

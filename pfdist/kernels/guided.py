@@ -33,12 +33,12 @@ from pfdist.kernels.batch import (
     copy_numbers,
     fill_rows,
     is_drawn_again,
-    measured_at,
     other,
     plan_of,
     present,
     request_of,
     scratch_of,
+    sensors_at,
 )
 from pfdist.kernels.blocks import call_block
 from pfdist.kernels.cached import compiled, entry
@@ -51,7 +51,7 @@ from pfdist.kernels.variates import (
     NORMAL,
     UNIFORM,
     Key,
-    Row,
+    VariateRow,
 )
 
 MEAN, MEAN_INITIAL, SWEPT, SWEPT_INITIAL, SEEN, AIMED, DRAWN = np.arange(7)
@@ -201,7 +201,7 @@ def _fill_noises(instant, first, k):
         for i in range(count):
             centre[i] = np.float32(0.0)
     for c in range(k + 1):
-        row = Row(
+        row = VariateRow(
             batch.words, ahead(batch.noise, c * batch.spacious), batch.width,
             NORMAL if c < k else UNIFORM,
             Key(at.stream, request.start + instant.t, FILTER_PROPOSAL, c),
@@ -250,7 +250,7 @@ def _look(instant, path):
     blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
     which = (path.block + SEEN) * request.instants + t
     component = request.first_components[sensor]
-    y = measured_at(at, path.draw * request.instants + t, component)
+    y = sensors_at(at, path.draw * request.instants + t, component)
     call_block(
         blocks,
         which,

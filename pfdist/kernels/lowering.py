@@ -20,7 +20,7 @@ from llvmlite import ir
 from numpy.typing import NDArray
 
 from pfdist.kernels.functions import FUNCTIONS
-from pfdist.kernels.vectors import LANES, Array, Vector, constant, entries, outlined, splat
+from pfdist.kernels.vectors import LANES, Vector, VectorArray, constant, entries, outlined, splat
 from pfdist.models.program import GROUPS, MASKS, Operation, Program
 
 Layout = Mapping[str, tuple[str, int]]
@@ -152,7 +152,7 @@ def _is_constant(column: Any) -> bool:
 # --- machine code ---------------------------------------------------------------------------------
 
 
-class Code:
+class MachineCode:
     """The machine code of some functions, which lives as long as this object."""
 
     def __init__(self, halves: tuple[Half, ...]) -> None:
@@ -193,9 +193,9 @@ def optimised(module: ir.Module, machine: Any) -> Any:
 
 
 @lru_cache(maxsize=_MOST_COMPILED)
-def machine_code(halves: tuple[Half, ...]) -> Code:
+def machine_code(halves: tuple[Half, ...]) -> MachineCode:
     """The machine code of some halves of programs; the least recently used are dropped."""
-    return Code(halves)
+    return MachineCode(halves)
 
 
 def _machine() -> Any:
@@ -451,8 +451,8 @@ class _Function:
         number = self._array(array).load(Vector(self._builder, place, "i8"), 0)
         return splat(number, LANES)
 
-    def _array(self, name: str) -> Array:
-        return Array(self._builder, self._given[name], "f4" if name == "noise" else "f8")
+    def _array(self, name: str) -> VectorArray:
+        return VectorArray(self._builder, self._given[name], "f4" if name == "noise" else "f8")
 
     def _row(self, array: str, row: Any) -> Vector:
         place = self._builder.mul(row, self._given[f"{array}_stride"])

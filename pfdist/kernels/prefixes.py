@@ -45,7 +45,7 @@ class Planned(NamedTuple):
     givers: list[int]  # for each of the U sets, the set that filters its shared prefix; -1 for none
 
 
-class Saved(NamedTuple):
+class SavedClouds(NamedTuple):
     """Clouds from which later sets resume."""
 
     clouds: NDArray[np.float64]  # (slots, n, width(P))
@@ -56,7 +56,7 @@ class Saved(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def plan(
+def plan_prefixes(
     sets: tuple[tuple[int, ...], ...],
     instants: int,
     ends: tuple[int, ...] | None = None,
@@ -96,7 +96,7 @@ def _bits_of(sets: Sequence[tuple[int, ...]], instants: int, sensors: int) -> ND
     return np.ascontiguousarray(bits[:, :, 0])
 
 
-def measurements_of(bits: NDArray[np.uint8], sensors: int) -> tuple[int, ...]:
+def measurements_in(bits: NDArray[np.uint8], sensors: int) -> tuple[int, ...]:
     """The possible measurements of a set, from its row of `Plan.measured`."""
     chosen = np.unpackbits(bits[:, None], axis=1, count=sensors, bitorder="little")
     return tuple(np.flatnonzero(chosen).tolist())

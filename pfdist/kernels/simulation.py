@@ -16,7 +16,7 @@ from pfdist.kernels.variates import (
     TRUTH_MEASUREMENT,
     TRUTH_PROCESS,
     Key,
-    Row,
+    VariateRow,
 )
 
 INITIAL, TRANSITION, QUANTITY, MEASUREMENT = np.arange(4)
@@ -28,7 +28,7 @@ TOGETHER = np.int64(256)
 """Number of draws that are simulated together."""
 
 
-class Request(NamedTuple):
+class SimulationRequest(NamedTuple):
     """A request to simulate D draws at T+1 instants."""
 
     draws: int
@@ -48,11 +48,11 @@ class Request(NamedTuple):
     kinds: NDArray[np.int64]
 
 
-class Work(NamedTuple):
+class SimulationCall(NamedTuple):
     """The data that all functions of a simulation share; a row of draws has `TOGETHER` entries."""
 
     blocks: Blocks
-    request: Request
+    request: SimulationRequest
     x: NDArray[np.float64]  # (D, T+1, n)
     y: NDArray[np.float64]  # (D, T+1, m)
     z: NDArray[np.float64]  # (D, T+1, q)
@@ -63,7 +63,7 @@ class Work(NamedTuple):
     fill: int  # address of `pfdist.kernels.variates.fill_of_draws`
 
 
-_blocks, _request, _x, _y, _z, _states, _values, _noise, _words, _fill_row = readers(Work)
+_blocks, _request, _x, _y, _z, _states, _values, _noise, _words, _fill_row = readers(SimulationCall)
 
 
 class _Now(NamedTuple):
@@ -74,7 +74,7 @@ class _Now(NamedTuple):
     k: int | np.int64  # number of the instant
 
 
-@entry(Work)
+@entry(SimulationCall)
 def simulate_draws(work):
     """Fill x, y and z."""
     request = _request(work)
@@ -131,7 +131,7 @@ def _fill(work, now, process, t, role):
     for c in range(request.components):
         kind = request.kinds[process * request.components + c]
         if kind >= 0:
-            row = Row(
+            row = VariateRow(
                 _words(work), ahead(_noise(work), c * TOGETHER), 1, kind,
                 Key(request.stream, t, role, c), request.first_draw + now.begin, now.draws,
             )  # fmt: skip

@@ -34,8 +34,8 @@ from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.memory import ahead, call, read
 from pfdist.kernels.vectors import (
     LANES,
-    Array,
     Vector,
+    VectorArray,
     iota,
     polynomial,
     splat,
@@ -117,7 +117,7 @@ def _filling(tiles: int) -> Any:
 
     @vectorised()
     def fill_tiles(
-        words: Array, at: Vector, stream: Vector, t: Vector, role: Vector, component: Vector,
+        words: VectorArray, at: Vector, stream: Vector, t: Vector, role: Vector, component: Vector,
         part: Vector, block: Vector, draw: Vector,
     ) -> None:  # fmt: skip
         counters = [_counter(block + LANES * number, draw, part) for number in range(tiles)]
@@ -134,7 +134,7 @@ _fill_tile, _fill_two_tiles = _filling(1), _filling(2)
 
 @vectorised()
 def _fill_words_of_draws(
-    words: Array, at: Vector, stream: Vector, t: Vector, role: Vector, component: Vector,
+    words: VectorArray, at: Vector, stream: Vector, t: Vector, role: Vector, component: Vector,
     part: Vector, draw: Vector,
 ) -> None:  # fmt: skip
     """Fill two words of the first particle of consecutive draws, one behind the other."""
@@ -188,7 +188,7 @@ def _box_muller(word_a: Vector, word_b: Vector) -> tuple[Vector, Vector]:
 
 
 @vectorised()
-def _store_normals(words: Array, at: Vector, out: Array, to: Vector) -> None:
+def _store_normals(words: VectorArray, at: Vector, out: VectorArray, to: Vector) -> None:
     """Two vectors of normal variates from two of words."""
     first, second = _box_muller(words.load(at, LANES), words.load(at, LANES, LANES))
     out.store(to, first)
@@ -196,18 +196,18 @@ def _store_normals(words: Array, at: Vector, out: Array, to: Vector) -> None:
 
 
 @vectorised()
-def _store_uniforms(words: Array, at: Vector, out: Array, to: Vector) -> None:
+def _store_uniforms(words: VectorArray, at: Vector, out: VectorArray, to: Vector) -> None:
     out.store(to, _uniform(words.load(at, LANES)))
 
 
 @vectorised()
-def _store_exponentials(words: Array, at: Vector, out: Array, to: Vector) -> None:
+def _store_exponentials(words: VectorArray, at: Vector, out: VectorArray, to: Vector) -> None:
     out.store(to, _exponential(words.load(at, LANES)))
 
 
 @vectorised()
 def _store_centred(
-    words: Array, at: Vector, lows: Array, low: Vector, out: Array, to: Vector
+    words: VectorArray, at: Vector, lows: VectorArray, low: Vector, out: VectorArray, to: Vector
 ) -> None:
     out.store(to, _centred(words.load(at, LANES), lows.load(low, LANES)))
 
@@ -246,7 +246,7 @@ def fill_words(words, part, tiles, key, first, draws):
             )
 
 
-class Row(NamedTuple):
+class VariateRow(NamedTuple):
     """A row with a variate for each particle of consecutive draws."""
 
     words: NDArray[np.uint32]  # see `number_of_words`
@@ -258,7 +258,7 @@ class Row(NamedTuple):
     draws: int
 
 
-@entry(Row)
+@entry(VariateRow)
 def fill(row):
     """Fill a row: particle i of draw ``first + d`` is at ``d * width + i``.
 
@@ -286,7 +286,7 @@ def fill(row):
                 _store_exponentials(words, at + i, out, to + i)
 
 
-@entry(Row)
+@entry(VariateRow)
 def fill_of_draws(row):
     """Fill a row, of width 1, with the variates of the first particle of consecutive draws.
 
@@ -321,7 +321,7 @@ def _fill_rows(rows):
     words, out, draws, count, width, kind, key, address = read(rows)
     for d in range(count):
         row = ahead(out, d * (width + SPARE))
-        call(address, Row(words, row, width, kind, key, draws[d], 1))
+        call(address, VariateRow(words, row, width, kind, key, draws[d], 1))
 
 
 def variates(

@@ -351,7 +351,7 @@ def iota(builder: ir.IRBuilder, kind: str, lanes: int) -> Vector:
     return Vector(builder, ir.Constant(whole, list(range(lanes))), kind)
 
 
-class Array:
+class VectorArray:
     """The memory of an array: vectors are loaded from it and stored into it."""
 
     def __init__(self, builder: ir.IRBuilder, address: Any, kind: str) -> None:
@@ -457,9 +457,9 @@ def _align_stack(function: Any) -> None:
 def _operand(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     if isinstance(kind, types.Array):
         data = context.make_array(kind)(context, builder, value).data
-        return Array(builder, data, _KIND_OF[kind.dtype])
+        return VectorArray(builder, data, _KIND_OF[kind.dtype])
     if isinstance(kind, types.CPointer):
-        return Array(builder, value, _KIND_OF[kind.dtype])
+        return VectorArray(builder, value, _KIND_OF[kind.dtype])
     if isinstance(kind, VectorType):
         return Vector(builder, value, kind.kind)
     return Vector(builder, value, _KIND_OF[types.unliteral(kind)])

@@ -49,7 +49,7 @@ def by_value(models: Sequence[Any]) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def made(content: bytes) -> tuple[Any, ...]:
+def models_made(content: bytes) -> tuple[Any, ...]:
     """The models from their bytes; the same bytes give the same objects.
 
     Raises

@@ -27,7 +27,7 @@ from pfdist.models.mistakes import (
     remedy,
 )
 from pfdist.models.parameters import Parameter, named_parameters, values_of_parameter
-from pfdist.models.program import evaluate
+from pfdist.models.program import evaluate_program
 from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula, untraceable
 
@@ -255,7 +255,7 @@ def _by_program(
     for mode in MODES:
         try:
             # One step of a loop suffices: a model that somebody changed may have millions.
-            values = evaluate(formula.recorded(mode, 0), groups, 0, parameters, most=1)
+            values = evaluate_program(formula.recorded(mode, 0), groups, 0, parameters, most=1)
         except BaseException as error:  # a formula may raise any exception
             if is_interrupt(error):
                 raise

@@ -20,7 +20,7 @@ from pfdist.models.mistakes import place_of_function
 from pfdist.models.parameters import CLOCK
 from pfdist.models.program import MOST_STEPS
 from pfdist.models.programs import Declared, Programs
-from pfdist.models.repeating import repeated
+from pfdist.models.repeating import repeated_steps
 from pfdist.models.tracing import Covariate
 
 Values = tuple[Any, ...]
@@ -97,7 +97,7 @@ class Flow:
             return components(self.keep(following, p), len(x), "keep") if self.keep else following
 
         each = [w[c :: self.noises] for c in range(self.noises)]
-        return repeated(step, x, count, each, most)
+        return repeated_steps(step, x, count, each, most)
 
     def _interval(self, t: Any, p: Any) -> tuple[Any, Any]:
         """The time of the instant t, and the time from there to the next."""

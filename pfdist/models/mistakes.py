@@ -29,10 +29,10 @@ def is_interrupt(error: BaseException) -> bool:
 
 def error_line(error: BaseException) -> str:
     """A model's exception in one line: its class and the beginning of its text."""
-    return ": ".join(part for part in (type(error).__name__, text_of(error)) if part)
+    return ": ".join(part for part in (type(error).__name__, text_of_mistake(error)) if part)
 
 
-def text_of(error: BaseException) -> str:
+def text_of_mistake(error: BaseException) -> str:
     """An error's text as one line of at most 500 characters; empty if it has none."""
     try:
         text = " ".join(str(error).split())
@@ -137,6 +137,6 @@ def density_named(name: str) -> str:
 
 def remedy(error: BaseException) -> str:
     """Advice on what to write instead, as ``; advice``; empty if there is none."""
-    text = text_of(error)
+    text = text_of_mistake(error)
     advice = next((cure for words, cure in _REMEDIES.items() if words in text), "")
     return f"; {advice}" if advice else ""

@@ -244,18 +244,18 @@ def cause_of(program: Program, values: Sequence[Any]) -> str:
 # --- the plain twin -------------------------------------------------------------------------------
 
 
-def take(table: Array, index: Any) -> Any:
+def take_entries(table: Array, index: Any) -> Any:
     """Entries of a table; NaN where the index is outside or NaN."""
     inside = (index >= 0) & (index < table.size)
     return np.where(inside, table[np.where(inside, index, 0).astype(np.int64)], np.nan)
 
 
-def as_float(mask: Any) -> Any:
+def as_numbers(mask: Any) -> Any:
     """1 where a mask holds, and 0 elsewhere."""
     return np.where(mask, 1.0, 0.0)
 
 
-def evaluate(
+def evaluate_program(
     program: Program,
     groups: Mapping[str, Sequence[Any]],
     t: Any,
@@ -299,13 +299,13 @@ def evaluate(
                 else:
                     values[number] = _of_loop(name, given, which, step, states)
             elif arguments and name not in ("covariate", "take"):
-                function = as_float if name == "float" else getattr(np, name)
+                function = as_numbers if name == "float" else getattr(np, name)
                 values[number] = function(*given)
             else:
                 values[number] = _read(program, name, which, given, groups, t, parameters, rows)
             number += 1
     return tuple(
-        as_float(values[each]) if program.operations[each].name in MASKS else values[each]
+        as_numbers(values[each]) if program.operations[each].name in MASKS else values[each]
         for each in program.outputs
     )
 
@@ -347,4 +347,4 @@ def _read(
         return entries[np.asarray(given[0], np.int64)]
     if name == "constant":
         return program.constants[rows, which]
-    return take(program.tables[which], *given)
+    return take_entries(program.tables[which], *given)

@@ -24,7 +24,7 @@ from pfdist.models.program import (
     Array,
     Program,
     cause_of,
-    evaluate,
+    evaluate_program,
     merged,
     unrolled,
 )
@@ -84,7 +84,7 @@ class Programs:
         p, t = groups.pop("p"), groups.pop("t", 0)
         program, row = self.traced.program_at(t)
         every = replace(program, outputs=(*range(len(program.operations)),))
-        name = cause_of(program, evaluate(every, groups, t, p._asdict(), row))
+        name = cause_of(program, evaluate_program(every, groups, t, p._asdict(), row))
         return f", in {name}{self.place}" if name else self.place
 
     def with_parameters(self, parameters: Mapping[str, Parameter]) -> "Programs":
@@ -161,7 +161,7 @@ def _counts(program: Program, row: int, t: Any, p: Any) -> dict[int, float]:
     varies = any(each.arguments or each.name != "constant" for each in pruned.operations)
     if varies and recording_of(p, t) is not None:
         raise RefusedError("a loop whose number of steps varies has no derivative")
-    values = evaluate(pruned, {}, t if varies else 0, p._asdict() if varies else {}, row)
+    values = evaluate_program(pruned, {}, t if varies else 0, p._asdict() if varies else {}, row)
     return dict(zip(loops, map(float, values), strict=True))
 
 

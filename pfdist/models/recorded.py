@@ -18,7 +18,7 @@ from pfdist.models.parameters import Parameter
 from pfdist.models.program import Array
 from pfdist.models.programs import Declared, Programs
 from pfdist.models.tracing import MODES, Traced
-from pfdist.models.twin import formula_of, instants_of, traced
+from pfdist.models.twin import formula_of, instants_of_twin, traced
 
 _NUMBERS = np.modf(np.outer(np.arange(1, 65), np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0])))[0] * 4.0 - 2.0
 
@@ -119,7 +119,7 @@ def check_same_functions(model: StateSpaceModel, other: StateSpaceModel, instant
             first, second = (getattr(each.model, name) for each in (part, of_other))
             if not isinstance(first, Declared) or first.function == second.function:
                 continue
-            of_formula = instants_of(name, instants)
+            of_formula = instants_of_twin(name, instants)
             for t in (of_formula[0], of_formula[-1]):
                 try:
                     values, others = (

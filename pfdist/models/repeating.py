@@ -15,7 +15,7 @@ from pfdist.models.symbols import Recording, Symbol, as_float
 Step = Callable[[tuple[Any, ...], Any, tuple[Any, ...]], Sequence[Any]]
 
 
-def repeated(
+def repeated_steps(
     step: Step,
     x: Sequence[Any],
     count: Any,

@@ -20,8 +20,8 @@ from pfdist.models.program import (
     Operation,
     Program,
     excess_of_loops,
+    take_entries,
 )
-from pfdist.models.program import take as take_entries
 
 MOST_OPERATIONS: Final = 50_000
 _NUMBERS = (bool, int, float, np.integer, np.floating, np.bool_)

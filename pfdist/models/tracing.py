@@ -22,7 +22,7 @@ from pfdist.common.telling import Waiting
 from pfdist.errors import ModelError, TraceError
 from pfdist.models.mistakes import error_line, is_interrupt, place_of, remedy
 from pfdist.models.parameters import Parameter, named_parameters
-from pfdist.models.program import Array, Program, evaluate, merged
+from pfdist.models.program import Array, Program, evaluate_program, merged
 from pfdist.models.symbols import Recording, RefusedError, Symbol
 
 MOST_STRUCTURES: Final = 32
@@ -108,7 +108,7 @@ class Traced:
     ) -> tuple[Any, ...]:
         """The values of the formula for arrays, by NumPy's functions: its plain twin."""
         program, row = self.program_at(t)
-        return evaluate(program, groups, t, parameters, row)
+        return evaluate_program(program, groups, t, parameters, row)
 
     def program_at(self, t: Any) -> tuple[Program, int]:
         """The program of an instant, and the row of its constants.
@@ -393,7 +393,7 @@ def _recorded_at(formula: Formula, mode: str, t: int) -> Program:
 def _divisions_by_zero(formula: Formula, program: Program, instants: range) -> list[int]:
     """The first instants at which a divisor that all particles share is 0."""
     shared = merged(replace(program, outputs=program.shared_divisors))
-    values = evaluate(shared, {}, np.array(instants), formula.parameters)
+    values = evaluate_program(shared, {}, np.array(instants), formula.parameters)
     zero = np.zeros(len(instants), np.bool_)
     for value in values:
         zero |= value == 0.0
@@ -431,7 +431,7 @@ def _check_numbers(
     groups = _groups(formula)
     for t in _few(instants):
         program, row = program_at(t)
-        found = evaluate(program, groups, t, formula.parameters, row)
+        found = evaluate_program(program, groups, t, formula.parameters, row)
         for k in range(_TRIED.shape[1]):
             single = {name: tuple(each[k] for each in values) for name, values in groups.items()}
             expected = formula.with_numbers(single, t)

@@ -26,7 +26,7 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
     ModelError
         The formula fails, also with numbers.
     """
-    instants, formula = instants_of(name, instants), model.formulas[name]
+    instants, formula = instants_of_twin(name, instants), model.formulas[name]
     if isinstance(formula, Declared):
         raise formula.why
     if isinstance(formula, Programs):
@@ -40,7 +40,7 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
     return result
 
 
-def instants_of(name: str, instants: range) -> range:
+def instants_of_twin(name: str, instants: range) -> range:
     """The instants at which a formula is traced, given instants of the system.
 
     `transition` leaves out the last, unless it is the only one; `initial` is traced at 0.

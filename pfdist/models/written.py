@@ -57,7 +57,7 @@ def _data_of(model: StateSpaceModel) -> dict[str, Any]:
     }
 
 
-def text_of(truth: StateSpaceModel, believed: StateSpaceModel) -> str:
+def text_of_models(truth: StateSpaceModel, believed: StateSpaceModel) -> str:
     """The text of two recorded models: the truth and the filter's model."""
     data = {"truth": _data_of(truth), "filter": None if believed == truth else _data_of(believed)}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False) + "\n"
@@ -75,7 +75,7 @@ def key_of_model(model: StateSpaceModel) -> str:
     """A hash of everything that a recorded model computes."""
 
     def make() -> str:
-        text = text_of(model, model)
+        text = text_of_models(model, model)
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     key: str = model.kept("key", make)

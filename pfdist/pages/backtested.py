@@ -101,10 +101,10 @@ def _prediction(shown: Any, ax: Axes) -> None:
 
 def draw_backtest(path: Path, plot: Plot) -> None:
     """Draw the plot of a backtest to a PNG file; it replaces only an earlier such figure."""
-    check_figure_replaceable(path)
+    check_backtest_replaceable(path)
     save_plot(path, plot, _TITLE)
 
 
-def check_figure_replaceable(path: Path) -> None:
+def check_backtest_replaceable(path: Path) -> None:
     """Raise a `StoreError` if a file exists that is no earlier figure of a backtest."""
     check_replaceable(path, partial(begins_with, mark=_TITLE.encode(), most=_START))

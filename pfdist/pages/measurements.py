@@ -21,7 +21,7 @@ from pfdist.pages.panel import (
     legend_above,
     marker,
     points,
-    rows_of_sets,
+    rows_with_results,
     step_of,
     table_of,
     thin,
@@ -66,7 +66,7 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
         The table has no set of this name.
     """
     table, curves = table_of(measurements, "measurements", "worth", "measurements"), []
-    sets, ax = rows_of_sets(table, names), axes_for(ax)
+    sets, ax = rows_with_results(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "there is no table of what measurements are worth")
     sensors = sorted({*table["sensor"]}) if "sensor" in table else [""]

@@ -57,7 +57,7 @@ def online_times_figure(tables: Tables) -> Plot:
     return Plot(4.2, draw, panels=2, share_x=True, title=title)
 
 
-def measured_at(times: Collection[Sequence[int]], horizon: int) -> NDArray[np.bool_]:
+def measured_marks(times: Collection[Sequence[int]], horizon: int) -> NDArray[np.bool_]:
     """Whether each draw is measured at each instant, (D, T+1)."""
     measured = np.zeros((len(times), horizon + 1), np.bool_)
     for row, instants in zip(measured, times, strict=True):
@@ -145,7 +145,7 @@ def _measured(source: Run | OnlineDraws) -> tuple[OnlineDraws, NDArray[np.bool_]
     """The draws, whether each sensor measures each of them at each instant, and the clock."""
     draws = _draws_of(source)
     clock, times = draws.clock, draws.rows["measurement_times"]
-    measured = measured_at([clock.measurements(t) for t in times], clock.possible - 1)
+    measured = measured_marks([clock.measurements(t) for t in times], clock.possible - 1)
     return draws, measured.reshape(len(times), clock.horizon + 1, -1), clock
 
 

@@ -303,7 +303,7 @@ def styles_of(
     }
 
 
-def rows_of_sets(
+def rows_with_results(
     table: pd.DataFrame, names: Sequence[str]
 ) -> list[tuple[str, pd.DataFrame, dict[str, Any]]]:
     """The name, the rows in order of time and the style of each set of a table; by default of all.
@@ -357,7 +357,7 @@ def stack(panels: Sequence[Axes], components: int = 0) -> None:
         panels[-1].set_xlabel(f"{panels[-1].get_xlabel()}; {left_out} more components are left out")
 
 
-class Points(NamedTuple):
+class CurvePoints(NamedTuple):
     """The points of a curve, as arrows at the edge of the axes would show them, (n,)."""
 
     x: Array
@@ -366,15 +366,15 @@ class Points(NamedTuple):
     name: str
 
 
-def points(x: ArrayLike, y: ArrayLike, colour: str, name: str) -> Points:
+def points(x: ArrayLike, y: ArrayLike, colour: str, name: str) -> CurvePoints:
     """The points of a curve that have a value, which may be infinite. The name is verbatim."""
     at, values = np.asarray(x, np.float64), np.asarray(y, np.float64)
     present = ~np.isnan(values)
-    return Points(at[present], values[present], colour, name)
+    return CurvePoints(at[present], values[present], colour, name)
 
 
 def cut_outliers(
-    ax: Axes, curves: Sequence[Points], keep: Iterable[float] = (), *, zero: bool = False
+    ax: Axes, curves: Sequence[CurvePoints], keep: Iterable[float] = (), *, zero: bool = False
 ) -> None:
     """Limit the vertical axis if outliers flatten it; arrows show where the outliers are.
 
@@ -436,7 +436,7 @@ def number(value: float) -> str:
 
 
 def _mark_beyond(
-    ax: Axes, curve: Points, beyond: NDArray[np.bool_], edge: float, shape: str
+    ax: Axes, curve: CurvePoints, beyond: NDArray[np.bool_], edge: float, shape: str
 ) -> None:
     """Draw an arrow at the edge for each point beyond it; labels have the numbers."""
     if not beyond.any():

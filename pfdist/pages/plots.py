@@ -12,7 +12,7 @@ which draws a table of many runs.
 from pfdist.pages import style  # noqa: F401  first: it decides how Matplotlib is imported
 from pfdist.pages.bounds import bound, budget, draw_target
 from pfdist.pages.figure import draw_figures, draw_missing_figures
-from pfdist.pages.filtered import belief, check_figure_replaceable, draw_filtered, filtered_plot
+from pfdist.pages.filtered import belief, draw_filtered, filtered_plot
 from pfdist.pages.gains import gain, one_draw
 from pfdist.pages.measurements import sampling_windows, worth
 from pfdist.pages.online import online_gain, online_raster, online_shares
@@ -26,7 +26,6 @@ __all__ = [
     "belief",
     "bound",
     "budget",
-    "check_figure_replaceable",
     "comparison",
     "degenerate_draws",
     "draw_figures",

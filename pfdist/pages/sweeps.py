@@ -13,7 +13,7 @@ from matplotlib.transforms import ScaledTranslation
 from pfdist.errors import ArgumentError, shown
 from pfdist.pages.figure import Plot, save_plots
 from pfdist.pages.panel import (
-    Points,
+    CurvePoints,
     axes_for,
     chosen,
     clipped,
@@ -27,18 +27,18 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY, SERIES
-from pfdist.problem.set_key import labels_of
-from pfdist.results.runs_table import formatted_value, keys_of, shown_names
+from pfdist.problem.set_key import labels_of_sets
+from pfdist.results.runs_table import formatted_value, keys_of_runs, shown_names
 from pfdist.results.studies import (
     SEED,
     SET,
     Average,
     averages,
-    columns_of,
+    columns_of_study,
     formatted_point,
     is_numeric,
     still_varying,
-    values_of,
+    values_of_points,
 )
 
 MOST_LINES = 20  # nobody could distinguish more
@@ -113,22 +113,22 @@ def against(
     ax = axes_for(ax, 2.2 + 0.08 * len(lines))
     if not lines:
         return write_instead(ax, "no result is finite")
-    places, factor = _places(ax, values_of(frame, key)), 100.0 if value in _PER_CENT else 1.0
+    places, factor = _places(ax, values_of_points(frame, key)), 100.0 if value in _PER_CENT else 1.0
     colours, dashes = ([*dict.fromkeys(at[part] for at, _ in lines)] for part in _PARTS)
-    curves = []
+    curves, varied = [], keys_of_runs(frame)
     for number, (at, line) in enumerate(lines):
         shade, dash = colours.index(at[:1]), dashes.index(at[1:])
         colour = SERIES[shade % len(SERIES)]
         style = {
             "color": colour, "mfc": "white" if dash else colour, "ls": _DASHES[dash % len(_DASHES)],
             "marker": _MARKERS[shade % len(_MARKERS)],
-            "label": clipped(formatted_point(names, at, keys_of(frame)) or _BEST, _LONGEST_LABEL),
+            "label": clipped(formatted_point(names, at, varied) or _BEST, _LONGEST_LABEL),
         }  # fmt: skip
         aside = _BESIDE * (number - (len(lines) - 1) / 2)
         curves.append(_draw_line(ax, line, places, factor, style, aside))
     if value == "expected_mse":
         _draw_references(ax, frame, key, places)
-    ax.set_xlabel(verbatim(shown_names(keys_of(frame))[key]))
+    ax.set_xlabel(verbatim(shown_names(keys_of_runs(frame))[key]))
     ax.set_ylabel(_label(value))
     cut_outliers(ax, curves)
     if len(ax.get_legend_handles_labels()[1]) > 1:
@@ -152,12 +152,12 @@ def draw_points(frame: pd.DataFrame, folder: Path) -> list[Path]:
 
 def _key(frame: pd.DataFrame, key: str | None) -> str:
     """The column with this key; by default the first in which the jobs differ."""
-    keys = keys_of(frame)
+    keys = keys_of_runs(frame)
     if key is not None:
         return chosen(key, keys, "key")
     if not keys:
         raise ArgumentError("against needs runs whose jobs differ, got none", argument="table")
-    columns = [name for name in (*columns_of(frame), *keys) if name not in (SET, SEED)]
+    columns = [name for name in (*columns_of_study(frame), *keys) if name not in (SET, SEED)]
     return columns[0] if columns else SEED
 
 
@@ -190,7 +190,7 @@ def _draw_references(ax: Axes, frame: pd.DataFrame, key: str, places: dict[Any, 
     others = [name for name in still_varying(frame, [key]) if name not in (key, SET)]
     lines = _lines(frame, [key, "reference", *others], "reference_mse")
     names = {str(at[0]) for at, _ in lines}
-    label = labels_of(names, {})[names.pop()] if len(names) == 1 else "references"
+    label = labels_of_sets(names, {})[names.pop()] if len(names) == 1 else "references"
     for _, means in lines:
         line = [replace(each, low=math.nan, high=math.nan, replicates=()) for each in means]
         style = {"color": GREY, "marker": "_", "ls": _DASHES[1], "label": label}
@@ -201,7 +201,7 @@ def _draw_references(ax: Axes, frame: pd.DataFrame, key: str, places: dict[Any, 
 def _draw_line(
     ax: Axes, line: list[Average], places: dict[Any, float], factor: float, style: dict[str, Any],
     aside: float = 0.0
-) -> Points:  # fmt: skip
+) -> CurvePoints:  # fmt: skip
     """Draw means with their intervals, and replicates, shifted to the side by so many points."""
     line = sorted(line, key=lambda each: places[each.point[0]])
     x = np.array([places[each.point[0]] for each in line], np.float64)

@@ -19,7 +19,7 @@ from pfdist.pages.panel import (
     legend_above,
     marker,
     points,
-    rows_of_sets,
+    rows_with_results,
     stack,
     table_of,
     thin,
@@ -133,7 +133,7 @@ def error_profile(profile: object, names: Sequence[str] = (), *, ax: Axes | None
         The table has no set of this name.
     """
     table, curves = table_of(profile, "profile", "profile"), []
-    sets, ax = rows_of_sets(table, names), axes_for(ax)
+    sets, ax = rows_with_results(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "there is no table of errors over time")
     for _, rows, style in sets:
@@ -189,7 +189,7 @@ def effective_sample_size(
         The table has no set of this name.
     """
     table = table_of(profile, "profile", "profile", "table").dropna(subset="effective_sample_size")
-    sets, ax = rows_of_sets(table, names), axes_for(ax)
+    sets, ax = rows_with_results(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "exact filters have no effective sample size")
     for _, rows, style in sets:
@@ -231,7 +231,7 @@ def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | N
     """
     table = table_of(profile, "profile", "profile")
     table = table[table["draws"] > 0]
-    sets, ax = rows_of_sets(table, names), axes_for(ax)
+    sets, ax = rows_with_results(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "exact filters have no degenerate draws")
     for _, rows, style in sets:

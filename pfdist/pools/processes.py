@@ -18,7 +18,15 @@ from pfdist.common.stopping import check
 from pfdist.errors import PoolError
 from pfdist.pools.base import Outcome, Silence, Task, patience, pause
 from pfdist.pools.cores import usable_cores
-from pfdist.pools.workers import FUNCTIONS, Answer, Sent, answer, failed, pickled, silence_limit
+from pfdist.pools.workers import (
+    FUNCTIONS,
+    Answer,
+    Sent,
+    answer_task,
+    failed,
+    pickled,
+    silence_limit,
+)
 
 _SPAWN = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
 _IGNORED = (signal.SIGHUP, signal.SIGINT, signal.SIGUSR1, signal.SIGUSR2)
@@ -158,4 +166,4 @@ def _end_with_pool(ended: Any) -> None:
 
 
 def _do(key: str, content: bytes, work: Any, most: float) -> Answer:
-    return answer(key, lambda: content, work, most)
+    return answer_task(key, lambda: content, work, most)

@@ -17,7 +17,15 @@ from pfdist.common.stopping import check, sleep
 from pfdist.errors import EngineWarning, PoolError, SilenceError
 from pfdist.pools.base import PAUSE_SECONDS, Function, Outcome, Silence, Task, patience, pause
 from pfdist.pools.ray_cluster import connected, load_ray, reason
-from pfdist.pools.workers import FUNCTIONS, Answer, Sent, answer, failed, pickled, silence_limit
+from pfdist.pools.workers import (
+    FUNCTIONS,
+    Answer,
+    Sent,
+    answer_task,
+    failed,
+    pickled,
+    silence_limit,
+)
 
 RETRIES = 3  # of a task whose worker died
 LEAST_IN_FLIGHT = 16  # tasks, also on a cluster that has no cores yet, so that it gets some
@@ -167,14 +175,14 @@ def _remote() -> Any:
         found = next((each.version for each in metadata.distributions(name="pfdist")), "none")
         if found != here:
             return platform.node(), found
-        from pfdist.pools.ray_pool import answer_of  # noqa: PLC0415  of the worker's own version
+        from pfdist.pools.ray_pool import answer_of_ray  # noqa: PLC0415  of the worker's own version
 
-        return answer_of(key, content, work, most)
+        return answer_of_ray(key, content, work, most)
 
     return load_ray().remote(num_cpus=1, max_retries=RETRIES, name="pfdist")(remote)
 
 
-def answer_of(key: str, content: list[Any], work: bytes, most: float) -> Answer:
+def answer_of_ray(key: str, content: list[Any], work: bytes, most: float) -> Answer:
     """The answer of a worker to a task."""
     (stored,) = content
-    return answer(key, lambda: load_ray().get(stored), pickle.loads(work), most)  # noqa: S301
+    return answer_task(key, lambda: load_ray().get(stored), pickle.loads(work), most)  # noqa: S301

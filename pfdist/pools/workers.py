@@ -38,7 +38,7 @@ Answer = tuple[Any, float, str, str, str | None, bool]
 _functions: dict[str, Function] = {}
 
 
-def answer(key: str, content: Callable[[], bytes], work: Any, most: float) -> Answer:
+def answer_task(key: str, content: Callable[[], bytes], work: Any, most: float) -> Answer:
     """The answer to a task, which may compute, or sleep, for so many seconds.
 
     `content` gives the pickled function; it is called only if the worker lacks the function.

@@ -298,7 +298,7 @@ class Constraints:
 _MOST_UNITS = 10_000  # of money; the memory of the searches grows with their number
 
 
-def check(constraints: Constraints) -> None:
+def check_constraints(constraints: Constraints) -> None:
     """Raise an error if constraints contradict each other, or if no set satisfies them.
 
     The message of the `MeasurementTimesError` begins with the name of the wrong value.

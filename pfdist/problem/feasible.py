@@ -18,7 +18,7 @@ import numpy as np
 from pfdist.common.measurement_times import Times, random, random_below, regular
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.affordable import Affordable, Completions, nearest
-from pfdist.problem.constraints import Constraints, Limit, check
+from pfdist.problem.constraints import Constraints, Limit, check_constraints
 from pfdist.problem.spacing import Spacing
 
 _MOST_COUNTED = 1_000_000  # sets that are counted one by one
@@ -38,7 +38,7 @@ class Feasible(Constraints):
     smaller: bool = False
 
     def __post_init__(self) -> None:
-        check(self)
+        check_constraints(self)
 
     def accepts(self, times: Times) -> bool:
         """Whether a set is feasible."""

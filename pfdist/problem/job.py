@@ -16,7 +16,7 @@ from pfdist.common.gone import without_gone
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text, with_texts
-from pfdist.common.section import Section, checked, explained
+from pfdist.common.section import JobSection, checked, explained
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.filters.engines import is_exact
 from pfdist.problem.covariates import with_columns
@@ -32,7 +32,7 @@ from pfdist.problem.sections import (
     Comparison,
     EvaluationSection,
     Execution,
-    Filter,
+    FilterSection,
     Model,
 )
 from pfdist.problem.written import validated_instants
@@ -153,7 +153,7 @@ class Origin(NamedTuple):
 _NO_FILE = Origin()
 
 
-class Job(Section):
+class Job(JobSection):
     """A validated job: everything that identifies a run, and where it is computed.
 
     Use `load_job` to read a job file.
@@ -176,7 +176,7 @@ class Job(Section):
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     model: Model = Model()
     problem: ProblemSection
-    filter: Filter = Filter()
+    filter: FilterSection = FilterSection()
     evaluation: EvaluationSection = EvaluationSection()
     scenarios: Scenarios | None = None
     search: tuple[Search, ...] = Field(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import Field, field_validator
 
-from pfdist.common.section import Section
+from pfdist.common.section import JobSection
 from pfdist.problem.methods import METHODS, any_section
 from pfdist.problem.search_section import CommonNoiseSettings, SearchSection
 
@@ -21,7 +21,7 @@ else:
     Search, OnlineSearch = any_section(), any_section(online=True)
 
 
-class Online(Section):
+class Online(JobSection):
     """Online choice: each time is chosen after the measurement before it is known.
 
     The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` have no effect.

@@ -17,7 +17,7 @@ from pfdist.common import parts
 from pfdist.common.arguments import listed_argument, texts_argument
 from pfdist.common.calendar import as_text
 from pfdist.common.nearest import allowed_names, did_you_mean
-from pfdist.common.section import Section, explained, keys_of
+from pfdist.common.section import JobSection, explained, keys_of_section
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, ModelError, shown
 from pfdist.models import (
@@ -30,9 +30,9 @@ from pfdist.models import (
 )
 from pfdist.problem.job import Job, Origin, load_job
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.problem.sections import Filter
+from pfdist.problem.sections import FilterSection
 
-_SECTIONS: dict[str, type[Section]] = {"problem": ProblemSection, "filter": Filter}
+_SECTIONS: dict[str, type[JobSection]] = {"problem": ProblemSection, "filter": FilterSection}
 _OWN = ("seed", "model", *_SECTIONS)
 _STRANGE = re.compile(r"[^\w.-]+")
 
@@ -244,7 +244,7 @@ def _section_of(model: str | NamedModel) -> dict[str, Any]:
 
 def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The keys of each section of a job; each section is checked for itself."""
-    allowed = [key for section in _SECTIONS.values() for key in keys_of(section)]
+    allowed = [key for section in _SECTIONS.values() for key in keys_of_section(section)]
     for key in keys:
         if key not in allowed:
             names = ["filter_model", "scenarios", *allowed]
@@ -252,7 +252,9 @@ def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             raise JobError(f"unknown argument {shown(key)} of Problem{allowed_here}")
     sections = {}
     for name, section in _SECTIONS.items():
-        sections[name] = {key: keys[key] for key in keys_of(section) if keys.get(key) is not None}
+        sections[name] = {
+            key: keys[key] for key in keys_of_section(section) if keys.get(key) is not None
+        }
         try:
             section(**sections[name])
         except ValidationError as error:
@@ -324,7 +326,7 @@ def _signature() -> inspect.Signature:
             default=inspect.Parameter.empty if about.is_required() else about.default,
         )
         for section in _SECTIONS.values()
-        for key, about in keys_of(section).items()
+        for key, about in keys_of_section(section).items()
     ]
     return inspect.Signature([*own, *keys])
 

@@ -25,13 +25,13 @@ from pfdist.common.calendar import SECONDS, Calendar, calendar_of, groups
 from pfdist.common.clock import Clock, Time, plain_time
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
-from pfdist.common.section import Listed, Section
+from pfdist.common.section import JobSection, Listed
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.constraints import Limit, Money, money
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.sections import Moment, MomentsAndRanges, is_list_of
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.written import instants_of, measurements_of
+from pfdist.problem.written import instants_written, measurements_of
 
 _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
@@ -50,7 +50,7 @@ def _priced(name: str, former: str) -> Any:
     return Field(None, validation_alias=AliasChoices(name, former))
 
 
-class ClockSection(Section):
+class ClockSection(JobSection):
     """The date of the first instant, and the time from an instant to the next.
 
     All times may then be dates. The unit of the step is that of numbers, such as `minimum_spacing`.
@@ -113,7 +113,7 @@ class ClockSection(Section):
         return clock
 
 
-class SensorSection(Section):
+class SensorSection(JobSection):
     """The price of a sensor's measurements, and constraints on them.
 
     The lower bound relaxes `most` and `minimum_spacing`.
@@ -141,7 +141,7 @@ class SensorSection(Section):
     minimum_spacing: Time | None = None
 
 
-class ProblemSection(Section):
+class ProblemSection(JobSection):
     """The horizon, and constraints on the measurement times: number, price, and allowed times.
 
     Without a clock, the horizon and all times count instants. With `time_step`, `time_unit`,
@@ -322,9 +322,9 @@ class ProblemSection(Section):
             allowed = measurements_of(self.allowed, clock, "allowed", of_all=True)
             times.update({*range(clock.possible)} - {*allowed})
         for number, (name, sensor) in enumerate((self.sensors or {}).items()):
-            barred = {*instants_of(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
+            barred = {*instants_written(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
             if sensor.allowed is not None:
-                allowed = instants_of(sensor.allowed, clock, f"sensors.{name}.allowed")
+                allowed = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
                 barred.update({*range(clock.horizon + 1)} - {*allowed})
             times.update(t * len(clock.sensors) + number for t in barred)
         return tuple(sorted(times))
@@ -427,7 +427,7 @@ class ProblemSection(Section):
         first, last = (formatted_time(clock.time(t)) for t in (0, clock.horizon))
         ends = f"{first}..{last}"
         for key, price in given.items():
-            for t in instants_of(key, clock, name):
+            for t in instants_written(key, clock, name):
                 is_instant = 0 <= t <= clock.horizon
                 if t in prices or not is_instant:
                     what = "twice" if t in prices else f"for a horizon of {clock.horizon}"

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from pfdist.common.scenario import Scenario
-from pfdist.common.section import Listed, Section
+from pfdist.common.section import JobSection, Listed
 from pfdist.common.streams import stream_key
 from pfdist.errors import shown
 from pfdist.problem.sections import Parameter, is_list_of
@@ -24,7 +24,7 @@ _Above0 = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _Numbers = Listed[_Above0]
 
 
-class Scenarios(Section):
+class Scenarios(JobSection):
     """Possible parameters of the truth; each draw has those of one scenario.
 
     Scenarios are a list of parameters, or a distribution for each parameter. A distribution is cut

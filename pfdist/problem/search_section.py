@@ -4,7 +4,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field
 
-from pfdist.common.section import Section
+from pfdist.common.section import JobSection
 from pfdist.kernels.schemes import Resampling
 
 AUTO: Final = "auto"
@@ -20,7 +20,7 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class EvaluationSettings(Section):
+class EvaluationSettings(JobSection):
     """Settings of a search that replace those of [evaluation] and [filter] of the job.
 
     Parameters
@@ -72,7 +72,7 @@ class CommonNoiseSettings(EvaluationSettings):
         return self.particles or fewest
 
 
-class SearchSection(Section):
+class SearchSection(JobSection):
     """Base of all sections [[search]]. The section of each method adds its settings.
 
     Parameters

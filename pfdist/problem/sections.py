@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from pfdist.common.clock import Time, plain_time
 from pfdist.common.measurement_times import REGULAR
-from pfdist.common.section import Listed, Section
+from pfdist.common.section import JobSection, Listed
 from pfdist.errors import shown
 from pfdist.filters.engines import AUTO, EngineName
 from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
@@ -59,7 +59,7 @@ _SetName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=LONGEST
 _SetTimes = Annotated[Literal["regular"] | MomentsAndRanges, BeforeValidator(_listed_times)]
 
 
-class FilterModel(Section):
+class FilterModel(JobSection):
     """The filter's model, if it differs from the truth: another model, or other parameters.
 
     Parameters
@@ -74,7 +74,7 @@ class FilterModel(Section):
     parameters: dict[str, Parameter] = Field(default_factory=dict)
 
 
-class Model(Section):
+class Model(JobSection):
     """The system: a built-in model, an entry point, or ``path/file.py:object``.
 
     Parameters
@@ -92,7 +92,7 @@ class Model(Section):
     filter: FilterModel = FilterModel()
 
 
-class Filter(Section):
+class FilterSection(JobSection):
     """The particle filter.
 
     `pfdist.runner.build.build` replaces ``particles = "auto"`` by a number, so particles are an
@@ -139,7 +139,7 @@ class Filter(Section):
         return threshold_of(self.resample or "always")
 
 
-class EvaluationSection(Section):
+class EvaluationSection(JobSection):
     """How a search estimates the expected MSE of a set of times.
 
     Parameters
@@ -158,7 +158,7 @@ class EvaluationSection(Section):
     degenerate_draws: Degenerate = "kill"
 
 
-class Until(Section):
+class Until(JobSection):
     """The precision at which a comparison ends before it has all draws.
 
     Parameters
@@ -171,7 +171,7 @@ class Until(Section):
     half_width: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
 
 
-class Comparison(Section):
+class Comparison(JobSection):
     """The comparison of sets of times with the reference, on the same fresh draws.
 
     The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
@@ -226,7 +226,7 @@ class Comparison(Section):
         return self.reference if isinstance(self.reference, str) else REFERENCE
 
 
-class Budget(Section):
+class Budget(JobSection):
     """The numbers of measurements of a budget study; `pfdist budget` writes this section.
 
     They are all numbers from ``least`` to ``most``, unless ``numbers`` lists them.
@@ -268,7 +268,7 @@ class Budget(Section):
         return self
 
 
-class Execution(Section):
+class Execution(JobSection):
     """Where a run is computed; not part of the run's identity.
 
     Parameters

@@ -42,7 +42,7 @@ class SetKey:
         return f"{self.origin}_{self.number}" if self.number else self.origin
 
 
-def labels_of(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, str]:
+def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, str]:
     """The labels of sets in tables and figures, by name.
 
     The set of a single search is the plan. Sets of several searches keep their names.
@@ -53,7 +53,7 @@ def labels_of(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, str]:
     >>> labels_of(["regular_05", "genetic_05"], {**job, "budget": {}})
     {'regular_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
     """
-    keys = {column: key_of(column, job) for column in columns}
+    keys = {column: set_key_of(column, job) for column in columns}
     # A comparison has no search of its own, but sets of runs.
     searches = [search["name"] for search in job.get("search", ())] or [DEFAULT_METHOD]
     labels = {REGULAR: EVENLY_SPACED}
@@ -81,7 +81,7 @@ def _label(origin: str, key: SetKey) -> str:
     return f"{number} {origin}" if origin == EVENLY_SPACED else f"{origin} of {number}"
 
 
-def key_of(column: str, job: Mapping[str, Any]) -> SetKey:
+def set_key_of(column: str, job: Mapping[str, Any]) -> SetKey:
     """The key of a set by its name in columns, and the resolved job of its run."""
     if "budget" not in job:
         return SetKey(column)
@@ -101,7 +101,7 @@ def references_of(columns: Sequence[str], job: Mapping[str, Any]) -> dict[str, s
     job : mapping
         The run's resolved job.
     """
-    keys = {column: key_of(column, job) for column in columns}
+    keys = {column: set_key_of(column, job) for column in columns}
     reference = keys[columns[0]].origin
     return {
         column: SetKey(reference, key.number).column

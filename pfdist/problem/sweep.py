@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from pfdist.common.arguments import address_fault, path_argument, texts_argument
-from pfdist.common.section import Listed, Section, Whole, explained
+from pfdist.common.section import JobSection, Listed, Whole, explained
 from pfdist.errors import ArgumentError, JobError, shown, shown_text
 from pfdist.problem.job import Job, toml_of_file
 from pfdist.problem.points import Point, Values, dotted, points_of
@@ -25,7 +25,7 @@ Part = Annotated[Listed[Whole], Field(min_length=2, max_length=2)]
 """Part K of N of a sweep, as (K, N)."""
 
 
-class SweepFile(Section):
+class SweepFile(JobSection):
     """The content of a sweep file.
 
     Parameters

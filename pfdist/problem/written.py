@@ -23,7 +23,7 @@ _WHOLE_FLOAT = re.compile(r"(?<=\d)\.0+(?=[\s,:]|$)")  # 2.0 is the instant 2
 _NUMBER = (int, float, np.integer, np.floating)
 
 
-def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> list[int]:
+def instants_written(written: Any, clock: Clock, name: str = "measurement_times") -> list[int]:
     """The instants of a number, a text, or several of these, in the order written.
 
     A text has times and ranges, with commas or spaces between them. ``FIRST:LAST`` and
@@ -42,7 +42,7 @@ def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> 
             *_instants_of_text(written, clock, name)
         ]  # fmt: skip
     if isinstance(written, Iterable):
-        return [t for entry in written for t in instants_of(entry, clock, name)]
+        return [t for entry in written for t in instants_written(entry, clock, name)]
     is_number = isinstance(written, _NUMBER) and not isinstance(written, bool)
     if not is_number or (clock.counts and not float(written).is_integer()):
         raise MeasurementTimesError(
@@ -56,7 +56,7 @@ def measurements_of(
 ) -> list[int]:
     """The possible measurements that a text or several entries list.
 
-    Without sensors these are instants; see `instants_of`. With sensors, the name of a sensor
+    Without sensors these are instants; see `instants_written`. With sensors, the name of a sensor
     follows the times at which it measures. If `of_all`, times without a name mean all sensors.
 
     >>> clock = Clock((0, 1, 2, 3), counts=True, sensors=("ct", "x-ray"))
@@ -64,7 +64,7 @@ def measurements_of(
     [0, 6, 7]
     """
     if not clock.sensors:
-        return instants_of(written, clock, name)
+        return instants_written(written, clock, name)
     if isinstance(written, Iterable) and not isinstance(written, str):
         entries = (measurements_of(entry, clock, name, of_all=of_all) for entry in written)
         return [measurement for entry in entries for measurement in entry]
@@ -82,7 +82,7 @@ def measurements_of(
                 f"{name} must name times and then their sensor, as '12 {clock.sensors[0]}', got "
                 f"{shown(' '.join(waiting))}; sensors: {', '.join(clock.sensors)}"
             )
-        for t in instants_of(waiting, clock, name):
+        for t in instants_written(waiting, clock, name):
             if not 0 <= t <= clock.horizon:
                 raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
             found += [t * len(clock.sensors) + sensor for sensor in sensors[word]]
@@ -109,7 +109,7 @@ def validated_instants(
 ) -> Times:
     """A checked set of measurement times on a clock, as sorted instants.
 
-    Errors are those of `instants_of`, `pfdist.common.arguments.listed_argument` and
+    Errors are those of `instants_written`, `pfdist.common.arguments.listed_argument` and
     `pfdist.common.measurement_times.validated`.
     """
     if not isinstance(written, Iterable):

@@ -75,7 +75,7 @@ def question(subject: Subject) -> str:
     return f"{which} give the lowest expected MSE of {z}?"
 
 
-def made(subject: Subject) -> str:
+def made_by(subject: Subject) -> str:
     """The name of a run, the day on which it was started, and the version of pfdist."""
     run = subject.run
     started = datetime.fromisoformat(provenance_of(run)["started"])

@@ -11,7 +11,7 @@ from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
 from pfdist.problem.sections import Execution
 from pfdist.runner.build import chosen_pool, make_pool
-from pfdist.runner.door import Session
+from pfdist.runner.door import RunSession
 from pfdist.runner.progress import Detail, Say
 from pfdist.store import remove_file, write_file
 
@@ -55,7 +55,7 @@ def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[
 
 
 @contextlib.contextmanager
-def noted(session: Session) -> Iterator[None]:
+def noted(session: RunSession) -> Iterator[None]:
     """Mark the locked folder of a run while formulas run in this process.
 
     A formula that crashes the process leaves the mark, and the next process reports the crash.

@@ -27,7 +27,7 @@ from pfdist.errors import (
 from pfdist.filters.replicates import Replicate, read_replicates
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work
-from pfdist.questions.evaluate import OneSet, instants_of
+from pfdist.questions.evaluate import OneSet, instants_evaluated
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.planned_run import (
     UserTable,
@@ -38,7 +38,7 @@ from pfdist.questions.planned_run import (
 from pfdist.questions.report import write_page
 from pfdist.questions.thinned import Matched, judged_errors, matched_of, plans_of
 from pfdist.results import Run, finite
-from pfdist.results.promise import Errors, Promise, promise, real_over_foreseen
+from pfdist.results.promise import Promise, RelativeErrors, promise, real_over_foreseen
 from pfdist.runner.backtesting import (
     ReplicateErrors,
 )
@@ -173,9 +173,9 @@ class Backtest(Shown):
 
     def _page(self) -> Page:
         # Not above: it is made of this result.
-        from pfdist.questions.backtest_page import answer_of  # noqa: PLC0415
+        from pfdist.questions.backtest_page import backtest_answer  # noqa: PLC0415
 
-        return answer_of(self)
+        return backtest_answer(self)
 
 
 @with_options
@@ -259,7 +259,7 @@ def backtest(
     chosen, table = Chosen(**options), table_argument("data", data)
     files = files_beside(table, out, "data", "backtest")[: 3 if chosen.report is not False else 2]
     checks: Any = (lambda path: check_table_replaceable(path, backtest_schema()),
-              backtested.check_figure_replaceable, check_page_replaceable)  # fmt: skip
+              backtested.check_backtest_replaceable, check_page_replaceable)  # fmt: skip
     for file, check in zip(files, checks, strict=False):
         check(file)
     with following(chosen.progress, chosen.say) as (show, tell):
@@ -280,7 +280,9 @@ def backtest(
         _check_columns(built, replicates)
         if within is None:
             within = (clock.times[-1] - clock.times[0]) / clock.horizon / 2
-        own = {name: instants_of(built.job, name, each) for name, each in (times or {}).items()}
+        own = {
+            name: instants_evaluated(built.job, name, each) for name, each in (times or {}).items()
+        }
         for name in {*own} & {PLAN, FROM_START, CENTRED}:
             raise ArgumentError(f"times: {name!r} is the name of another set; choose another name")
         with at_work(execution, [built.evaluator.engine], tell) as pool:
@@ -346,7 +348,7 @@ def _result(
 ) -> Backtest:
     """The result, given the fields that are known before it."""
     of_sets = {
-        name: Errors(
+        name: RelativeErrors(
             np.array([each.real[k] for each in errors]),
             np.stack([
                 np.where(np.isfinite(each.foreseen[k]), each.foreseen[k], np.nan)

@@ -30,7 +30,7 @@ _SETS = (
 )  # fmt: skip
 
 
-def answer_of(answer: Backtest) -> Page:
+def backtest_answer(answer: Backtest) -> Page:
     """The answer of a terminal: the found gains in a sentence, and tables."""
     section = Section("", [Text(_headline(answer), prominent=True), _gains(answer), _sets(answer),
                            Facts(_facts(answer)), *_verdicts(answer)])  # fmt: skip

@@ -18,7 +18,7 @@ from pfdist.results.particle_loss import ParticleLoss, particle_losses_of
 from pfdist.results.sets import publish_sets
 from pfdist.runner.bound_settings import MEMORY, BoundSettings
 from pfdist.runner.build import check_pool
-from pfdist.runner.door import Session, complete
+from pfdist.runner.door import RunSession, complete
 from pfdist.runner.proof import Gap
 from pfdist.runner.prover import Look, Prover
 from pfdist.search.relaxation import WINDOW
@@ -170,7 +170,7 @@ def bound(
         check_pool(built.job.execution)
         prover, clock = Prover(built, settings), built.job.problem.clock
         with own_store(proved, built, tell) as store:
-            session = Session(built, store, show, tell)
+            session = RunSession(built, store, show, tell)
             session.reporter.foresee(prover.steps)
             finished = finished_run(proved)  # it may have been found damaged
             with noted(session):

@@ -11,7 +11,7 @@ from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.common.rounding import with_interval
 from pfdist.problem.set_key import EVENLY_SPACED, PLAN, phrase_of
-from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of
+from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of_times
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row
 
@@ -26,7 +26,7 @@ _BOUND = (
 )
 
 
-def budget(subject: Subject) -> Section | None:
+def budget_section(subject: Subject) -> Section | None:
     """The budget curve of a run for several numbers of measurements."""
     if not subject.is_compared:
         return None
@@ -137,7 +137,7 @@ def _undecided(subject: Subject, reached: Mapping[str, Any]) -> str:
     tried = sorted({row.measurements for row in subject.rows.values()})
     between = [] if few is None else [number for number in tried if few < number < enough]
     are = "is" if len(between) == 1 else "are"
-    return f"{ranges_of(between)} {are} undecided" if between else ""
+    return f"{ranges_of_times(between)} {are} undecided" if between else ""
 
 
 def _untried(subject: Subject, number: int) -> str:
@@ -170,7 +170,7 @@ def _as_good(row: Row) -> Cell:
     numbers = row.evenly_spaced or []
     if row.evenly_spaced_between:
         return Cell(f"above {numbers[0]}", numbers[0])
-    return Cell(ranges_of(numbers) or "above all", (numbers or [math.inf])[0])
+    return Cell(ranges_of_times(numbers) or "above all", (numbers or [math.inf])[0])
 
 
 def _bound(row: Row) -> Cell:

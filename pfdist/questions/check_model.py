@@ -16,8 +16,8 @@ from pfdist.filters.work import PLAIN
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, Problem, as_job
-from pfdist.questions.model_checks import EVERY_INSTANT, Check, check_filter, check_loaded
-from pfdist.runner.build import evaluator_of, models_of
+from pfdist.questions.model_checks import EVERY_INSTANT, Check, check_filter_model, check_loaded
+from pfdist.runner.build import evaluator_of, models_of_job
 from pfdist.runner.searches import comparing_of
 
 HORIZON, PARTICLES = 60, 500
@@ -110,7 +110,7 @@ def _is_job(model: StateSpaceModel | JobSource) -> TypeGuard[JobSource]:
 def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
     """Check the models of a job with its parameters, then its filter at its regular times."""
     try:
-        models = models_of(job)
+        models = models_of_job(job)
     except ModelError as error:
         yield Check("load", "wrong", str(error))
         return
@@ -131,4 +131,6 @@ def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
         settings = {"particles": particles, "proposal": proposal}
         job = job.with_changes(settings={"filter": settings})
         made = partial(evaluator_of, job)
-        yield from check_filter(made, models, job.problem.feasible.regular(), comparing_of(job))
+        yield from check_filter_model(
+            made, models, job.problem.feasible.regular(), comparing_of(job)
+        )

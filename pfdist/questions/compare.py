@@ -13,7 +13,7 @@ from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
-from pfdist.questions.evaluate import OneSet, instants_of
+from pfdist.questions.evaluate import OneSet, instants_evaluated
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.run import run_built
 from pfdist.questions.run_of_job import finished_run, folder_of
@@ -106,7 +106,7 @@ class SetsToCompare:
                 argument="times",
             )
         for name, written in times.items():
-            instants = instants_of(self._job, name, written)
+            instants = instants_evaluated(self._job, name, written)
             if self._instants.get(name) == instants:  # it is compared anyway
                 continue
             if name in self._written:

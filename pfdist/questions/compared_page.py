@@ -223,7 +223,7 @@ _NOTHING = dict.fromkeys(_SHOWN)
 _FIGURES = ("online_gain", "online_times", "online_draw")
 
 
-def online(subject: Subject) -> Section | None:
+def online_section(subject: Subject) -> Section | None:
     """Online times compared with the plan and with the reference."""
     result = subject.online
     if result is None:

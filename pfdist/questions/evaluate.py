@@ -108,11 +108,11 @@ def evaluate(
     JobError, ModelError, MeasurementTimesError
         The job, the model or the times are not possible.
     """
-    _, compute = prepare(job, measurement_times, draws, particles, seed, profile=profile)
+    _, compute = prepare_evaluation(job, measurement_times, draws, particles, seed, profile=profile)
     return compute() if isinstance(measurement_times, Mapping) else compute()[UNNAMED]
 
 
-def prepare(
+def prepare_evaluation(
     job: JobSource,
     measurement_times: Written,
     draws: int | None = None,
@@ -127,7 +127,7 @@ def prepare(
     written, are_named = {UNNAMED: measurement_times}, False
     if isinstance(measurement_times, Mapping):
         written, are_named = {**measurement_times}, True
-    sets = {name: instants_of(job, name, times) for name, times in written.items()}
+    sets = {name: instants_evaluated(job, name, times) for name, times in written.items()}
     if not sets:
         raise JobError("evaluate needs at least one set of times, got none", argument="times")
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
@@ -137,7 +137,7 @@ def prepare(
     return built, partial(_evaluated, built, sets, stream, profile=profile)
 
 
-def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
+def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
     """The instants of a set; the error names the option, and the set if it has a name."""
     if isinstance(written, str) and written == REGULAR:
         return job.problem.feasible.regular()
@@ -333,7 +333,7 @@ def evaluated(
     """
     loaded = load_job(job, changes)
     written = times[UNNAMED] if list(times) == [UNNAMED] else times
-    built, compute = prepare(loaded, written, draws, particles, seed, profile=profile)
+    built, compute = prepare_evaluation(loaded, written, draws, particles, seed, profile=profile)
     start = time.perf_counter()  # after the compilation
     evaluations = compute()
     seconds = time.perf_counter() - start

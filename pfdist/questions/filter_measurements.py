@@ -30,7 +30,7 @@ from pfdist.common.shown import Shown
 from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import LEAST, SUSPICIOUS, Filter
-from pfdist.filters.filter_estimate import Estimate, few_particles
+from pfdist.filters.filter_estimate import FilterEstimate, few_particles
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.models.base import within_half_turn
 from pfdist.problem.problem import JobSource
@@ -273,7 +273,7 @@ def filter_measurements(
     return result
 
 
-def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
+def _estimates(filtering: Filter, rows: Measurements) -> Iterable[FilterEstimate]:
     measured = dict(zip(rows.t, rows.y, strict=True))
     for t in range(filtering.now.t, filtering.horizon + 1):
         known = t in measured  # the answer warns
@@ -281,7 +281,7 @@ def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
 
 
 def _table(
-    estimates: Iterable[Estimate],
+    estimates: Iterable[FilterEstimate],
     quantities: Sequence[Component],
     is_angle: Sequence[bool],
     schema: pa.Schema,

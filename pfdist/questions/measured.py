@@ -14,10 +14,10 @@ from pfdist.models import StateSpaceModel
 from pfdist.runner.likelihood import (
     Within,
     formatted_state,
-    instants_of,
+    instants_of_draws,
     likelihood,
     measured,
-    values_of,
+    values_of_formula,
 )
 
 Array = NDArray[np.float64]
@@ -152,14 +152,14 @@ _INTEGRATION = 1e-4  # error of the integration, which is not in the standard er
 def normalised(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[str, str]:
     """State and text: exp(log_likelihood) must have the integral 1 at a few simulated states."""
     rng, summed, states = np.random.default_rng(0), False, 0
-    for t in instants_of(draws):
+    for t in instants_of_draws(draws):
         some = rng.choice(draws.x[:, t], size=_STATES, replace=False)
         for number, x in enumerate(within(some)):
             y = np.stack(measured(model, x, t, number))
 
             def density(points: Array, x: Array = x, t: int = t) -> Array:
                 arguments = tuple(points), tuple(x.tolist()), t, model.p
-                (log,) = values_of(model, "log_likelihood", arguments, points.shape[1])
+                (log,) = values_of_formula(model, "log_likelihood", arguments, points.shape[1])
                 values: Array = np.exp(log)
                 return values
 

@@ -21,7 +21,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
-from pfdist.filters.work import GUIDED, PLAIN, Estimation, Work
+from pfdist.filters.work import GUIDED, PLAIN, Estimation, FilterWork
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel
 from pfdist.models.batched import BatchedModel
@@ -115,7 +115,7 @@ def check_loaded(
         spread, sensors = regular(horizon, max(2, (horizon + 1) // 3)), len(model.parts)
         in_turn = tuple(t * sensors + number % sensors for number, t in enumerate(spread))
         made = partial(Evaluator, horizon=horizon)
-        yield from check_filter(made, (model,), in_turn, Estimation(particles))
+        yield from check_filter_model(made, (model,), in_turn, Estimation(particles))
 
 
 def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
@@ -207,7 +207,7 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
-def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
+def _effective_sizes(evaluator: Evaluator, work: FilterWork) -> tuple[str, str]:
     """State and text: how many particles count after the measurements of regular times."""
     sizes = mean_effective_sizes(evaluator, work)
     if sizes.isna().all():
@@ -223,7 +223,7 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     return "ok", text
 
 
-def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
+def _particles(evaluator: Evaluator, work: FilterWork, seconds: float) -> tuple[str, str]:
     """State and text: the particle loss, and a number of particles that is enough.
 
     A particle-step takes so many seconds.
@@ -243,7 +243,7 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
     return "note", f"{text}; {found.particles:,} {few}: they lose {found.text}"
 
 
-def _guided(evaluator: Evaluator, work: Work) -> Iterator[Check]:
+def _guided(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
     """Compare "guided" with the choice of "auto", by its own measurement."""
     if work.estimation.proposal == GUIDED:
         plain = replace(work.estimation, proposal=PLAIN)
@@ -270,7 +270,7 @@ def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -
     return seconds / draws / work.steps_a_draw
 
 
-def check_filter(
+def check_filter_model(
     make: _Make, models: Sequence[StateSpaceModel], times: Times, estimation: Estimation
 ) -> Iterator[Check]:
     """Yield checks of an evaluation with some times: its degenerate draws, its error and its time.
@@ -285,7 +285,11 @@ def check_filter(
 
 
 def _substeps(
-    make: _Make, models: Sequence[StateSpaceModel], evaluator: Evaluator, work: Work, mse: Array
+    make: _Make,
+    models: Sequence[StateSpaceModel],
+    evaluator: Evaluator,
+    work: FilterWork,
+    mse: Array,
 ) -> Iterator[Check]:
     """A check of differential equations: what changes with twice as many steps.
 

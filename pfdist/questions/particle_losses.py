@@ -14,7 +14,7 @@ from pfdist.common.section import Whole, checked
 from pfdist.errors import JobError, PfdistWarning
 from pfdist.filters.work import GUIDED, PLAIN
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.questions.evaluate import UNNAMED, instants_of
+from pfdist.questions.evaluate import UNNAMED, instants_evaluated
 from pfdist.runner.build import build
 from pfdist.runner.particles import (
     mean_effective_sizes,
@@ -81,7 +81,7 @@ def particle_losses(
     Statistical Society B 72, 2010 (the variance of particles beside the truth).
     """
     job = as_job(job, settings={"seed": seed, "filter": {"particles": max(particles, default=1)}})
-    times = instants_of(job, UNNAMED, measurement_times)
+    times = instants_evaluated(job, UNNAMED, measurement_times)
     built = build(job, asked=4 * draws * len(tuple(particles)))
     evaluator, rows = built.evaluator.self_consistent, []
     if not evaluator.has_particle_loss:

@@ -15,7 +15,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Cloud, Prior
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.filter_estimate import Estimate
+from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.measurements import instant_on
 from pfdist.filters.one_filter import again, filter_of_truths, made, with_truths
 from pfdist.filters.user_prior import as_prior
@@ -126,7 +126,9 @@ class Planner:
         """The times that were measured."""
         return tuple(self.clock.written_of(self._taken))
 
-    def update(self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None) -> Estimate:
+    def update(
+        self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None
+    ) -> FilterEstimate:
         """Add a measurement, and plan the remaining times again.
 
         Parameters
@@ -176,7 +178,7 @@ class Planner:
         nothing = [float("nan")] * self._filter.model.components[1]
         self._plan_anew(self._filter.update(self._time(t), nothing).t)
 
-    def estimate(self, t: Time | None = None) -> Estimate:
+    def estimate(self, t: Time | None = None) -> FilterEstimate:
         """The estimate of z(t) from all measurements so far.
 
         Parameters
@@ -235,7 +237,7 @@ class Planner:
             for each, plan in zip(evaluations, wanted, strict=True)
         ]
 
-    def _on_clock(self, estimate: Estimate) -> Estimate:
+    def _on_clock(self, estimate: FilterEstimate) -> FilterEstimate:
         time: Any = self.clock.time(estimate.t)
         few: Any = None if estimate.collapsed is None else self.clock.time(estimate.collapsed)
         return replace(estimate, t=time, collapsed=few)

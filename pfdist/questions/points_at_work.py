@@ -13,7 +13,7 @@ from pfdist.questions.run import compute
 from pfdist.results import Run, open_run
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
-from pfdist.runner.door import Driver, Session
+from pfdist.runner.door import Driver, RunSession
 from pfdist.runner.identity import opened
 from pfdist.runner.progress import Progress, Say, Show, heard, silent
 from pfdist.runner.provenance import lender
@@ -131,7 +131,7 @@ class PointsAtWork:
             built = build(self._sweep.jobs[name], self._path / name)
             with opened(self._path / name, built) as store:
                 run = Run(store.path, built.job)
-                yield from compute(Session(built, store, show, say), run, self._bound)
+                yield from compute(RunSession(built, store, show, say), run, self._bound)
         except BusyError as error:
             self._busy[name] = str(error)
             return

@@ -23,7 +23,7 @@ from pfdist.results.sets import publish_sets
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
-from pfdist.runner.door import Batch, Session, complete
+from pfdist.runner.door import RunSession, WorkBatch, complete
 from pfdist.runner.driver import drive
 from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
 from pfdist.runner.identity import is_sealed, opened
@@ -148,12 +148,12 @@ def run_built(
     # beside the proof is still missing at the end: it is drawn again, and raises its error.
     with opened(path, built) as store, ThreadPoolExecutor(1) as beside:
 
-        def driver() -> Generator[Batch, None, Future[Run]]:
+        def driver() -> Generator[WorkBatch, None, Future[Run]]:
             run = Run(path, built.job)
             if (chosen.figures or chosen.has_report) and run.state != "finished":
                 for module in _OF_FIGURES:  # otherwise they would be waited for later
                     beside.submit(import_module, module)
-            session = Session(built, store, show, say)
+            session = RunSession(built, store, show, say)
             yield from compute(session, run, bound, partial(beside.submit, draw, run))
             return beside.submit(finish, run)
 
@@ -166,11 +166,11 @@ def run_built(
 
 
 def compute(
-    session: Session,
+    session: RunSession,
     run: Run,
     settings: BoundSettings | None,
     compared: Callable[[], object] = lambda: None,
-) -> Generator[Batch, None, None]:
+) -> Generator[WorkBatch, None, None]:
     """Compute what a run lacks, with its lower bound.
 
     Figures and the report of fewer draws stay until new ones replace them, but are not listed.
@@ -214,7 +214,7 @@ def compute(
     session.reporter.finish()
 
 
-def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
+def _prover(session: RunSession, settings: BoundSettings | None) -> Prover | None:
     """A prover of the run's lower bound; None if no bound is wanted or possible."""
     if settings is None:
         return None
@@ -225,7 +225,7 @@ def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
     return None
 
 
-def _is_long(session: Session, run: Run, prover: Prover) -> bool:
+def _is_long(session: RunSession, run: Run, prover: Prover) -> bool:
     """Whether a bound would take too long beside other results; a message says so."""
     minutes = prover.steps * _seconds_a_step(session.built, run) / 60
     if minutes > _PATIENCE and "bound" not in run.tables:
@@ -234,7 +234,7 @@ def _is_long(session: Session, run: Run, prover: Prover) -> bool:
     return minutes > _PATIENCE
 
 
-def _unproved(session: Session, reason: str) -> None:
+def _unproved(session: RunSession, reason: str) -> None:
     """Say why there is no lower bound, and keep the reason for every answer of the run."""
     if read_run(session.store.path)[0]["provenance"].get("unproved") != reason:
         add_to_provenance(session.store.path, {"unproved": reason})

@@ -25,12 +25,20 @@ from pfdist.common.percent import (
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
 from pfdist.problem.set_key import phrase_of
-from pfdist.questions.about_run import by_hand, citation, computed, made, problem, question, tables
+from pfdist.questions.about_run import (
+    by_hand,
+    citation,
+    computed,
+    made_by,
+    problem,
+    question,
+    tables,
+)
 from pfdist.questions.bound_page import proof
-from pfdist.questions.budget_page import budget
+from pfdist.questions.budget_page import budget_section
 from pfdist.questions.compared_page import (
     compared,
-    online,
+    online_section,
     online_sentence,
     scenarios,
     worst_effect,
@@ -44,7 +52,7 @@ from pfdist.questions.subject import (
     number_of,
     without_folder,
 )
-from pfdist.questions.why_page import worth
+from pfdist.questions.why_page import worth_section
 from pfdist.results import Run
 from pfdist.results.columns import COLUMNS, Row, sets_table
 from pfdist.results.stored_run import (
@@ -98,9 +106,9 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
     subject = Subject(run, target=target)
     title, chapters = "When to measure", _OF_A_PLAN
     if "budget" in run.job:
-        title, chapters = "How many measurements are enough", (budget, problem)
+        title, chapters = "How many measurements are enough", (budget_section, problem)
     elif run.job.get("online"):
-        title, chapters = "Fixed or online times", (answer, online, *_OF_A_PLAN[1:])
+        title, chapters = "Fixed or online times", (answer, online_section, *_OF_A_PLAN[1:])
     elif not run.job["search"]:
         title, chapters = "Which times are best", (compared, *_OF_A_PLAN)
     warnings = _warnings(subject)
@@ -108,12 +116,18 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
         draws = number_of(run.draws_compared, "draw")
         unfinished = f"This run is not finished: {draws} are compared so far, and all results may "
         warnings.insert(0, f"{unfinished}change.")
-    last = (searches, *([by_hand] if "budget" not in run.job else []), computed, tables, citation)
+    last = (
+        searches_section,
+        *([by_hand] if "budget" not in run.job else []),
+        computed,
+        tables,
+        citation,
+    )
     sections = _sections(subject, (*dict.fromkeys(chapters), *last))
     # The name in the model; in an older run, the name in the job.
     model = provenance_of(run).get("name_of_model")
     title = f"{title}: {one_line(model or without_folder(run.job['model']['name']))}"
-    about = f"{question(subject)} {made(subject)}"
+    about = f"{question(subject)} {made_by(subject)}"
     return Page(title, about, sections, warnings, seconds, alarms=subject.alarms)
 
 
@@ -130,21 +144,21 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         Whether the proof and the searches are described, too.
     """
     subject = Subject(run, target=target)
-    chapters: Sequence[Chapter] = (answer, compared, gains, scenarios, online)
+    chapters: Sequence[Chapter] = (answer, compared, gains, scenarios, online_section)
     if "budget" in run.job:
-        chapters = (budget,)
+        chapters = (budget_section,)
     place = (
         f"{run.path}: {run.state}, {evaluations_of(run):,} evaluations, "
         f"{run.draws_compared:,} draws compared"
     )
-    sections = _sections(subject, (*chapters, *([proof, searches] if details else [])))
+    sections = _sections(subject, (*chapters, *([proof, searches_section] if details else [])))
     return Page("", "", sections, _warnings(subject), place=place, alarms=subject.alarms)
 
 
 def answer_in_a_line(run: Run) -> str:
     """The gain of the best times, and these times; empty if the run has none yet."""
     subject = Subject(run)
-    section = budget(subject) if "budget" in run.job else answer(subject)
+    section = budget_section(subject) if "budget" in run.job else answer(subject)
     texts = [block for block in section.blocks if isinstance(block, Text)] if section else []
     said = [block.text for block in texts if block.prominent or "budget" not in run.job]
     return " ".join([*subject.alarms * bool(said), *said])
@@ -301,7 +315,7 @@ def _details(row: Row) -> Facts:
 # --- the searches ---------------------------------------------------------------------------------
 
 
-def searches(subject: Subject) -> Section | None:
+def searches_section(subject: Subject) -> Section | None:
     """The method of each search, how many sets it evaluated, and how it estimated its set."""
     job, copies = subject.run.job["search"], copies_of(subject.run)
     if not copies:
@@ -345,5 +359,5 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
 
 
 _OF_A_PLAN: tuple[Chapter, ...] = (
-    answer, scenarios, compared, problem, gains, proof, worth, online,
+    answer, scenarios, compared, problem, gains, proof, worth_section, online_section,
 )  # fmt: skip

@@ -23,7 +23,7 @@ from pfdist.results.runs_table import (
     formatted_gain,
     formatted_mse,
     formatted_value,
-    keys_of,
+    keys_of_runs,
     shown_names,
 )
 from pfdist.results.studies import SEED, averages, formatted_point, is_numeric, still_varying
@@ -34,7 +34,7 @@ _FEW_KEYS = 3  # that a narrow terminal shows
 
 def table_page(frame: pd.DataFrame) -> Page:
     """A table of runs, as `pfdist.table` gives it: what differs, and what the runs found."""
-    keys = keys_of(frame)
+    keys = keys_of_runs(frame)
     short = shown_names(keys)
     head = ["run", *(short[key] for key in keys), "set", _ERROR, "gain, %", "seconds"]
     rows = [_row(row, keys) for row in frame.to_dict("records")]
@@ -86,7 +86,7 @@ def lowest_text(frame: pd.DataFrame) -> str:
     if not columns:  # the seeds alone differ: there is nothing to choose
         return f"The expected MSE is {estimate}."
     point = formatted_point(
-        columns, best.point, sorted(keys_of(frame), key=lambda name: name == SEED)
+        columns, best.point, sorted(keys_of_runs(frame), key=lambda name: name == SEED)
     )
     return f"The lowest expected MSE is {estimate}: {point}."
 

@@ -274,10 +274,10 @@ def as_good_text(row: Row) -> str:
     if row.evenly_spaced_between:
         worse, better = numbers
         return f"{number_of(worse, 'evenly spaced measurement')} do worse, and {better} do better"
-    return f"{ranges_of(numbers)} evenly spaced measurements do as well"
+    return f"{ranges_of_times(numbers)} evenly spaced measurements do as well"
 
 
-def ranges_of(numbers: Sequence[int]) -> str:
+def ranges_of_times(numbers: Sequence[int]) -> str:
     """Numbers in ascending order as text.
 
     >>> ranges_of([37]), ranges_of([36, 37, 38]), ranges_of([36, 37, 40])

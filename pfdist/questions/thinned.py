@@ -25,7 +25,7 @@ from pfdist.runner.backtesting import (
     PlanWork,
     ReplicateErrors,
     ReplicateWork,
-    errors_of,
+    errors_of_replicates,
     evaluator_for,
     outcomes,
     plan_of,
@@ -185,7 +185,9 @@ def judged_errors(
         )
         works.append(work)
     errors = dict[int, ReplicateErrors]()
-    for done, (place, result) in enumerate(outcomes(pool, errors_of, works, "the backtest"), 1):
+    for done, (place, result) in enumerate(
+        outcomes(pool, errors_of_replicates, works, "the backtest"), 1
+    ):
         if not np.isfinite([*result.real, *np.nanmean(result.foreseen, axis=1)]).all():
             raise MeasurementsError(
                 f"replicate {shown(matched[place].replicate.name)}: errors must be finite, got "

@@ -30,7 +30,7 @@ from pfdist.results import Run, finite, open_run
 from pfdist.results.export import checked_export
 from pfdist.results.stored_run import check_one_number
 from pfdist.runner.build import make_pool
-from pfdist.runner.door import Batch, Session, complete
+from pfdist.runner.door import RunSession, WorkBatch, complete
 from pfdist.runner.progress import Say, Show, silent
 from pfdist.store import WHY_PHASE, frame_of, schema
 from pfdist.store.schema import with_sensors
@@ -175,7 +175,7 @@ def why(
                 f"({built.job.path})"
             )
         with own_store(opened, built, tell, must_be=False) as store:
-            session = Session(built, store, show, tell)
+            session = RunSession(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))
             driver = _examine(session, opened, sets, draws)
             # Threads are done before the workers of another pool would have started.
@@ -195,8 +195,8 @@ def _draw(run: Run) -> list[Path]:
 
 
 def _examine(
-    session: Session, run: Run, sets: dict[str, Times], draws: int
-) -> Generator[Batch, None, Why]:
+    session: RunSession, run: Run, sets: dict[str, Times], draws: int
+) -> Generator[WorkBatch, None, Why]:
     """Driver that computes all tables and publishes them at the end; it draws no figure."""
     built, store, rows = session.built, session.store, {part: list[Any]() for part in _PARTS}
     answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws

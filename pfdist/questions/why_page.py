@@ -28,7 +28,7 @@ _ROUNDING = 1e-10  # per cent: rounding errors of doubles are smaller
 Frames = Mapping[str, "pd.DataFrame"]
 
 
-def worth(subject: Subject) -> Section | None:
+def worth_section(subject: Subject) -> Section | None:
     """The worth of each measurement of a run's sets, where ``pfdist why`` has run."""
     run = subject.run
     if not {"worth", "sampling_windows"} <= {*run.tables}:

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import Interval
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
-from pfdist.filters.work import Result, Work, ranges_of
+from pfdist.filters.work import FilterWork, Result, ranges_of_draws
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.results.over_time import Range, joined_ranges, longest_range, profile_of
 from pfdist.results.sampling_windows import OUTSIDE, RelativeLoss, state_of
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import mean_effective_sizes
 from pfdist.store import WINDOW_PERCENTS
@@ -41,8 +41,8 @@ FIRST_REACH = 4
 
 
 def worth_of(
-    session: Session, name: str, times: Times, draws: int
-) -> Generator[Batch, None, tuple[Row, list[Row], list[Row]]]:
+    session: RunSession, name: str, times: Times, draws: int
+) -> Generator[WorkBatch, None, tuple[Row, list[Row], list[Row]]]:
     """The error of a set, its rows of the table ``profile``, and those of the table ``worth``.
 
     The rows lack position, name and draws. The set up to every instant and all its changes share
@@ -75,22 +75,24 @@ def worth_of(
     return summary | {"degenerate_draws": degenerate[-1]}, rows, [*worth.values()]
 
 
-def _ranges(session: Session, work: Work) -> Generator[Batch, None, list[Range]]:
+def _ranges(session: RunSession, work: FilterWork) -> Generator[WorkBatch, None, list[Range]]:
     """The errors of the sets of a work at each instant, over ranges of draws."""
     evaluator, (_, draws), ranges = session.built.evaluator, work.draws, list[Range]()
     if evaluator.exact:
         return [Range(0, 0, evaluator.expected_errors(work.measurement_times))]
     work = replace(work, over_time=longest_range(draws))
 
-    def learn(piece: Work, result: Result) -> None:
-        of_piece = ranges_of(*piece.draws, piece.over_time)
+    def learn(piece: FilterWork, result: Result) -> None:
+        of_piece = ranges_of_draws(*piece.draws, piece.over_time)
         ranges.extend(map(Range, *zip(*of_piece, strict=True), result.errors))
 
-    yield Batch(session, "why", evaluator.pieces(work, MOST_SECONDS), None, learn)
+    yield WorkBatch(session, "why", evaluator.pieces(work, MOST_SECONDS), None, learn)
     return joined_ranges(sorted(ranges, key=lambda each: each.first), work.over_time)
 
 
-def _work(session: Session, name: str, sets: Sequence[Times], draws: int, **others: Any) -> Work:
+def _work(
+    session: RunSession, name: str, sets: Sequence[Times], draws: int, **others: Any
+) -> FilterWork:
     """The work of filtering some sets; all work about a set has the same draws and noise."""
     built, seed = session.built, session.built.job.seed
     streams = stream_of("why", seed, "filter", name), stream_of("why", seed, "draws")
@@ -113,8 +115,8 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
 
 
 def _means(
-    session: Session, work: Work
-) -> Generator[Batch, None, tuple[list[tuple[float, float]], list[int]]]:
+    session: RunSession, work: FilterWork
+) -> Generator[WorkBatch, None, tuple[list[tuple[float, float]], list[int]]]:
     """Mean and standard error of each column of `_columns`, and degenerate draws up to each t.
 
     The first T+1 sets of the work are the set up to each instant. With a control, the first error
@@ -140,8 +142,8 @@ def _means(
 
 
 def _mse(
-    session: Session, work: Work
-) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_], Array]]:
+    session: RunSession, work: FilterWork
+) -> Generator[WorkBatch, None, tuple[Array, NDArray[np.bool_], Array]]:
     """MSE of each set for each draw, and which are degenerate, (D, S); (1, S) if it is exact.
 
     The control is subtracted from the MSE, because only means are computed from it. The last array
@@ -154,13 +156,13 @@ def _mse(
     mse, largest = np.empty((last - first, len(work.ends))), np.zeros(len(work.ends))
     degenerate = np.empty(mse.shape, np.bool_)
 
-    def learn(piece: Work, result: Result) -> None:
+    def learn(piece: FilterWork, result: Result) -> None:
         here = slice(piece.draws[0] - first, piece.draws[1] - first)
         mse[here] = result.mse - result.control if work.controlled else result.mse
         degenerate[here] = result.degenerate
         np.maximum(largest, result.mse.max(axis=0), out=largest)
 
-    yield Batch(session, "why", [work], None, learn)
+    yield WorkBatch(session, "why", [work], None, learn)
     return mse, degenerate, largest
 
 
@@ -175,8 +177,8 @@ def _columns(mse: Array) -> Array:
 
 
 def sampling_windows(
-    session: Session, name: str, times: Times, draws: int
-) -> Generator[Batch, None, list[Row]]:
+    session: RunSession, name: str, times: Times, draws: int
+) -> Generator[WorkBatch, None, list[Row]]:
     """Rows with the loss of moving one measurement at a time, and whether the levels allow it.
 
     They are those of the table ``sampling_windows``, without position, name and draws. The
@@ -232,8 +234,8 @@ def _up_to_the_first_beyond(
 
 
 def _rows(
-    session: Session, name: str, sets: tuple[Times, ...], draws: int, share: float
-) -> Generator[Batch, None, list[Row]]:
+    session: RunSession, name: str, sets: tuple[Times, ...], draws: int, share: float
+) -> Generator[WorkBatch, None, list[Row]]:
     """Columns of the loss of each set against the first set, which loses nothing."""
     evaluator, reporter = session.built.evaluator, session.reporter
     work = _work(session, name, sets, draws)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import REGULAR
-from pfdist.problem.set_key import key_of
+from pfdist.problem.set_key import set_key_of
 from pfdist.results.moments import Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, blocks_of, exact_errors
 
@@ -54,7 +54,7 @@ def doing_as_well(differences: Differences) -> tuple[list[int], bool]:
     return ([worse, better], True) if worse else ([], False)
 
 
-def columns_of(run: StoredRun, names: Iterable[str]) -> dict[str, dict[str, Any]]:
+def columns_of_even_times(run: StoredRun, names: Iterable[str]) -> dict[str, dict[str, Any]]:
     """The columns about evenly spaced times, by the name of the set, if there are any.
 
     In a run of several numbers of measurements, each found set is compared with all regular times.
@@ -77,7 +77,7 @@ def columns_of(run: StoredRun, names: Iterable[str]) -> dict[str, dict[str, Any]
 def _on_the_curve(run: StoredRun) -> Mapping[str, Differences]:
     """The differences of each found set from the regular times of as many or more measurements."""
     numbers = {name: len(times) for name, times in run.sets.items()}
-    regular = [name for name in run.names if key_of(name, run.job).origin == REGULAR]
+    regular = [name for name in run.names if set_key_of(name, run.job).origin == REGULAR]
     pairs = {
         (name, other): Moments()
         for name in run.names

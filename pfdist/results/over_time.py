@@ -93,7 +93,7 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
 
 def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Array, Array]:
     """The error of a set at each instant less that of another, and its standard error, (T+1,)."""
-    return errors_of(_ranges_of(run), run.names.index(name), run.names.index(reference))
+    return errors_over_time_of(_ranges_of(run), run.names.index(name), run.names.index(reference))
 
 
 def _ranges_of(run: StoredRun) -> list[Range]:
@@ -116,7 +116,7 @@ def profile_of(
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
     clock = problem.clock
-    error, standard_error = errors_of(ranges, place)
+    error, standard_error = errors_over_time_of(ranges, place)
     at = {time // max(1, len(clock.sensors)) for time in times}
     table = pd.DataFrame(
         {
@@ -134,7 +134,9 @@ def profile_of(
     return table
 
 
-def errors_of(ranges: Sequence[Range], place: int, other: int | None = None) -> tuple[Array, Array]:
+def errors_over_time_of(
+    ranges: Sequence[Range], place: int, other: int | None = None
+) -> tuple[Array, Array]:
     """The error of a set at each instant, less that of another, and its standard error, (T+1,).
 
     Ranges count by their draws. With one draw each, this is the standard error of a mean.

@@ -26,14 +26,14 @@ _Z = 1.959963984540054  # of a 95 % interval from very many draws
 
 
 @dataclass(frozen=True)
-class Errors:
+class RelativeErrors:
     """The errors of a set with R replicates, relative to the variance of what is judged.
 
     Parameters
     ----------
     real : array of float64, (R,)
     foreseen : array of float64, (R, D)
-        Errors of each simulated system; NaN if they are not finite.
+        RelativeErrors of each simulated system; NaN if they are not finite.
     """
 
     real: Array
@@ -84,12 +84,12 @@ class Promise:
         return NOT_KEPT if high < HALF else NOT_DECIDED
 
 
-def promise(plan: Errors, other: Errors, block: int = 1) -> Promise:
+def promise(plan: RelativeErrors, other: RelativeErrors, block: int = 1) -> Promise:
     """The promise of a plan against other times.
 
     Parameters
     ----------
-    plan, other : Errors
+    plan, other : RelativeErrors
         Their errors with the same replicates and the same simulated systems.
     block : int
         Number of consecutive replicates whose differences may depend on each other.
@@ -126,7 +126,7 @@ def _ratio(found: Array, foreseen: Array, block: int) -> tuple[float, Interval]:
     return ratio, (min(low, ratio - half), max(high, ratio + half))
 
 
-def real_over_foreseen(errors: Errors, sets: int, block: int = 1) -> tuple[float, Interval]:
+def real_over_foreseen(errors: RelativeErrors, sets: int, block: int = 1) -> tuple[float, Interval]:
     """The real error of a set over the foreseen one, with its interval.
 
     The intervals of all sets hold together with 95 % confidence (Bonferroni). They are those of the

@@ -170,7 +170,7 @@ def _column(name: str, values: list[Any]) -> "pd.Series[Any]":
 # --- its cells ------------------------------------------------------------------------------------
 
 
-def keys_of(frame: pd.DataFrame) -> list[str]:
+def keys_of_runs(frame: pd.DataFrame) -> list[str]:
     """The columns of a table of runs that hold differing keys."""
     columns = list(map(str, frame.columns))
     first, last = (columns.index(name) for name in ("run", "set"))

@@ -14,10 +14,10 @@ from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.common.measurement_times import REGULAR
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.problem.set_key import key_of
+from pfdist.problem.set_key import set_key_of
 from pfdist.results.budget_curve import FOUND, GIVEN, with_bounds, worse_than
 from pfdist.results.columns import COLUMNS, Row, rows_of
-from pfdist.results.evenly_spaced import columns_of
+from pfdist.results.evenly_spaced import columns_of_even_times
 from pfdist.results.moments import ComparisonStatistics, gain_over_itself, relative_gain
 from pfdist.results.particle_loss import hardly_measured, particle_losses_of
 from pfdist.results.stored_run import (
@@ -98,7 +98,7 @@ def _given(run: StoredRun) -> Iterable[Results]:
     for entry in run.table("compared").to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
         reference, is_found = run.references.get(name), not math.isnan(entry["search_mse"])
-        own_kind = key_of(name, run.job).origin if reference is None else GIVEN
+        own_kind = set_key_of(name, run.job).origin if reference is None else GIVEN
         row: Results = {
             "name": name,
             "label": run.labels[name],
@@ -184,7 +184,7 @@ def _add_results(
             gain = relative_gain(*(np.array(e["expected_mse"]) for e in (row, of_reference)))
             row |= _exact("gain_of_means", float(gain))
     rows[run.names[0]] |= _gain_over_itself(run)
-    for name, columns in columns_of(
+    for name, columns in columns_of_even_times(
         run, [n for n, row in rows.items() if row["kind"] == FOUND]
     ).items():
         rows[name] |= columns
@@ -241,7 +241,7 @@ def _add_search_errors(run: StoredRun, rows: dict[str, Results]) -> None:
         if name in worst:
             row["worst_mse"] = worst[name]["expected_mse"]
         if row["kind"] == FOUND:
-            search, errors = key_of(name, run.job).origin, row | worst.get(name, {})
+            search, errors = set_key_of(name, run.job).origin, row | worst.get(name, {})
             row.update(_search_errors(run, search, errors))
 
 

@@ -23,7 +23,7 @@ from pfdist.problem.methods import METHODS
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import DEFAULT_METHOD
-from pfdist.problem.set_key import labels_of, references_of
+from pfdist.problem.set_key import labels_of_sets, references_of
 from pfdist.results.moments import BLOCK, ComparisonStatistics, Gain, relative_gain
 from pfdist.store import QUESTIONS, Store, check_entries, read_run, unusable
 from pfdist.store.schema import KEYS
@@ -72,7 +72,7 @@ class StoredRun:
     @cached_property
     def labels(self) -> dict[str, str]:
         """The compared sets as tables and figures call them, by name."""
-        return labels_of(self.names, self.job)
+        return labels_of_sets(self.names, self.job)
 
     @cached_property
     def references(self) -> dict[str, str]:

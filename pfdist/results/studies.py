@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pfdist.common.estimate import Estimate
-from pfdist.results.runs_table import formatted_value, is_missing, keys_of, shown_names
+from pfdist.results.runs_table import formatted_value, is_missing, keys_of_runs, shown_names
 from pfdist.store.folder import natural_key
 
 SEED = "seed"
@@ -42,17 +42,19 @@ class Average:
     replicates: tuple[float, ...]
 
 
-def columns_of(frame: pd.DataFrame) -> list[str]:
+def columns_of_study(frame: pd.DataFrame) -> list[str]:
     """The columns that distinguish the rows of a table of runs: the set, and all keys but seed.
 
     Columns that have the same value in all rows are left out.
     """
     return [
-        name for name in (SET, *keys_of(frame)) if name != SEED and len(values_of(frame, name)) > 1
+        name
+        for name in (SET, *keys_of_runs(frame))
+        if name != SEED and len(values_of_points(frame, name)) > 1
     ]
 
 
-def values_of(frame: pd.DataFrame, name: str) -> list[Any]:
+def values_of_points(frame: pd.DataFrame, name: str) -> list[Any]:
     """The different values of a column in natural order; None comes last."""
     values = dict.fromkeys(map(plain, frame[name].tolist()))
     return sorted(values, key=_order)
@@ -84,7 +86,7 @@ def still_varying(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
         Columns of the table.
     """
     columns, varying = list(names), list[str]()
-    for name in columns_of(frame):
+    for name in columns_of_study(frame):
         if name not in columns and not _is_determined(frame, name, columns):
             columns.append(name)
             varying.append(name)

@@ -25,7 +25,7 @@ from pfdist.filters.work import Estimation
 from pfdist.models.base import within_half_turn
 from pfdist.pools.base import Pool, Task
 from pfdist.problem.feasible import Feasible
-from pfdist.runner.build import Built, evaluator_of, models_of
+from pfdist.runner.build import Built, evaluator_of, models_of_job
 from pfdist.runner.online_work import seen
 from pfdist.runner.planning import Now, Planning, Replanner
 
@@ -114,7 +114,7 @@ class ReplicateErrors:
         return self.low, self.estimates, self.high
 
 
-def errors_of(work: ReplicateWork) -> ReplicateErrors:
+def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
     """Filter one replicate and its simulated systems with each set.
 
     Raises `MeasurementsError` if an estimate is not finite, and `ModelError` if a formula failed.
@@ -244,7 +244,7 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
         others: dict[str, Any] = {"search": [], "budget": None, "online": None}
         others["comparison"] = compared
         job = job.with_changes(sections={"problem": given, **others})
-    truth, believed = models_of(job)
+    truth, believed = models_of_job(job)
     models = [
         each.with_parameters({
             name: value for name, value in replicate.parameters.items() if name in each.parameters

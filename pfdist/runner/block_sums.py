@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import BLOCK, Estimation, Result, Work
+from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.runner.build import Built
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.row_formats import BLOCK_OF_SUMS
 from pfdist.search.base import Candidate
 from pfdist.search.relaxation import Relaxation
@@ -70,8 +70,8 @@ class BlockSums:
 
     The streams are the keys of the filters' noise and of the draws. Without a phase, the rows
     belong to a phase of the bound for these sums only. `id` identifies the sums in the store. A
-    `kind` of work other than `Work` computes other sums over the draws of a block. An exact engine
-    needs no draws and no particle-steps.
+    `kind` of work other than `FilterWork` computes other sums over the draws of a block. An exact
+    engine needs no draws and no particle-steps.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class BlockSums:
         *,
         knows_truth: bool = True,
         phase: str = "",
-        kind: type[Work] = Work,
+        kind: type[FilterWork] = FilterWork,
     ) -> None:
         sets = counted.sets
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
@@ -91,7 +91,7 @@ class BlockSums:
         evaluator = built.evaluator.truth if knows_truth else built.evaluator
         instants = tuple(zip(since, ends, strict=True))
         # A hash of everything on which the sums depend but their draws.
-        name = "sums" if kind is Work else kind.__name__
+        name = "sums" if kind is FilterWork else kind.__name__
         self.id = evaluator.id_of(estimation, sets, instants, noise, name)
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
         self._evaluator, self._counted = evaluator, counted
@@ -106,15 +106,15 @@ class BlockSums:
         return 0 if self._evaluator.exact else blocks * BLOCK * self._work.steps_a_draw
 
     def added(
-        self, session: Session, blocks: range, add: Add, *, more_follows: bool = False
-    ) -> Generator[Batch, None, None]:
+        self, session: RunSession, blocks: range, add: Add, *, more_follows: bool = False
+    ) -> Generator[WorkBatch, None, None]:
         """Sum the errors over some blocks, and add the sum of each, (E,), in the order of blocks.
 
         Tasks end in any order, and rounding depends on the order of a sum.
         """
         waiting, order = dict[int, Array](), deque(blocks)
 
-        def learn(work: Work, result: Result) -> None:
+        def learn(work: FilterWork, result: Result) -> None:
             waiting[work.draws[0] // BLOCK] = result.sums
             while order and order[0] in waiting:
                 add(order[0], waiting.pop(order.popleft()))
@@ -122,16 +122,18 @@ class BlockSums:
         works = [
             replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK)) for block in blocks
         ]
-        yield Batch(session, self._phase, works, BLOCK_OF_SUMS, learn, more_follows=more_follows)
+        yield WorkBatch(
+            session, self._phase, works, BLOCK_OF_SUMS, learn, more_follows=more_follows
+        )
 
-    def total(self, blocks: int, session: Session) -> Generator[Batch, None, Array]:
+    def total(self, blocks: int, session: RunSession) -> Generator[WorkBatch, None, Array]:
         """The sums over the first blocks, (E,)."""
         sums = list[Array]()
         yield from self.added(session, range(blocks), lambda _block, each: sums.append(each))
         total: Array = np.sum(sums, axis=0)
         return total
 
-    def means(self, blocks: int, session: Session) -> Generator[Batch, None, list[Array]]:
+    def means(self, blocks: int, session: RunSession) -> Generator[WorkBatch, None, list[Array]]:
         """Mean errors of each set at the instants that count, over the first blocks.
 
         A set with an infinite draw has NaN.
@@ -162,11 +164,11 @@ class GroupSums:
 
 def evaluated_by_errors(
     candidates: Sequence[Candidate],
-    session: Session,
+    session: RunSession,
     sums_of: Callable[[Counted], BlockSums],
     blocks: int,
     purpose: str,
-) -> Generator[Batch, None, tuple[list[Evaluation], float]]:
+) -> Generator[WorkBatch, None, tuple[list[Evaluation], float]]:
     """Evaluations of candidates from expected errors of instants, and the particle-steps spent.
 
     The errors are those from the candidate's `since` to its end.
@@ -194,12 +196,12 @@ def evaluated_by_errors(
 
 
 def grown(
-    session: Session,
+    session: RunSession,
     optimiser: StateSpaceRelaxation,
     estimation: Estimation,
     most_steps: float,
     most_cells: int,
-) -> Generator[Batch, None, tuple[Relaxation, float]]:
+) -> Generator[WorkBatch, None, tuple[Relaxation, float]]:
     """The final relaxation of a search for windows, and the particle-steps spent.
 
     The estimation uses the variance of the particles. No window is added after `most_steps`

@@ -131,7 +131,7 @@ def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
         return _with_proposal(job, runs, asked)
     if job.filter.is_automatic:
         return build(_with_enough_particles(job, runs), *runs)
-    evaluator = evaluator_of(job, *models_of(job))
+    evaluator = evaluator_of(job, *models_of_job(job))
     evaluator = next(filter(None, (_as_kept(evaluator, run) for run in runs)), evaluator)
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
@@ -343,7 +343,7 @@ def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
     return with_number(loss.particles)
 
 
-def models_of(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
+def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
     """The model of a job, and the model that its filter uses.
 
     A model comes from the run whose folder has the job, from an object given with the job, or from

@@ -20,11 +20,11 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError, StoreError
 from pfdist.filters.work import (
     Estimation,
+    FilterWork,
     Result,
-    Work,
     control_of,
     cut,
-    ranges_of,
+    ranges_of_draws,
     with_truth,
 )
 from pfdist.kernels.estimators import FILTER_NOISE
@@ -40,7 +40,7 @@ from pfdist.results.over_time import (
     read_ranges,
 )
 from pfdist.runner.build import Built
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.progress import SetGain
 from pfdist.runner.row_formats import RowsByDraw
 from pfdist.store import (
@@ -56,7 +56,9 @@ from pfdist.store import (
 COMPARISON = "comparison"
 
 
-def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, None, None]:
+def run_comparison(
+    session: RunSession, sets: Mapping[str, Times]
+) -> Generator[WorkBatch, None, None]:
     """Compare all sets on the same draws, the reference first, and publish the comparison."""
     built, reporter, job = session.built, session.reporter, session.built.job
     draws, study, control = job.comparison.draws, built.study, bool(job.comparison.control)
@@ -65,7 +67,7 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     references = references_of(names, job.identity())
     interim = InterimGains(names, references, draws, half_width)
     reporter.begin(COMPARISON)
-    details = (trajectories, repeated) if built.study.has_details else ()
+    details = (trajectories, first_draws_again) if built.study.has_details else ()
     for table in (*details, distances, variances):
         first_draws = table(built, work)
         if first_draws is not None:
@@ -76,11 +78,11 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     if control:
         evaluator.compile(control_of(built.comparing))  # the time of tasks is limited
 
-    def rows_of(piece: Work, result: Result) -> pa.Table:
+    def rows_of(piece: FilterWork, result: Result) -> pa.Table:
         # Committed before the rows of the draws: a kill in between leaves sums that are computed
         # again, never draws without sums.
         if piece.over_time:
-            ranges = ranges_of(*piece.draws, piece.over_time)
+            ranges = ranges_of_draws(*piece.draws, piece.over_time)
             sums = [
                 Range(*each, errors) for each, errors in zip(ranges, result.errors, strict=True)
             ]
@@ -94,7 +96,7 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         columns += [] if scenarios is None else [pa.array(scenarios.astype(np.int16))]
         return pa.Table.from_arrays(columns, schema=schema)
 
-    def learn(piece: Work, result: Result) -> bool:
+    def learn(piece: FilterWork, result: Result) -> bool:
         errors = np.hstack([result.mse, result.control]) if control else result.mse
         interim.learn(range(*piece.draws), errors, result.degenerate)
         _check_filters(built, interim.statistics)
@@ -117,7 +119,7 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     # the files are written leaves the parts, and the next start publishes them again.
     beside = (RANGE_SUMS,) if most else ()
     rows = RowsByDraw("comparison", rows_of, _result, beside=beside)
-    yield Batch(session, COMPARISON, works, rows, learn)
+    yield WorkBatch(session, COMPARISON, works, rows, learn)
     reporter.reach(start + comparison_steps(built))
     _publish(session.store, interim.enough or draws, most)
 
@@ -172,7 +174,7 @@ def comparison_steps(built: Built) -> int:
     )
 
 
-def _work(built: Built, sets: Mapping[str, Times]) -> Work:
+def _work(built: Built, sets: Mapping[str, Times]) -> FilterWork:
     """All sets on the same draws, each with filter noise of its own; the draws are still open."""
     seed, purpose = built.job.seed, built.study.purpose
     last = built.job.problem.clock.possible - 1
@@ -271,17 +273,19 @@ class FirstDraws:
 
     table: str
     schema: pa.Schema
-    work: Work  # on draws 0, 1, ...
-    columns: Callable[[Work, Result], dict[str, Any]]  # of the table, from a work and its result
+    work: FilterWork  # on draws 0, 1, ...
+    columns: Callable[
+        [FilterWork, Result], dict[str, Any]
+    ]  # of the table, from a work and its result
 
-    def rows(self, piece: Work, result: Result) -> pa.Table:
+    def rows(self, piece: FilterWork, result: Result) -> pa.Table:
         """Rows of the table for the draws of a piece."""
         return pa.table(self.columns(piece, result), schema=self.schema)
 
-    def fill(self, phase: str, session: Session) -> Generator[Batch, None, None]:
+    def fill(self, phase: str, session: RunSession) -> Generator[WorkBatch, None, None]:
         """Compute the table, and publish it."""
         rows = RowsByDraw(self.table, self.rows)
-        yield Batch(session, phase, [self.work], rows, more_follows=True)
+        yield WorkBatch(session, phase, [self.work], rows, more_follows=True)
         session.later(partial(self._publish, phase, session.store))
 
     def _publish(self, phase: str, store: Store) -> None:
@@ -292,7 +296,7 @@ class FirstDraws:
             store.publish(self.table, phase, [rows])
 
 
-def trajectories(built: Built, work: Work) -> FirstDraws:
+def trajectories(built: Built, work: FilterWork) -> FirstDraws:
     """Truth, measurements and estimates of the first draws, which the figures show."""
     model = built.evaluator.model
     draws = min(TRAJECTORIES, built.job.comparison.draws)
@@ -304,7 +308,7 @@ def trajectories(built: Built, work: Work) -> FirstDraws:
     )
 
 
-def repeated(built: Built, work: Work) -> FirstDraws:
+def first_draws_again(built: Built, work: FilterWork) -> FirstDraws:
     """MSE of the reference on the first draws with other filter noise.
 
     It shows how much filter noise alone changes a relative gain.
@@ -316,7 +320,7 @@ def repeated(built: Built, work: Work) -> FirstDraws:
     return FirstDraws("repeated", rows, again, partial(_columns_by_set, rows))
 
 
-def distances(built: Built, work: Work) -> FirstDraws | None:
+def distances(built: Built, work: FilterWork) -> FirstDraws | None:
     """Half the squared distance of two filters with each set; see `pfdist.results.particle_loss`.
 
     None unless the error is the squared norm and the engine has particles.
@@ -326,7 +330,7 @@ def distances(built: Built, work: Work) -> FirstDraws | None:
     return _by_set("filter_distance", schema, built, work, estimation, knows_truth=False)
 
 
-def variances(built: Built, work: Work) -> FirstDraws | None:
+def variances(built: Built, work: FilterWork) -> FirstDraws | None:
     """Variance of particles beside the truth, with each set and without any measurement.
 
     None in the same cases as `distances`, and if the filter does not have the scenario of a draw:
@@ -344,7 +348,7 @@ def _by_set(
     table: str,
     schema: pa.Schema,
     built: Built,
-    work: Work,
+    work: FilterWork,
     estimation: Estimation,
     *,
     knows_truth: bool,
@@ -368,12 +372,14 @@ def _by_set(
     return FirstDraws(table, schema, of_sets, partial(_columns_by_set, schema))
 
 
-def _columns_by_set(schema: pa.Schema, piece: Work, result: Result) -> dict[str, Any]:
+def _columns_by_set(schema: pa.Schema, piece: FilterWork, result: Result) -> dict[str, Any]:
     columns = (pa.array(mse, from_pandas=True) for mse in result.mse.T)
     return dict(zip(schema.names, (np.arange(*piece.draws), *columns), strict=True))
 
 
-def _trajectory_columns(model: StateSpaceModel, piece: Work, result: Result) -> dict[str, Any]:
+def _trajectory_columns(
+    model: StateSpaceModel, piece: FilterWork, result: Result
+) -> dict[str, Any]:
     first, last = piece.draws
     instants = result.z.shape[1]
     columns: dict[str, Any] = {

@@ -1,6 +1,6 @@
 """The one door for numbers, and the loop that serves it.
 
-A driver is a generator: it yields a `Batch` of works and resumes when all results are there.
+A driver is a generator: it yields a `WorkBatch` of works and resumes when all results are there.
 Searches, the comparison, block sums, the worth of measurements, online draws and the proof get
 every number in this way. One loop serves one driver, or the points of a sweep side by side.
 
@@ -47,7 +47,7 @@ import pyarrow as pa
 from pfdist.common.stopping import check
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PfdistError, PoolError, TaskError
-from pfdist.filters.work import BLOCK, Result, Work, sum_of_draws, whole_block
+from pfdist.filters.work import BLOCK, FilterWork, Result, sum_of_draws, whole_block
 from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
@@ -60,8 +60,8 @@ COMMIT_ROWS = 100_000  # largest number of rows that wait in memory, however fas
 EVALUATIONS = "evaluations"
 """The table whose rows are committed last: an evaluation in it has all its draws in others."""
 
-StoredResults = Iterator[tuple[Work, Result]]
-Learn = Callable[[Work, Result], object]
+StoredResults = Iterator[tuple[FilterWork, Result]]
+Learn = Callable[[FilterWork, Result], object]
 Say = Callable[[str], Any]
 
 
@@ -75,14 +75,16 @@ class RowFormat(Protocol):
     table: str
     is_shared: bool
 
-    def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
+    def look_up(
+        self, store: Store, works: list[FilterWork]
+    ) -> tuple[list[FilterWork], StoredResults]:
         """The works that a store lacks, and the results that it has."""
 
-    def rows(self, work: Work, result: Result) -> pa.Table:
+    def rows(self, work: FilterWork, result: Result) -> pa.Table:
         """The rows of a result."""
 
 
-class Batch:
+class WorkBatch:
     """Works whose results a driver needs before it resumes.
 
     The rows belong to a phase of the session's run. Without a row format, neither results nor
@@ -97,9 +99,9 @@ class Batch:
 
     def __init__(
         self,
-        session: "Session",
+        session: "RunSession",
         phase: str,
-        works: Iterable[Work],
+        works: Iterable[FilterWork],
         row_format: RowFormat | None,
         learn: Learn = lambda work, result: None,
         *,
@@ -123,7 +125,7 @@ class Batch:
         left = self._next is not None or self._again or self._in_flight
         return self._enough or not left
 
-    def learn(self, work: Work, result: Result) -> None:
+    def learn(self, work: FilterWork, result: Result) -> None:
         """Hand a result to the driver, and record whether it needs no more."""
         if work.is_part_of_block:
             draw, _ = work.draws
@@ -137,7 +139,7 @@ class Batch:
             self.keep(work, result)
         self._enough = self._learn(work, result) is True or self._enough
 
-    def add(self, works: list[Work], workers: int, *, is_shared: bool) -> None:
+    def add(self, works: list[FilterWork], workers: int, *, is_shared: bool) -> None:
         """Add works to be computed, which are cut into tasks."""
         if not self._enough:
             pace = self.session.pace(workers, is_shared=is_shared)
@@ -176,7 +178,7 @@ class Batch:
             self.learn(work, result)
         session.commit_if_late()
 
-    def keep(self, work: Work, result: Result) -> None:
+    def keep(self, work: FilterWork, result: Result) -> None:
         """Keep the rows of a result for the next commit."""
         if self.row_format is not None:
             rows = self.row_format.rows(work, result)
@@ -195,18 +197,18 @@ class _Cut(NamedTuple):
     steps: int
 
 
-def _cuts(table: str, function: Function, works: list[Work], pace: Pace) -> Iterator[_Cut]:
+def _cuts(table: str, function: Function, works: list[FilterWork], pace: Pace) -> Iterator[_Cut]:
     for bundle in bundles(works, pace.size, pace.expected):
         key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
         task = Task(key, function, bundle.works, pace.expected(bundle.steps))
         yield _Cut(task, bundle.steps)
 
 
-Driver = Generator[Batch, None, Any]
+Driver = Generator[WorkBatch, None, Any]
 """Yields one batch after another, and returns a value."""
 
 
-class Session:
+class RunSession:
     """One start of the program on a run: its objects, its progress, and the rows to commit.
 
     `show` receives the progress, and `say` receives lines for the user.
@@ -338,8 +340,10 @@ class Loop:
         self._stack = contextlib.ExitStack()
         self._pool: Pool | None = None
         self._ranks: dict[Driver, int] = {}
-        self._batches: dict[Driver, Batch] = {}  # the first driver first
-        self._sent: dict[str, tuple[Driver, Batch, _Cut]] = {}  # tasks of the pool, by their keys
+        self._batches: dict[Driver, WorkBatch] = {}  # the first driver first
+        self._sent: dict[
+            str, tuple[Driver, WorkBatch, _Cut]
+        ] = {}  # tasks of the pool, by their keys
         self._count = 0
         # The store that has an evaluation, by its id; the first lender goes first.
         self._stores = {id_: store for store in reversed([*lenders]) for id_ in store.evaluations()}
@@ -435,7 +439,7 @@ class Loop:
             return
         self._ready[driver] = error
 
-    def _look_up(self, batch: Batch) -> None:
+    def _look_up(self, batch: WorkBatch) -> None:
         """Let a batch learn the stored results of its works, and cut the other works into tasks."""
         works, row_format, session = batch.works, batch.row_format, batch.session
         if row_format is not None:
@@ -446,12 +450,12 @@ class Loop:
         if works:
             batch.add(works, self._entered().workers, is_shared=self._at_once > 1)
 
-    def _borrowed(self, batch: Batch, works: list[Work]) -> list[Work]:
+    def _borrowed(self, batch: WorkBatch, works: list[FilterWork]) -> list[FilterWork]:
         """The works that no other run has.
 
         Rows of another run are committed in this run, too: so its files do not depend on others.
         """
-        by_store = defaultdict[Store | None, list[Work]](list)
+        by_store = defaultdict[Store | None, list[FilterWork]](list)
         for work in works:
             stores = [self._stores.get(id_) for id_ in work.ids[: 1 if work.summed else None]]
             for store in dict.fromkeys(stores):
@@ -463,7 +467,7 @@ class Loop:
             lacking += parts if store is None else _learnt(batch, store, parts, keep=True)
         return lacking
 
-    def _end(self, batch: Batch) -> None:
+    def _end(self, batch: WorkBatch) -> None:
         """Let a batch commit its rows; other runs find its evaluations from now on."""
         batch.end()
         if self._at_once > 1 and batch.row_format is not None and batch.row_format.is_shared:
@@ -485,7 +489,9 @@ def _error_of(function: Callable[[], object]) -> PfdistError | None:
     return None
 
 
-def _learnt(batch: Batch, store: Store, works: list[Work], *, keep: bool = False) -> list[Work]:
+def _learnt(
+    batch: WorkBatch, store: Store, works: list[FilterWork], *, keep: bool = False
+) -> list[FilterWork]:
     """The works that a store lacks, after a batch has learnt the stored results of the others."""
     if batch.row_format is None:
         return works

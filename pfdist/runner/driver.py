@@ -10,7 +10,7 @@ import pyarrow as pa
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError
-from pfdist.filters.work import Result, Work, cut
+from pfdist.filters.work import FilterWork, Result, cut
 from pfdist.problem.online_section import Online
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import (
@@ -20,7 +20,7 @@ from pfdist.runner.comparison_phase import (
     run_comparison,
     ways_out,
 )
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.phase import unpublished
 from pfdist.runner.row_formats import RowsByDraw
@@ -31,7 +31,7 @@ from pfdist.store import Store, schema
 COMPARED = "search"
 
 
-def drive(session: Session) -> Generator[Batch, None, None]:
+def drive(session: RunSession) -> Generator[WorkBatch, None, None]:
     """Compute everything that a run still lacks, whether it is new or half finished.
 
     Raises `SearchError` if every final set of a search has an infinite error. Further errors are
@@ -66,7 +66,7 @@ def _searching_steps(built: Built) -> float:
     return sum(search_steps(built, search) for search in built.searches)
 
 
-def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
+def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]:
     """The sets that are compared, by name, after every search has ended."""
     built = session.built
     rows: list[dict[str, Any]] = [
@@ -117,7 +117,7 @@ ONLINE_TIMES = "online.times"
 _BLOCK = 200  # draws, whose rows are published together
 
 
-def run_online(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, None, None]:
+def run_online(session: RunSession, sets: Mapping[str, Times]) -> Generator[WorkBatch, None, None]:
     """Choose the times of the draws that the store lacks, and publish the table ``online``.
 
     The job must have a section [online]. The initial plan is the compared set of the first search.
@@ -127,14 +127,14 @@ def run_online(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, 
     draws = work.draws[1]
     reporter.begin("online")
 
-    def learn(piece: Work, result: Result) -> None:
+    def learn(piece: FilterWork, result: Result) -> None:
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
         )
 
     works = [work.part(block) for block in cut(range(draws), _BLOCK)]
-    yield Batch(session, ONLINE_TIMES, works, RowsByDraw("online", _rows, _result), learn)
+    yield WorkBatch(session, ONLINE_TIMES, works, RowsByDraw("online", _rows, _result), learn)
     reporter.reach(start + draws * work.steps_a_draw)
     session.store.settle("online", ONLINE_TIMES)
 
@@ -173,7 +173,7 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
     )
 
 
-def _rows(piece: Work, result: Result) -> pa.Table:
+def _rows(piece: FilterWork, result: Result) -> pa.Table:
     estimates = [estimate.ravel() for estimate in result.estimates]
     later = len(result.mse) - len(estimates)
     columns = [

@@ -9,12 +9,12 @@ import pyarrow as pa
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_of
-from pfdist.filters.work import Result, Work
+from pfdist.filters.work import FilterWork, Result
 from pfdist.results import Run
 from pfdist.results.evenly_spaced import sign_of
 from pfdist.results.moments import controlled_mse
 from pfdist.runner.build import Built
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.store import EVEN_PHASE, schema
 
 DRAWS = 1000  # at most: the first of the comparison
@@ -28,7 +28,7 @@ def is_known(built: Built) -> bool:
     return is_alone and is_free and not problem.sensors and not built.is_worst
 
 
-def compare_evenly_spaced(session: Session, run: Run) -> Generator[Batch, None, None]:
+def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch, None, None]:
     """Find the numbers with about the error of the plan, and write the table ``evenly_spaced``.
 
     Bisection finds the number at which the error crosses that of the plan, as if the error fell
@@ -59,7 +59,7 @@ def compare_evenly_spaced(session: Session, run: Run) -> Generator[Batch, None, 
 class _Tried:
     """The evenly spaced times that were tried, and how far their error lies above the plan's."""
 
-    def __init__(self, session: Session, run: Run, plan: tuple[int, ...]) -> None:
+    def __init__(self, session: RunSession, run: Run, plan: tuple[int, ...]) -> None:
         self._session, self._plan = session, plan
         self._draws = min(DRAWS, run.draws_compared)
         self._name = session.built.searches[0].name
@@ -72,7 +72,7 @@ class _Tried:
     def __len__(self) -> int:
         return len(self._differences)
 
-    def difference(self, number: int) -> Generator[Batch, None, Estimate]:
+    def difference(self, number: int) -> Generator[WorkBatch, None, Estimate]:
         """The expected MSE of so many evenly spaced measurements, less that of the plan."""
         if number not in self._differences:
             self._differences[number] = yield from self._computed(number)
@@ -95,7 +95,7 @@ class _Tried:
     def _times(self, number: int) -> tuple[int, ...]:
         return self._session.built.job.feasible(number).regular()
 
-    def _computed(self, number: int) -> Generator[Batch, None, Estimate]:
+    def _computed(self, number: int) -> Generator[WorkBatch, None, Estimate]:
         built, times = self._session.built, self._times(number)
         if self._errors is None:
             even, plan = built.evaluator.expected_mse([times, self._plan]).tolist()
@@ -108,11 +108,11 @@ class _Tried:
         work = built.evaluator.work([times], *streams, (0, self._draws), built.comparing)
         even = np.empty(self._draws)
 
-        def learn(piece: Work, result: Result) -> None:
+        def learn(piece: FilterWork, result: Result) -> None:
             errors = result.mse - result.control if piece.controlled else result.mse
             even[slice(*piece.draws)] = errors[:, 0]
 
         works = [replace(work, controlled=bool(built.job.comparison.control))]
-        yield Batch(self._session, EVEN_PHASE, works, None, learn)
+        yield WorkBatch(self._session, EVEN_PHASE, works, None, learn)
         difference = even - self._errors
         return Estimate.of_mean(difference[~np.isnan(difference)])

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key, stream_of
-from pfdist.filters.work import Estimation, Result, Work
+from pfdist.filters.work import Estimation, FilterWork, Result
 from pfdist.results import Moments, Run
 from pfdist.results.moments import controlled_mse
 from pfdist.results.particle_loss import less
 from pfdist.results.stored_run import statistics_of
 from pfdist.runner.build import Built
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.proof import UNKNOWN, ZERO, GapParts
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.store import BOUND_PHASE
@@ -59,8 +59,8 @@ def steps_of_sets(built: Built, sets: int, estimation: Estimation, of_bound: int
 
 
 def gap_parts(
-    session: Session, run: Run, sets: Mapping[str, Times], estimation: Estimation, of_bound: int
-) -> Generator[Batch, None, dict[str, GapParts]]:
+    session: RunSession, run: Run, sets: Mapping[str, Times], estimation: Estimation, of_bound: int
+) -> Generator[WorkBatch, None, dict[str, GapParts]]:
     """The expected MSE of each compared set, and the parts of its gap.
 
     The run must be finished. The estimation uses the variance of the particles. `of_bound` is the
@@ -114,13 +114,13 @@ def _kinds(
 
 
 def _per_draw(
-    session: Session,
+    session: RunSession,
     sets: Mapping[str, Times],
     estimation: Estimation,
     knows_truth: bool,
     draws_stream: int,
     draws: int,
-) -> Generator[Batch, None, dict[str, Array]]:
+) -> Generator[WorkBatch, None, dict[str, Array]]:
     """Errors of so many draws, (draws,), by the name of the set."""
     built, reporter = session.built, session.reporter
     horizon, noise = built.evaluator.horizon, stream_of("bound", built.job.seed, "filter of a set")
@@ -133,7 +133,7 @@ def _per_draw(
     errors = {id_: np.full(draws, math.nan) for id_ in work.ids}
     start, done = reporter.progress.done, 0
 
-    def learn(piece: Work, result: Result) -> None:
+    def learn(piece: FilterWork, result: Result) -> None:
         nonlocal done
         for id_, mse in piece.by_id(result).items():
             errors[id_][slice(*piece.draws)] = mse
@@ -143,7 +143,7 @@ def _per_draw(
         )
 
     phase = f"{BOUND_PHASE}.{stream_key(work.ids):016x}"
-    yield Batch(session, phase, [work], PER_DRAW, learn)
+    yield WorkBatch(session, phase, [work], PER_DRAW, learn)
     return {name: errors[id_] for name, id_ in ids.items()}
 
 

@@ -15,7 +15,7 @@ from pfdist.filters.engines import AUTO
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.models.parameters import CLOCK
 from pfdist.models.recorded import differences
-from pfdist.models.written import text_of
+from pfdist.models.written import text_of_models
 from pfdist.problem.job import Job, job_toml
 from pfdist.results import open_run, read_recorded
 from pfdist.runner.build import Built
@@ -115,7 +115,7 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
     """Write what is missing of job.toml, model.json and run.json; job.toml also with more draws."""
     job, texts = built.job.identity(), dict[str, str]()
     if not (path / MODELS).exists():
-        texts[MODELS] = text_of(built.evaluator.model, built.evaluator.believed)
+        texts[MODELS] = text_of_models(built.evaluator.model, built.evaluator.believed)
     if not holds_run(path):
         texts["run.json"] = run_text({**identity, "provenance": provenance(built)})
     if texts or not (path / "job.toml").exists() or read_recorded(path)[1] != job:

@@ -27,13 +27,15 @@ _MUCH, _LITTLE = 0.02, 0.001  # see `_shown`: normal noise reaches 0.037
 _PROOF = 14.5  # exp(-14.5) * 2 = 1 in 10^6 of right models is blamed for each number
 
 
-def instants_of(draws: Draws) -> list[int]:
+def instants_of_draws(draws: Draws) -> list[int]:
     """A few instants before the last one."""
     last = draws.x.shape[1] - 2
     return sorted({0, last // 3, last})
 
 
-def values_of(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int) -> Array:
+def values_of_formula(
+    model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int
+) -> Array:
     """The values of a formula, (components, size)."""
     with np.errstate(all="ignore"):
         value = getattr(model, name)(*arguments)
@@ -76,7 +78,7 @@ def likelihood(model: StateSpaceModel, draws: Draws, within: Within = ENDLESS) -
     mistake. A likelihood that uses only part of y can be right.
     """
     rng, compared, same = np.random.default_rng(0), 0, True
-    for pair, t in within(product(range(_PAIRS), instants_of(draws))):
+    for pair, t in within(product(range(_PAIRS), instants_of_draws(draws))):
         i, other = rng.choice(len(draws.index), size=2, replace=False)
         a, is_b = draws.x[i, t], rng.random(MEASUREMENTS) < 0.5
         b = _telling(model, draws.x[:, t], t, i, other, measured(model, a, t, 2 * pair, _FEW))
@@ -124,12 +126,12 @@ def measured(
         variates(kind, count, 2, draw, t, TRUTH_MEASUREMENT, component)
         for component, kind in enumerate(model.measurement_noise)
     )
-    return tuple(values_of(model, "measurement", (tuple(x), t, v, model.p), count))
+    return tuple(values_of_formula(model, "measurement", (tuple(x), t, v, model.p), count))
 
 
 def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Array) -> Array:
     size = max(np.size(x[0]), np.size(y[0]))
-    (values,) = values_of(model, "log_likelihood", (y, tuple(x), t, model.p), size)
+    (values,) = values_of_formula(model, "log_likelihood", (y, tuple(x), t, model.p), size)
     return np.asarray(values, np.float64)
 
 

@@ -10,7 +10,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.one_filter import OneFilter, filter_of_truths, with_truths
-from pfdist.filters.work import Result, Work
+from pfdist.filters.work import FilterWork, Result
 from pfdist.models import StateSpaceModel
 from pfdist.problem.feasible import Feasible, rest_of
 from pfdist.runner.planning import Now, Planning, Replanner
@@ -21,10 +21,10 @@ _SLOWER = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnlineWork(Work):
+class OnlineWork(FilterWork):
     """Draws that are measured at the next planned time and replanned, until the budget is spent.
 
-    The other fields are those of `Work`, with one set: the initial plan.
+    The other fields are those of `FilterWork`, with one set: the initial plan.
     """
 
     feasible: Feasible

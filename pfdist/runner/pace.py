@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from pfdist.filters.work import BLOCK, Work
+from pfdist.filters.work import BLOCK, FilterWork
 
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
@@ -68,12 +68,12 @@ class Pace:
 class Bundle(NamedTuple):
     """The works of a task, and the particle-steps of all of them."""
 
-    works: tuple[Work, ...]
+    works: tuple[FilterWork, ...]
     steps: int
 
 
 def bundles(
-    works: Iterable[Work],
+    works: Iterable[FilterWork],
     size: Callable[[int], int],
     expected: Callable[[int], float] = lambda steps: 0.0,
 ) -> Iterator[Bundle]:
@@ -93,7 +93,7 @@ def bundles(
     """
     waiting = [(work, work.steps_a_draw) for work in works]
     remaining = sum((work.draws[1] - work.draws[0]) * a_draw for work, a_draw in waiting)
-    bundle: list[Work] = []
+    bundle: list[FilterWork] = []
     room = total = 0
     for work, a_draw in waiting:
         first, last = work.draws

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import GUIDED, PLAIN, Estimation, Work, cut, with_truth
+from pfdist.filters.work import GUIDED, PLAIN, Estimation, FilterWork, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.results import Moments
 from pfdist.results.particle_loss import SMALL, ParticleLoss, particle_loss
@@ -41,21 +41,21 @@ def work_of_loss(
     estimation: Estimation,
     draws: int,
     purpose: str = "particles",
-) -> Work:
+) -> FilterWork:
     """The work that measures the particle loss of a set of times.
 
     All numbers of particles share the draws.
     """
     streams = {role: stream_of(purpose, seed, role) for role in ("draws", "filter")}
     ends = (evaluator.horizon,)
-    return Work(
+    return FilterWork(
         (times,), ends, (streams["filter"],), streams["draws"], (0, draws), estimation,
         sensors=evaluator.sensors,
     )  # fmt: skip
 
 
 def measured_loss(
-    evaluator: Evaluator, work: Work, *, by_two_filters: bool = True
+    evaluator: Evaluator, work: FilterWork, *, by_two_filters: bool = True
 ) -> tuple[ParticleLoss, Moments]:
     """The particle loss on the draws of a work, and moments of the MSE.
 
@@ -114,7 +114,7 @@ def why_plain(
     return ""
 
 
-def mean_effective_sizes(evaluator: Evaluator, work: Work) -> "pd.Series[float]":
+def mean_effective_sizes(evaluator: Evaluator, work: FilterWork) -> "pd.Series[float]":
     """Mean effective sample size after each measurement of a work with one set, by instant.
 
     It is a mean over the first draws, without those in which no particle explains the measurement;

@@ -21,11 +21,11 @@ from pfdist.common.measurement_times import validated
 from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import BLOCK, Estimation, Result, Work
+from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.kernels.variates import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
-from pfdist.runner.door import EVALUATIONS, Batch, Session
+from pfdist.runner.door import EVALUATIONS, RunSession, WorkBatch
 from pfdist.runner.progress import Reporter
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.runner.searches import Settings
@@ -112,7 +112,7 @@ def _column(name: str, records: Sequence[tuple[Any, ...]]) -> list[Any]:
 
 
 @dataclass(eq=False)
-class Request:
+class EvaluationRequest:
     """A requested evaluation, and the draws of it that are known."""
 
     id: str  # hash of everything on which the MSE of a draw depends
@@ -140,7 +140,7 @@ class Phase:
     # Searches that add errors of instants, and are told means whatever the criterion is.
     additive: bool = False
     # Requests by the evaluation's id, of this session, for sets that are requested again
-    evaluated: dict[str, Request] = field(default_factory=dict)
+    evaluated: dict[str, EvaluationRequest] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.purpose not in CHOOSING:
@@ -152,7 +152,7 @@ class Phase:
         a_draw = settings.estimation.steps_an_instant * instants
         return self.optimiser.evaluations * settings.draws * a_draw
 
-    def request(self, candidate: Candidate, generation: int) -> Request:
+    def request(self, candidate: Candidate, generation: int) -> EvaluationRequest:
         """The request of an evaluation for a candidate of a generation.
 
         Raises `MeasurementTimesError` if the optimiser requests times outside 0..T.
@@ -168,9 +168,9 @@ class Phase:
         id_ = self.built.evaluator.id_of(estimation, times, last, stream)
         mse = np.full(draws or self.settings.draws, np.nan)
         degenerate = np.zeros(mse.size, np.bool_)
-        return Request(id_, candidate, last, stream, estimation, mse, degenerate)
+        return EvaluationRequest(id_, candidate, last, stream, estimation, mse, degenerate)
 
-    def recall(self, request: Request) -> None:
+    def recall(self, request: EvaluationRequest) -> None:
         """Fill a request with draws that were already evaluated in this session."""
         if self.settings.common_noise:  # with fresh noise no evaluation is requested twice
             before, size = self.evaluated.get(request.id), request.mse.size
@@ -193,7 +193,7 @@ class Phase:
             self.built, counted, streams, estimation, knows_truth=False, phase=self.name
         )
 
-    def evaluation(self, request: Request, exact: float | None = None) -> Evaluation:
+    def evaluation(self, request: EvaluationRequest, exact: float | None = None) -> Evaluation:
         """The evaluation that was requested."""
         times, end, *_ = request.candidate
         draws, scenarios = range(request.mse.size), None
@@ -212,7 +212,9 @@ class Phase:
         )
 
 
-def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence[Evaluation]]:
+def run_phase(
+    phase: Phase, session: RunSession
+) -> Generator[WorkBatch, None, Sequence[Evaluation]]:
     """The finalists of an optimiser, which runs until it is done.
 
     Raises `MeasurementTimesError` if the optimiser requests times outside 0..T.
@@ -307,7 +309,7 @@ class _Generation:
         )
 
 
-def _exactly(phase: Phase, requests: list[Request], record: _Generation) -> None:
+def _exactly(phase: Phase, requests: list[EvaluationRequest], record: _Generation) -> None:
     """Record the exact evaluation of each request; it takes no time, so neither pool nor store."""
     sets = [request.candidate.measurement_times for request in requests]
     ends = [request.end for request in requests]
@@ -320,25 +322,25 @@ def _exactly(phase: Phase, requests: list[Request], record: _Generation) -> None
 
 def _per_draw(
     phase: Phase,
-    requests: list[Request],
-    session: Session,
+    requests: list[EvaluationRequest],
+    session: RunSession,
     record: _Generation,
-) -> Generator[Batch, None, None]:
+) -> Generator[WorkBatch, None, None]:
     """Record the evaluation of each request as soon as all its draws are known."""
     # Requests may have one id and different numbers of draws; also, a prefix up to T is a whole
     # set. The longest request is evaluated, and the others take its first draws.
-    same = defaultdict[str, list[Request]](list)
+    same = defaultdict[str, list[EvaluationRequest]](list)
     for request in requests:
         same[request.id].append(request)
     longest = {id_: max(alike, key=lambda each: each.mse.size) for id_, alike in same.items()}
 
-    def record_all(request: Request) -> None:
+    def record_all(request: EvaluationRequest) -> None:
         for alike in same[request.id]:
             draws = slice(alike.mse.size)
             alike.mse, alike.degenerate = request.mse[draws], request.degenerate[draws]
             record(alike.candidate, phase.evaluation(alike))
 
-    def learn(work: Work, result: Result) -> None:
+    def learn(work: FilterWork, result: Result) -> None:
         degenerate = work.by_id(result, "degenerate")
         for id_, mse in work.by_id(result).items():
             request, draws = longest[id_], slice(*work.draws)
@@ -355,12 +357,12 @@ def _per_draw(
     record.show()
     works = list(_works(phase, longest.values()))
     if works:
-        yield Batch(session, phase.name, works, PER_DRAW, learn, more_follows=True)
+        yield WorkBatch(session, phase.name, works, PER_DRAW, learn, more_follows=True)
 
 
-def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
+def _works(phase: Phase, requests: Iterable[EvaluationRequest]) -> Iterator[FilterWork]:
     """Works for the missing draws; sets that lack the same draws of a stream go together."""
-    together = defaultdict[Any, list[Request]](list)
+    together = defaultdict[Any, list[EvaluationRequest]](list)
     for request in requests:
         first, size = request.known_draws, request.mse.size
         if first < size:

@@ -30,7 +30,7 @@ from pfdist.runner.block_sums import (
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.contract import looked
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.gap_parts import gap_parts, steps_of_sets
 from pfdist.runner.likelihood import likelihood
 from pfdist.runner.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
@@ -107,7 +107,7 @@ class Prover:
         growth = self._most_steps if self.particles else 0.0
         return growth + self._steps((), self._blocks[-1])
 
-    def prove(self, session: Session, run: Run) -> Generator[Batch, None, Look]:
+    def prove(self, session: RunSession, run: Run) -> Generator[WorkBatch, None, Look]:
         """Prove bounds for the sets of a finished run, and write the table ``bound``."""
         # The sums are published before the table of the bound, which marks the proof as done. A
         # kill in between errors no filter: the next proof finds all sums by their ids.
@@ -133,7 +133,7 @@ class Prover:
             enough &= rows[key] == value
         return bool(enough.any())
 
-    def _looks(self, session: Session, run: Run) -> Generator[Batch, None, list[Look]]:
+    def _looks(self, session: RunSession, run: Run) -> Generator[WorkBatch, None, list[Look]]:
         """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
         sets = self._built.study.proved(self._built.instants(run.sets))
@@ -152,11 +152,11 @@ class Prover:
 
     def _looks_of(
         self,
-        session: Session,
+        session: RunSession,
         sets: Mapping[str, Times],
         feasible: Mapping[str, Times],
         parts: Mapping[str, GapParts],
-    ) -> Generator[Batch, None, list[Look]]:
+    ) -> Generator[WorkBatch, None, list[Look]]:
         """The gaps of sets, some of which are feasible, by a likelihood that is right."""
         feasible_times = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
@@ -208,8 +208,8 @@ class Prover:
         return ""
 
     def _misplaces_truth(
-        self, session: Session, sets: Iterable[Times], look: Look
-    ) -> Generator[Batch, None, str]:
+        self, session: RunSession, sets: Iterable[Times], look: Look
+    ) -> Generator[WorkBatch, None, str]:
         """Why the likelihood must be wrong, by the truth among the particles of the sets alone."""
         measured, proves = tuple(filter(None, sets)), any(not gap.reason for gap in look.gaps)
         if not (self.particles and measured and proves):
@@ -221,8 +221,8 @@ class Prover:
         return wrong_likelihood(sums, look.draws)
 
     def _parts(
-        self, session: Session, run: Run, sets: Mapping[str, Times]
-    ) -> Generator[Batch, None, dict[str, GapParts]]:
+        self, session: RunSession, run: Run, sets: Mapping[str, Times]
+    ) -> Generator[WorkBatch, None, dict[str, GapParts]]:
         """The expected MSE of each set, in its worst scenario if that decides, and gap parts."""
         most = self._blocks[-1] * BLOCK
         parts = yield from gap_parts(session, run, sets, self._estimation, most)
@@ -234,8 +234,8 @@ class Prover:
         return parts
 
     def _weigh_scenarios(
-        self, session: Session, sets: Iterable[Times]
-    ) -> Generator[Batch, None, None]:
+        self, session: RunSession, sets: Iterable[Times]
+    ) -> Generator[WorkBatch, None, None]:
         """Give the scenarios the shares for which the bound is largest; own draws choose them."""
         built, relaxation, errors = self._built, self.relaxation, list[Array]()
         evaluator, counted = built.evaluator, self._counted(())
@@ -263,8 +263,8 @@ class Prover:
         return {name: Estimate(mse, error, int(n) - 1) for name, (mse, error, n) in errors.items()}
 
     def _grown(
-        self, session: Session, sets: tuple[Times, ...]
-    ) -> Generator[Batch, None, tuple[Relaxation, float]]:
+        self, session: RunSession, sets: tuple[Times, ...]
+    ) -> Generator[WorkBatch, None, tuple[Relaxation, float]]:
         """The relaxation with longer windows along the sets, and the particle-steps spent."""
         spent = {self.relaxation.spent(times) for times in sets}
         optimiser = StateSpaceRelaxation(
@@ -301,8 +301,8 @@ class Prover:
         return consistent(gaps) if self.particles else gaps
 
     def _sums(
-        self, session: Session, sets: tuple[Times, ...], blocks: range, groups: GroupSums
-    ) -> Generator[Batch, None, Sums]:
+        self, session: RunSession, sets: tuple[Times, ...], blocks: range, groups: GroupSums
+    ) -> Generator[WorkBatch, None, Sums]:
         """Sums of the errors of all windows and of C sets, when some blocks are added to groups.
 
         Raises `ModelError` if a draw is degenerate or infinite.

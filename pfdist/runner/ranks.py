@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.common.percent import RANKS_FAIL
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Result, Work, sum_of_draws
+from pfdist.filters.work import FilterWork, Result, sum_of_draws
 from pfdist.kernels.variates import TRUTH_RANK, variates
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ _FINDINGS = (
 
 
 @dataclass(frozen=True)
-class RankWork(Work):
+class RankWork(FilterWork):
     """The ranks of the truth among the particles of each set, summed over draws."""
 
     def result(self, evaluator: Evaluator) -> Result:

@@ -15,7 +15,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.filters.work import BLOCK as SUMMED
-from pfdist.filters.work import Result, Work, cut, whole_block
+from pfdist.filters.work import FilterWork, Result, cut, whole_block
 from pfdist.results import BLOCK
 from pfdist.runner.door import StoredResults
 from pfdist.store import Store, schema
@@ -26,7 +26,9 @@ class PerDraw:
 
     table, is_shared = "draws", True
 
-    def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
+    def look_up(
+        self, store: Store, works: list[FilterWork]
+    ) -> tuple[list[FilterWork], StoredResults]:
         """The works that a store lacks, and the results that it has.
 
         A kill may leave only some draws of some sets. Sets that lack the same draws stay together
@@ -40,7 +42,7 @@ class PerDraw:
             str(id_): [rows_of_id[name].to_numpy() for name in ("draw", "mse", "degenerate")]
             for id_, rows_of_id in rows.to_pandas().groupby("evaluation")
         }
-        lacking, stored = list[Work](), list[tuple[Work, Result]]()
+        lacking, stored = list[FilterWork](), list[tuple[FilterWork, Result]]()
         for work in works:
             first, last = work.draws
             present = np.zeros((last - first, len(work.ids)), np.bool_)
@@ -60,7 +62,7 @@ class PerDraw:
                     stored.append((work.part(piece, places), result))
         return lacking, iter(stored)
 
-    def rows(self, work: Work, result: Result) -> pa.Table:
+    def rows(self, work: FilterWork, result: Result) -> pa.Table:
         """Rows of the table ``draws``: the MSE of every set of a work for every draw."""
         evaluation = np.repeat(np.arange(len(work.ids)), len(result.mse))
         columns = [
@@ -82,7 +84,9 @@ class BlockOfSums:
 
     table, is_shared = "error_sums", True
 
-    def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
+    def look_up(
+        self, store: Store, works: list[FilterWork]
+    ) -> tuple[list[FilterWork], StoredResults]:
         """The draws that a store lacks, and the sums that it has; each work is within one block."""
         blocks = 1 + max(_block(work) for work in works)
         sums = dict[tuple[str, int], NDArray[np.float64]]()
@@ -90,7 +94,7 @@ class BlockOfSums:
             rows = store.sums(id_, blocks)
             for block, values in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
                 sums[id_, block] = values.values.to_numpy()
-        lacking, stored = list[Work](), list[Work]()
+        lacking, stored = list[FilterWork](), list[FilterWork]()
         for work in works:
             whole = work.part(whole_block(work.draws[0]))
             if _key(whole) in sums:
@@ -103,7 +107,7 @@ class BlockOfSums:
             lacking += [work.part(piece) for piece in cut(missing, SUMMED)]
         return lacking, ((work, Result(np.empty(0), sums=sums[_key(work)])) for work in stored)
 
-    def rows(self, work: Work, result: Result) -> pa.Table:
+    def rows(self, work: FilterWork, result: Result) -> pa.Table:
         """One row of the table ``error_sums``: the sums of a block, or of one draw."""
         id_, number = _key(work)
         row = {"evaluation": id_, "block": number, "sums": result.sums}
@@ -120,12 +124,14 @@ class RowsByDraw:
     """
 
     table: str
-    rows: Callable[[Work, Result], pa.Table]
+    rows: Callable[[FilterWork, Result], pa.Table]
     results: Callable[[pa.Table], Result] | None = None
     is_shared: bool = False
     beside: tuple[str, ...] = ()
 
-    def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
+    def look_up(
+        self, store: Store, works: list[FilterWork]
+    ) -> tuple[list[FilterWork], StoredResults]:
         """The works that a store lacks, and the results that it has.
 
         Works need not be cut as before. So a comparison with more draws than before continues where
@@ -138,7 +144,7 @@ class RowsByDraw:
             for committed in store.draws(table):
                 there[committed.start : committed.stop] = True
             present &= there
-        lacking = list[Work]()
+        lacking = list[FilterWork]()
         for work in works:
             first, last = work.draws
             pieces = cut(first + np.flatnonzero(~present[first:last]), last)
@@ -146,7 +152,7 @@ class RowsByDraw:
         return lacking, self._stored_results(store, works, present)
 
     def _stored_results(
-        self, store: Store, works: list[Work], present: NDArray[np.bool_]
+        self, store: Store, works: list[FilterWork], present: NDArray[np.bool_]
     ) -> StoredResults:
         if self.results is None or not works:
             return
@@ -162,11 +168,11 @@ class RowsByDraw:
 PER_DRAW, BLOCK_OF_SUMS = PerDraw(), BlockOfSums()
 
 
-def _block(work: Work) -> int:
+def _block(work: FilterWork) -> int:
     return work.draws[0] // SUMMED
 
 
-def _key(work: Work) -> tuple[str, int]:
+def _key(work: FilterWork) -> tuple[str, int]:
     return work.ids[0], -1 - work.draws[0] if work.is_part_of_block else _block(work)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation, difference
 from pfdist.runner.build import Built
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.progress import heard
 from pfdist.runner.searches import NamedSearch
@@ -43,7 +43,7 @@ class _Found:
         return believed
 
 
-def _found(session: Session, search: NamedSearch) -> Generator[Batch, None, _Found]:
+def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, None, _Found]:
     """The finalists of a search, of which the best are polished."""
     finalists = yield from _finalists(session, _searching(session.built, search))
     polishes = bool(search.polishing) and not _is_too_long(session.built, search)
@@ -63,7 +63,7 @@ def _found(session: Session, search: NamedSearch) -> Generator[Batch, None, _Fou
     return _Found(judged_alike, polishes)
 
 
-def _finalists(session: Session, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
+def _finalists(session: RunSession, phase: Phase) -> Generator[WorkBatch, None, list[Evaluation]]:
     """Finalists of a phase whose error is finite: no degenerate draw has killed them."""
     finalists = yield from run_phase(phase, session)
     return [evaluation for evaluation in finalists if np.isfinite(evaluation.expected_mse)]
@@ -85,8 +85,8 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
 
 
 def run_search(
-    session: Session, search: NamedSearch
-) -> Generator[Batch, None, dict[str, Evaluation]]:
+    session: RunSession, search: NamedSearch
+) -> Generator[WorkBatch, None, dict[str, Evaluation]]:
     """The search's own evaluation of each compared set, by name, on draws that chose the set.
 
     Empty if every set at the end of the search or of the race has an infinite error.

@@ -17,7 +17,7 @@ from oracles.results_of import results_of
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.rounding import with_error
 from pfdist.pages.terminal import aligned, line_width, lines_of, lines_of_blocks
-from pfdist.questions.budget_page import budget
+from pfdist.questions.budget_page import budget_section
 from pfdist.questions.runs import list_page, table_page
 from pfdist.results import columns
 
@@ -201,7 +201,7 @@ class Budget:
 
     @property
     def lines(self) -> list[str]:
-        return lines_of_blocks(budget(cast("Any", self)).blocks)
+        return lines_of_blocks(budget_section(cast("Any", self)).blocks)
 
 
 def test_the_table_of_a_budget_has_the_bound_and_the_limit_holds_as_it_is_printed() -> None:
@@ -254,6 +254,6 @@ def test_a_line_says_which_number_reaches_a_target_and_which_cannot(
 ) -> None:
     found = {"measurements": 17, "interval": [16, 18], "larger_that_do_not": []}
     found |= {"impossible": 15, "measurement_times": None, "with_more_particles": None} | changes
-    blocks = budget(cast("Any", Budget(reached=found))).blocks
+    blocks = budget_section(cast("Any", Budget(reached=found))).blocks
     texts = [block.text for block in blocks if isinstance(block, Text)]
     assert told in texts

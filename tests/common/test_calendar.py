@@ -19,7 +19,7 @@ from pfdist.common.clock import Clock
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.problem.job import Job, job_toml
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.problem.written import instants_of, measurements_of
+from pfdist.problem.written import instants_written, measurements_of
 
 ZONE = "Europe/Brussels"
 SPRING, AUTUMN = "2026-03-27T09:00", "2026-10-23T09:00"  # two days before the clocks change
@@ -74,7 +74,7 @@ def test_a_text_means_the_instants_whose_local_date_matches(
     text: str, start: str, zone: str
 ) -> None:
     dates, matches = local_dates(start, zone), WORDS[text]
-    found = instants_of(text, half_hours(start, zone))
+    found = instants_written(text, half_hours(start, zone))
     assert sorted(found) == [k for k, moment in enumerate(dates) if matches(moment)]
 
 
@@ -83,9 +83,11 @@ def test_a_text_means_the_instants_whose_local_date_matches(
 def test_a_range_of_dates_has_both_ends(start: str, ends: list[int]) -> None:
     clock, (first, last) = half_hours(start, ZONE), ends
     written = clock.written_of(range(DAYS + 1))
-    assert instants_of(f"{written[first]}..{written[last]}", clock) == [*range(first, last + 1)]
+    assert instants_written(f"{written[first]}..{written[last]}", clock) == [
+        *range(first, last + 1)
+    ]
     days = [moment.date() for moment in local_dates(start, ZONE)]
-    found = instants_of(f"{days[first]}..{days[last]}", clock)
+    found = instants_written(f"{days[first]}..{days[last]}", clock)
     assert found == [k for k, day in enumerate(days) if days[first] <= day <= days[last]]
 
 
@@ -151,8 +153,8 @@ def test_times_may_be_numbers_texts_and_objects_of_python_and_pandas() -> None:
     clock = section("2026-04-01T08:00", "12 h", horizon=36).clock
     moment = datetime(2026, 4, 2, 20)
     for written in (36, 36.0, "36", "2026-04-02 20:00", "2026-04-02T20:00:00", moment):
-        assert instants_of([written], clock) == [3]
-    assert instants_of([pd.Timestamp(moment), date(2026, 4, 2)], clock) == [3, 2, 3]
+        assert instants_written([written], clock) == [3]
+    assert instants_written([pd.Timestamp(moment), date(2026, 4, 2)], clock) == [3, 2, 3]
 
 
 def test_allowed_entries_are_united_words_of_an_entry_intersected() -> None:
@@ -199,10 +201,10 @@ def test_a_job_without_dates_has_no_new_key_and_one_with_dates_is_read_again() -
 
 def test_a_whole_float_is_an_instant() -> None:
     clock = Clock.counting(9)
-    assert instants_of([2.0, "3.0", "4.0:6.00"], clock) == [2, 3, 4, 5, 6]
+    assert instants_written([2.0, "3.0", "4.0:6.00"], clock) == [2, 3, 4, 5, 6]
     for wrong in (2.5, "2.5", float("inf")):
         with pytest.raises(MeasurementTimesError):
-            instants_of([wrong], clock)
+            instants_written([wrong], clock)
 
 
 BOTH = r"2026-04-01\.\.2026-05-01, hours of the day, as 08:00\.\.18:00"

@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 from pfdist import load_job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Work
+from pfdist.filters.work import FilterWork
 from pfdist.pages import figure as figures
 from pfdist.runner.build import build
 
@@ -27,7 +27,7 @@ def compute(job: str, run: str, log: str) -> int:
     do = Evaluator.filtered
     with open(log, "a", buffering=1, encoding="ascii") as lines:
 
-        def logged(self: Evaluator, work: Work) -> Any:
+        def logged(self: Evaluator, work: FilterWork) -> Any:
             start = time.perf_counter()
             result = do(self, work)
             filtered = (work.draws[1] - work.draws[0]) * len(work.measurement_times)

@@ -22,7 +22,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Work
+from pfdist.filters.work import FilterWork
 
 JOB = """
 seed = 5
@@ -318,7 +318,7 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     assert main([*command, str(whole)]) == 0
     calls, do = itertools.count(1), Evaluator.filtered
 
-    def signalled(self: Evaluator, work: Work) -> Any:
+    def signalled(self: Evaluator, work: FilterWork) -> Any:
         if len(work.measurement_times) == sets and next(calls) == task:
             stop(number)
         return do(self, work)

@@ -16,7 +16,7 @@ import pfdist
 from oracles.explored import SMALL, served
 from pfdist import load_job
 from pfdist.explorer import server
-from pfdist.explorer.session import Session, reply
+from pfdist.explorer.session import ExplorerSession, reply
 
 pytestmark = pytest.mark.browser
 
@@ -123,7 +123,7 @@ def answered(page: Any, session: Any, term: str = "expected MSE") -> None:
 
 
 def test_a_dragged_time_moves_to_allowed_instants_only_and_the_figures_follow(
-    open_page: Open, address: str, session: Session
+    open_page: Open, address: str, session: ExplorerSession
 ) -> None:
     page = open_page(address)
     before = times(page)
@@ -145,7 +145,7 @@ def test_a_dragged_time_moves_to_allowed_instants_only_and_the_figures_follow(
 
 
 def test_the_paired_difference_stands_first_and_is_the_largest(
-    open_page: Open, address: str, session: Session
+    open_page: Open, address: str, session: ExplorerSession
 ) -> None:
     page = open_page(address)
     slider(page, 12).press("ArrowLeft")
@@ -174,7 +174,9 @@ def test_touch_drags_too(open_page: Open, address: str) -> None:
     assert times(page) == [0, 4, 8, 11]
 
 
-def test_times_are_added_and_removed(open_page: Open, address: str, session: Session) -> None:
+def test_times_are_added_and_removed(
+    open_page: Open, address: str, session: ExplorerSession
+) -> None:
     page = open_page(address)
     strip = page.locator("rect.strip.yours").bounding_box()
     page.mouse.click(place(page, 6), strip["y"] + strip["height"] / 2)
@@ -235,7 +237,7 @@ def test_a_reader_hears_the_answer_once_it_is_still(open_page: Open, address: st
 
 
 def test_each_sensor_has_a_strip_and_its_own_forbidden_times(
-    open_page: Open, of_sensors: Session
+    open_page: Open, of_sensors: ExplorerSession
 ) -> None:
     with served(of_sensors) as address:
         page = open_page(address)
@@ -256,7 +258,7 @@ def test_each_sensor_has_a_strip_and_its_own_forbidden_times(
 def test_prices_are_shown_and_counted(open_page: Open) -> None:
     prices = "problem.price={'0:6'=1, '7:12'=2.5}"
     job = load_job(SMALL, [prices, "problem.total_price=4", *EXACT], {"problem": {"horizon": 12}})
-    with served(Session(job)) as address:
+    with served(ExplorerSession(job)) as address:
         page = open_page(address)
         assert re.fullmatch(r"\d, price [\d.]+ of 4", shown(page, "measurements"))
         assert page.locator("rect.price").count() == 13
@@ -270,7 +272,7 @@ def test_prices_are_shown_and_counted(open_page: Open) -> None:
 
 
 def test_sets_are_judged_kept_copied_and_saved(
-    open_page: Open, address: str, session: Session, tmp_path: Path
+    open_page: Open, address: str, session: ExplorerSession, tmp_path: Path
 ) -> None:
     before = len(session.judgements())
     page = open_page(address, permissions=["clipboard-read", "clipboard-write"])
@@ -300,7 +302,7 @@ def test_sets_are_judged_kept_copied_and_saved(
     assert [*pfdist.load_job(file).given_sets] == ["regular", "first", "second"]
 
 
-def test_hostile_names_are_text(open_page: Open, session: Session) -> None:
+def test_hostile_names_are_text(open_page: Open, session: ExplorerSession) -> None:
     class Hostile:
         """A session whose model, run, units and sentences are markup."""
 
@@ -341,7 +343,7 @@ def test_a_name_that_is_not_allowed_is_explained(open_page: Open, address: str) 
 
 
 def test_a_slow_model_drops_stale_moves_and_says_that_it_computes(
-    open_page: Open, session: Session
+    open_page: Open, session: ExplorerSession
 ) -> None:
     asked, go_on = list[tuple[int, ...]](), threading.Event()
     go_on.set()
@@ -395,7 +397,9 @@ def test_the_file_that_a_browser_gets_leads_to_the_page(
         assert page.evaluate("document.referrer") == ""
 
 
-def test_a_lost_connection_is_said_and_found_again(open_page: Open, session: Session) -> None:
+def test_a_lost_connection_is_said_and_found_again(
+    open_page: Open, session: ExplorerSession
+) -> None:
     open_page.allowed.append("WebSocket connection to")  # type: ignore[attr-defined]
     with served(session) as address:
         page = open_page(address)
@@ -410,7 +414,9 @@ def test_a_lost_connection_is_said_and_found_again(open_page: Open, session: Ses
         answered(page, session)
 
 
-def test_two_pages_have_their_own_times(open_page: Open, address: str, session: Session) -> None:
+def test_two_pages_have_their_own_times(
+    open_page: Open, address: str, session: ExplorerSession
+) -> None:
     pages = [open_page(address), open_page(address)]
     for _ in range(2):
         for page, at in zip(pages, (12, 8), strict=True):
@@ -438,7 +444,7 @@ _RENDER = """async () => {
 
 
 def test_the_widget_shows_the_same_in_a_notebook(
-    open_page: Open, address: str, session: Session
+    open_page: Open, address: str, session: ExplorerSession
 ) -> None:
     page = open_page(address)
     page.expose_function("kernel", lambda message: reply(session, message))
@@ -456,7 +462,7 @@ def test_the_widget_shows_the_same_in_a_notebook(
 @pytest.mark.parametrize("width", [400, 1000])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_everyone_can_read_and_use_it(
-    open_page: Open, address: str, of_sensors: Session, width: int, scheme: str
+    open_page: Open, address: str, of_sensors: ExplorerSession, width: int, scheme: str
 ) -> None:
     from axe_playwright_python.sync_playwright import Axe
 

@@ -19,14 +19,14 @@ from pfdist.common.parsing import parse_toml
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
 from pfdist.errors import JobError, MeasurementTimesError, PfdistError, StoreError
 from pfdist.explorer import filtered
-from pfdist.explorer.filtered import Filtered
-from pfdist.explorer.session import ON_THESE_DRAWS, Session, reply
+from pfdist.explorer.filtered import FilteredSets
+from pfdist.explorer.session import ON_THESE_DRAWS, ExplorerSession, reply
 from pfdist.results.moments import Pairs
 
 MINE, OTHER = (1, 4, 6, 12), (0, 4, 8, 11)
 
 
-def facts_of(session: Session, times: tuple[int, ...], draws: int = 0) -> dict[str, str]:
+def facts_of(session: ExplorerSession, times: tuple[int, ...], draws: int = 0) -> dict[str, str]:
     return dict(session.answer(times, draws)["facts"])
 
 
@@ -39,8 +39,8 @@ def own(fact: str) -> str:
 
 
 def test_an_answer_is_that_of_evaluate_on_the_same_draws() -> None:
-    session = Session(job_of())
-    session.played = Filtered(session.built, stream_of("evaluate", session.job.seed))
+    session = ExplorerSession(job_of())
+    session.played = FilteredSets(session.built, stream_of("evaluate", session.job.seed))
     answer, facts = session.answer(MINE, 240), facts_of(session, MINE, 240)
     known = pfdist.evaluate(session.job, {"a": MINE}, draws=240, profile=True)["a"]
     assert known.profile is not None
@@ -54,7 +54,7 @@ def test_an_answer_is_that_of_evaluate_on_the_same_draws() -> None:
 
 
 def test_the_gain_is_that_of_the_same_draws_with_its_interval() -> None:
-    session = Session(job_of())
+    session = ExplorerSession(job_of())
     played = session.played
     mine, even = (played.errors(times, 480).mse for times in (MINE, session.even))
     ((head, text), *_) = session.answer(MINE, 480)["facts"]
@@ -78,7 +78,7 @@ def test_the_gain_is_that_of_the_same_draws_with_its_interval() -> None:
 
 def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run) -> None:
     """So the mean of few draws never looks like an improvement over that of many before it."""
-    session = Session(small_run)
+    session = ExplorerSession(small_run)
     sets = (MINE, session.plan, session.even)
     session.answer(session.plan, 3840)  # what a user has seen before the move
     answer = session.answer(MINE, 120)
@@ -100,21 +100,21 @@ def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run
 
 
 def test_further_draws_give_the_bits_of_one_computation() -> None:
-    in_steps, at_once = Session(job_of()), Session(job_of())
+    in_steps, at_once = ExplorerSession(job_of()), ExplorerSession(job_of())
     for draws in (48, 120, 336):
         in_steps.answer(MINE, draws)
     assert in_steps.answer(MINE, 336) == at_once.answer(MINE, 336)
     again = in_steps.answer(MINE, 120)
-    assert again == Session(job_of()).answer(MINE, 120) | {"finer": again["finer"]}
+    assert again == ExplorerSession(job_of()).answer(MINE, 120) | {"finer": again["finer"]}
 
 
 def test_nothing_is_computed_twice_and_old_sets_are_forgotten(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    session, computed = Session(job_of()), list[tuple[int, ...]]()
-    original = Filtered._computed
+    session, computed = ExplorerSession(job_of()), list[tuple[int, ...]]()
+    original = FilteredSets._computed
     monkeypatch.setattr(
-        Filtered, "_computed", lambda self, times, *args: (
+        FilteredSets, "_computed", lambda self, times, *args: (
             computed.append(times), original(self, times, *args))[1],
     )  # fmt: skip
     session.answer(MINE, 48)
@@ -131,9 +131,9 @@ def test_nothing_is_computed_twice_and_old_sets_are_forgotten(
 def test_the_first_draws_of_a_fast_model_are_480_and_those_of_a_slow_one_fewer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert Session(job_of("filter.particles=5")).first_draws == 480
-    monkeypatch.setattr(Filtered, "seconds_a_draw", lambda *_: 0.001)
-    slow = Session(job_of())
+    assert ExplorerSession(job_of("filter.particles=5")).first_draws == 480
+    monkeypatch.setattr(FilteredSets, "seconds_a_draw", lambda *_: 0.001)
+    slow = ExplorerSession(job_of())
     assert slow.first_draws == 72
     assert slow.answer(MINE)["draws"] == 72
     assert slow.answer(MINE)["finer"] == 144
@@ -143,7 +143,7 @@ def test_the_first_draws_of_a_fast_model_are_480_and_those_of_a_slow_one_fewer(
 
 def test_an_exact_engine_is_exact() -> None:
     job = job_of("model.name=random_walk", "filter.engine=kalman")
-    session = Session(job)
+    session = ExplorerSession(job)
     answer = session.answer(MINE)
     known = pfdist.evaluate(job, {"a": MINE}, profile=True)["a"]
     assert known.profile is not None
@@ -159,7 +159,10 @@ def test_an_exact_engine_is_exact() -> None:
 
 def test_weights_leave_the_curve_in_the_unit_of_z() -> None:
     weights = [2.0, *[1.0] * 11, 0.0]
-    plain, weighted = Session(job_of()), Session(job_of(f"problem.instant_weights={weights}"))
+    plain, weighted = (
+        ExplorerSession(job_of()),
+        ExplorerSession(job_of(f"problem.instant_weights={weights}")),
+    )
     same = [session.answer(MINE, 48)["curves"]["yours"] for session in (plain, weighted)]
     assert same[0] == same[1]
     assert facts_of(plain, MINE, 48)["expected MSE"] != facts_of(weighted, MINE, 48)["expected MSE"]
@@ -169,7 +172,7 @@ def test_the_worst_scenario_decides() -> None:
     scenarios = "scenarios={parameters=[{step_sd=1.0}, {step_sd=9.0}], criterion='worst'}"
     model = "model.name=random_walk"
     search = "search=[{method='genetic'}]"
-    session = Session(job_of(model, scenarios, search))
+    session = ExplorerSession(job_of(model, scenarios, search))
     known = pfdist.evaluate(session.job, {"a": MINE}, draws=480)["a"]
     facts = facts_of(session, MINE, 480)
     value, error = map(float, own(facts["expected MSE"]).split(" ± "))
@@ -178,7 +181,9 @@ def test_the_worst_scenario_decides() -> None:
     assert float(own(facts["typical error"])) == pytest.approx(value**0.5, rel=0.02)
 
 
-def test_broken_constraints_are_named(session: Session, of_sensors: Session) -> None:
+def test_broken_constraints_are_named(
+    session: ExplorerSession, of_sensors: ExplorerSession
+) -> None:
     broken = session.answer((0, 7, 8))["broken"]
     assert [each.partition(" ")[0] for each in broken] == [
         "measurement_budget", "forbidden:", "required:", "minimum_spacing"
@@ -188,7 +193,7 @@ def test_broken_constraints_are_named(session: Session, of_sensors: Session) -> 
     assert forbidden == "forbidden: 3 far is measured"
 
 
-def test_times_that_are_none_are_refused(session: Session) -> None:
+def test_times_that_are_none_are_refused(session: ExplorerSession) -> None:
     with pytest.raises(MeasurementTimesError, match=r"must lie in 0..12, got 13"):
         session.answer((13,))
     with pytest.raises(MeasurementTimesError, match="got 1 twice"):
@@ -202,7 +207,7 @@ def test_a_run_shows_its_plan_its_bound_and_its_windows(small_run: pfdist.Run) -
     pfdist.bound(small_run, pool="serial", figures=False)
     pfdist.why(small_run, draws=40, figures=False)
     run = pfdist.open_run(small_run.path)
-    session = Session(run)
+    session = ExplorerSession(run)
     state, best = session.state(), run.best
     assert [*state["plan"]] == best.measurement_times
     assert {int(each) for each in state["windows"]} == {*state["plan"]}
@@ -217,7 +222,7 @@ def test_a_run_shows_its_plan_its_bound_and_its_windows(small_run: pfdist.Run) -
     assert 100 * (best.bound_gap_at_most - best.bound_gap) > 1.6 * float(error)  # one-sided 95 %
     assert "gap to the bound" not in facts_of(session, (1, 2, 3))  # of another number
     assert "against the plan" in facts_of(session, MINE)
-    assert Session(str(run.path)).plan == session.plan
+    assert ExplorerSession(str(run.path)).plan == session.plan
 
 
 @pytest.mark.parametrize(
@@ -231,7 +236,7 @@ def test_a_run_shows_its_plan_its_bound_and_its_windows(small_run: pfdist.Run) -
     ],
 )
 def test_no_gap_below_its_own_error_is_shown(
-    session: Session, monkeypatch: pytest.MonkeyPatch, ratio: Estimate, said: str
+    session: ExplorerSession, monkeypatch: pytest.MonkeyPatch, ratio: Estimate, said: str
 ) -> None:
     zero = {"filter_model": 0.0, "filter_model_error": 0.0}
     proof = {"expected_mse": 20.0, "bound": 18.0, "bound_error": 0.5, "reason": "", **zero}
@@ -244,7 +249,7 @@ def test_no_gap_below_its_own_error_is_shown(
 
 
 def test_with_a_plan_sets_are_judged_against_it(small_run: pfdist.Run) -> None:
-    session = Session(small_run)
+    session = ExplorerSession(small_run)
     stream = stream_of("judge", session.job.seed, 0, MINE)
     work = session.built.evaluator.work(
         (MINE, session.plan), stream, stream, (0, session.judging_draws), session.built.comparing
@@ -265,16 +270,16 @@ def test_a_job_file_finds_its_run(finished: Callable[..., Path], tmp_path: Path)
     job = shutil.copy(Path(__file__).parents[1] / "small.toml", tmp_path / "jobs")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
-        assert Session(job).plan is not None
+        assert ExplorerSession(job).plan is not None
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path / "jobs")
-        assert Session("small.toml").plan is None
+        assert ExplorerSession("small.toml").plan is None
 
 
 def test_an_unfinished_run_is_refused(small_run: pfdist.Run) -> None:
     shutil.rmtree(small_run.path / "tables" / "comparison")
     with pytest.raises((StoreError, PfdistError)):
-        Session(small_run.path)
+        ExplorerSession(small_run.path)
 
 
 def test_a_calendar_gives_dates(tmp_path: Path) -> None:
@@ -284,7 +289,7 @@ def test_a_calendar_gives_dates(tmp_path: Path) -> None:
     job = pfdist.load_job(SMALL, [f"problem.clock={clock}", *exact], sections)
     run = pfdist.run(job, tmp_path / "run", figures=False)
     pfdist.why(run, figures=False)
-    session = Session(run)
+    session = ExplorerSession(run)
     state = session.state()
     assert state["labels"][:4] == [  # summer time begins in the night to 29 March
         "2026-03-28T08:00", "2026-03-28T14:00", "2026-03-28T20:00", "2026-03-29T03:00"
@@ -304,7 +309,7 @@ def test_a_calendar_gives_dates(tmp_path: Path) -> None:
 def test_the_draws_of_play_judge_nothing() -> None:
     assert "explore" in CHOOSING
     assert "judge" in PROVING
-    session = Session(job_of())
+    session = ExplorerSession(job_of())
     assert session.answer(MINE)["mark"].startswith(ON_THESE_DRAWS)
     assert session.answer(MINE)["mark"].endswith("not judged yet")
     session.judge("mine", MINE)
@@ -313,7 +318,7 @@ def test_the_draws_of_play_judge_nothing() -> None:
 
 
 def test_judgements_have_draws_of_their_own_and_simultaneous_intervals() -> None:
-    session = Session(job_of("comparison.draws=250"))
+    session = ExplorerSession(job_of("comparison.draws=250"))
     seed, even = session.job.seed, session.even
 
     def by_hand(number: int, times: tuple[int, ...], judged: int) -> tuple[float, ...]:
@@ -341,7 +346,7 @@ def test_judgements_have_draws_of_their_own_and_simultaneous_intervals() -> None
     assert len(session.judge("other again", OTHER)) == 4  # the best was judged twice already
 
 
-def test_the_reference_is_not_judged(session: Session) -> None:
+def test_the_reference_is_not_judged(session: ExplorerSession) -> None:
     with pytest.raises(JobError, match="evenly spaced times"):
         session.judge("even", session.even)
 
@@ -352,14 +357,14 @@ def test_intervals_of_judgements_hold_together() -> None:
     More than 8 of 40 users would have a probability below 1e-4.
     """
     job = job_of("model.name=random_walk", "filter.particles=30", "comparison.draws=60")
-    many = Filtered(Session(job).built, stream_of("evaluate", 99))
+    many = FilteredSets(ExplorerSession(job).built, stream_of("evaluate", 99))
     sets = [MINE, OTHER, (2, 5, 8, 11), (3, 6, 9, 12)]
     even = job.problem.feasible.regular()
     means = [each.expected_mse for each in many.evaluations([*sets, even], 20_000)]
     true = [1 - mean / means[-1] for mean in means]
     missed = 0
     for seed in range(40):
-        user = Session(job.with_changes(settings={"seed": seed}))
+        user = ExplorerSession(job.with_changes(settings={"seed": seed}))
         for number, times in enumerate(sets):
             user.judge(str(number), times)
         rows = [row for row in user.judgements() if not row["again"]]
@@ -374,7 +379,7 @@ def test_intervals_of_judgements_hold_together() -> None:
 
 
 def test_the_job_and_the_command_have_the_sets(
-    session: Session, of_sensors: Session, tmp_path: Path
+    session: ExplorerSession, of_sensors: ExplorerSession, tmp_path: Path
 ) -> None:
     file = tmp_path / "explored.toml"
     file.write_text(session.job_text({"mine": MINE}))
@@ -389,7 +394,7 @@ def test_the_job_and_the_command_have_the_sets(
 
 
 @pytest.mark.parametrize("name", ["<img src=x onerror=alert(1)>", "Mine", "", "regular", "a" * 65])
-def test_a_name_that_no_job_may_have_is_refused(session: Session, name: str) -> None:
+def test_a_name_that_no_job_may_have_is_refused(session: ExplorerSession, name: str) -> None:
     answer = reply(session, {"ask": "take", "sets": {name: [1, 2]}, "id": 7})
     assert answer.keys() == {"id", "ask", "error"}
     assert "comparison.sets" in answer["error"]
@@ -405,7 +410,7 @@ def test_a_name_that_no_job_may_have_is_refused(session: Session, name: str) -> 
     ],
 )  # fmt: skip
 def test_a_message_that_is_none_is_answered_with_one_line(
-    session: Session, message: object
+    session: ExplorerSession, message: object
 ) -> None:
     answer = reply(session, message)
     assert "\n" not in answer["error"]
@@ -420,7 +425,7 @@ def test_a_message_is_answered_whatever_it_causes(error: BaseException) -> None:
     def answer(_: object, __: int) -> None:
         raise error
 
-    found, session = dict[str, object](), cast("Session", SimpleNamespace(answer=answer))
+    found, session = dict[str, object](), cast("ExplorerSession", SimpleNamespace(answer=answer))
     with contextlib.suppress(KeyboardInterrupt):  # it would end pytest
         found = reply(session, {"ask": "answer", "id": "v-1"})
     assert str(found.pop("error", "")).startswith(f"{type(error).__name__}: ")

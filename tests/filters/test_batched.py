@@ -21,9 +21,9 @@ from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
-from pfdist.models.by_value import by_value, made
+from pfdist.models.by_value import by_value, models_made
 from pfdist.models.recorded import declared, differences, recorded, with_functions
-from pfdist.models.written import models_of, text_of
+from pfdist.models.written import models_of, text_of_models
 
 HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
 UNGM = load_model("ungm")
@@ -274,7 +274,9 @@ def test_a_model_is_what_it_declares(tmp_path: Path):
         return batched(UNGM, version=version, files=(str(table),), libraries=("numpy",))
 
     first = made_now()
-    identity = json.loads(text_of(first, first))["truth"]["formulas"]["transition"]["declared"]
+    identity = json.loads(text_of_models(first, first))["truth"]["formulas"]["transition"][
+        "declared"
+    ]
     assert identity["libraries"] == {"numpy": np.__version__}
     assert not [*differences(first, made_now())]
     text = dict(differences(first, made_now("2")))["transition"]
@@ -285,7 +287,7 @@ def test_a_model_is_what_it_declares(tmp_path: Path):
 
 def test_a_run_needs_the_code_of_a_batched_model():
     model = batched(UNGM)
-    kept, _ = models_of(text_of(model, model).encode())
+    kept, _ = models_of(text_of_models(model, model).encode())
     assert kept.components == model.components
     with pytest.raises(ModelError, match="a run does not contain the functions of a batched model"):
         simulate(kept, HORIZON, range(5), 3)
@@ -295,7 +297,7 @@ def test_a_run_needs_the_code_of_a_batched_model():
 
 def test_a_batched_model_travels_with_its_functions():
     model = batched(UNGM)
-    (arrived,) = made(by_value([model]))
+    (arrived,) = models_made(by_value([model]))
     np.testing.assert_array_equal(*(simulate(e, HORIZON, range(5), 3).z for e in (arrived, model)))
 
 

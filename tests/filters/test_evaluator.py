@@ -12,7 +12,7 @@ from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, Work, cut
+from pfdist.filters.work import Estimation, FilterWork, cut
 
 
 def _evaluation(mse: list[float], policy: str = "kill", degenerate: int = 0) -> Evaluation:
@@ -27,8 +27,10 @@ def test_expected_mse_and_its_standard_error() -> None:
     assert (evaluation.draws, evaluation.degenerate_draws) == (3, 0)
 
 
-def _work(sets: tuple[Times, ...], horizon: int, particles: int, draws: tuple[int, int]) -> Work:
-    return Work(sets, (horizon,) * 2, (5, 6), 4, draws, Estimation(particles))
+def _work(
+    sets: tuple[Times, ...], horizon: int, particles: int, draws: tuple[int, int]
+) -> FilterWork:
+    return FilterWork(sets, (horizon,) * 2, (5, 6), 4, draws, Estimation(particles))
 
 
 def test_one_degenerate_draw_kills_an_individual() -> None:
@@ -71,7 +73,9 @@ def test_brute_force_finds_the_set_with_the_least_riccati_cost(
     exact = np.array([riccati_cost(system, horizon, times) for times in sets])
     # Common draws and filter noise for all sets: the comparison is paired.
     estimation, alike = Estimation(particles, "systematic"), (1,) * len(sets)
-    mse = evaluator(Work(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), estimation)).mse
+    mse = evaluator(
+        FilterWork(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), estimation)
+    ).mse
     assert sets[mse.mean(axis=0).argmin()] == sets[exact.argmin()]
     # The filter's own noise adds a few times 1/particles of the variance to the error.
     standard_error = mse.std(axis=0) / math.sqrt(draws)

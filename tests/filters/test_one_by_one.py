@@ -18,7 +18,7 @@ from pfdist.filters.engines import ENGINES
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Estimation, Work, filter_streams
+from pfdist.filters.work import Estimation, FilterWork, filter_streams
 
 HORIZON = 12
 UNGM = load_model("ungm")
@@ -196,7 +196,7 @@ def test_what_does_not_fit_is_refused(
     with pytest.raises((ModelError, ValueError), match=message) as error:
         evaluator.check(Estimation(10, **changes))
     assert "\n" not in str(error.value)
-    work = Work(((1,),), (5,), (1,), 1, (0, 2), Estimation(10, **changes))
+    work = FilterWork(((1,),), (5,), (1,), 1, (0, 2), Estimation(10, **changes))
     with pytest.raises((ModelError, ValueError), match=message):
         evaluator(work)
 
@@ -209,7 +209,9 @@ def test_the_variance_of_a_wrong_filter_is_what_it_computes(engine: str) -> None
     """The variance of its particles, however wrong it is about the error."""
     evaluator = Evaluator(UNGM, HORIZON, WRONG, engine=engine)
     estimation = Estimation(70, estimator="filter_variance")
-    own = evaluator(Work(tuple(SETS), tuple(ENDS), (9,) * len(SETS), 3, (0, 6), estimation)).mse
+    own = evaluator(
+        FilterWork(tuple(SETS), tuple(ENDS), (9,) * len(SETS), 3, (0, 6), estimation)
+    ).mse
     draws = simulate(UNGM, HORIZON, range(6), 3)
     believed = [
         by_hand(replace(draws, model=WRONG), times, end, "filter_variance")
@@ -242,14 +244,14 @@ def test_of_an_exact_engine_the_variance_is_exact() -> None:
     estimation = Estimation(1, "sorted_systematic", "filter_variance")
     evaluator.check(estimation)
     sets: Sequence[Times] = ((0, 4, 8), (2, 9))
-    mse = evaluator(Work(tuple(sets), (12, 9), (1, 1), 1, (0, 3), estimation)).mse
+    mse = evaluator(FilterWork(tuple(sets), (12, 9), (1, 1), 1, (0, 3), estimation)).mse
     np.testing.assert_allclose(mse, [evaluator.expected_mse(sets, (12, 9))] * 3, rtol=1e-12)
 
 
 def test_two_filters_take_the_work_of_two() -> None:
     def steps(estimator: str) -> int:
         estimation = Estimation(10, estimator=estimator)
-        return Work(((1, 2), (1, 3)), (5, 5), (1, 1), 1, (0, 7), estimation).steps
+        return FilterWork(((1, 2), (1, 3)), (5, 5), (1, 1), 1, (0, 7), estimation).steps
 
     # 6 instants and, since the first two are shared, 4 more.
     assert steps("squared_error") == steps("filter_variance") == 7 * 10 * (6 + 4)

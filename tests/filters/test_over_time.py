@@ -18,7 +18,7 @@ from pfdist.common.scenario import Scenario
 from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Estimation, joined, ranges_of
+from pfdist.filters.work import Estimation, joined, ranges_of_draws
 from pfdist.kernels.estimators import ESTIMATORS
 
 UNGM, WALK = load_model("ungm"), load_model("random_walk")
@@ -113,14 +113,14 @@ def test_sums_over_ranges_do_not_depend_on_how_draws_are_cut(seed: int, controll
     pieces = [work.part(piece) for piece in pairwise(ends)]
     sums = {}
     for piece, result in zip(pieces, evaluator.results(pieces), strict=True):
-        sums |= zip(ranges_of(*piece.draws, 8), result.errors, strict=True)
+        sums |= zip(ranges_of_draws(*piece.draws, 8), result.errors, strict=True)
 
     def total(first: int, draws: int) -> Any:
         if (first, draws) in sums:
             return sums[first, draws]
         return total(first, draws // 2) + total(first + draws // 2, draws // 2)
 
-    for of_range, errors in zip(ranges_of(5, 90, 8), whole.errors, strict=True):
+    for of_range, errors in zip(ranges_of_draws(5, 90, 8), whole.errors, strict=True):
         np.testing.assert_array_equal(total(*of_range), errors)
     found = joined([evaluator.filtered(piece) for piece in pieces])
     expected = found.mse - found.control if controlled else found.mse

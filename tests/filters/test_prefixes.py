@@ -10,7 +10,7 @@ from pfdist import StateSpaceModel, load_model, where
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.kernels.prefixes import plan
+from pfdist.kernels.prefixes import plan_prefixes
 
 HORIZON = 12
 UNGM, BEARINGS = load_model("ungm"), load_model("bearings_only")
@@ -65,7 +65,7 @@ def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> Non
     ends = [instants] * len(sets)
     if with_ends:
         ends = [int(rng.integers(max(times, default=0) + 1, instants + 1)) for times in sets]
-    planned, place, _ = plan(tuple(sets), instants, tuple(ends))
+    planned, place, _ = plan_prefixes(tuple(sets), instants, tuple(ends))
     words = [tuple(t in times for t in range(end)) for times, end in zip(sets, ends, strict=True)]
     ordered = list(zip(planned.measured, planned.ends, strict=True))
     assert [tuple(row[:end].tolist()) for row, end in (ordered[k] for k in place)] == words
@@ -110,6 +110,6 @@ def test_a_plan_of_neighbours_on_a_long_horizon_fits_into_little_memory() -> Non
     sets = [
         tuple(sorted({*regular} - {out} | {out + step})) for out in regular for step in range(1, 9)
     ]
-    planned = plan(tuple(sets), 601)
+    planned = plan_prefixes(tuple(sets), 601)
     size = sum(array.nbytes for array in (*planned.plan, planned.places))
     assert size < 1.5 * len(sets) * 601

@@ -12,7 +12,7 @@ from pfdist.kernels import lowering
 from pfdist.kernels.blocks import Source, compile_blocks
 from pfdist.kernels.lowering import split
 from pfdist.models.program import Operation, Program, merged
-from pfdist.models.repeating import repeated
+from pfdist.models.repeating import repeated_steps
 from pfdist.models.tracing import Formula, trace
 
 MODELS = ("ungm", "bearings_only", "robot", "lotka_volterra", "epidemic_counts", "xray_tumour")
@@ -84,8 +84,8 @@ def test_a_loop_has_the_values_of_the_plain_twin(most_together, monkeypatch):
             return (where(larger, a * p.rate, a + noise), 0.5 * b + computed * k / x[1])
 
         computed = [np.exp(-k * x[0]) for k in range(4)]
-        a, b = repeated(step, x, counts[t], [w[1::2], computed], 4)
-        again, _ = repeated(step, (b, a), 2, [w[0:4], computed], 4)
+        a, b = repeated_steps(step, x, counts[t], [w[1::2], computed], 4)
+        again, _ = repeated_steps(step, (b, a), 2, [w[0:4], computed], 4)
         return (np.sin(a) + b, again)
 
     parameters = {"rate": 0.75}

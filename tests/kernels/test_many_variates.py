@@ -12,7 +12,15 @@ import pytest
 from numba import njit
 from scipy import stats
 
-from pfdist.kernels.variates import FILTER_PROCESS, KINDS, SPARE, Key, Row, fill, number_of_words
+from pfdist.kernels.variates import (
+    FILTER_PROCESS,
+    KINDS,
+    SPARE,
+    Key,
+    VariateRow,
+    fill,
+    number_of_words,
+)
 from pfdist.kernels.vectors import LANES
 
 pytestmark = pytest.mark.statistics
@@ -65,7 +73,7 @@ def counted(kind: str) -> Counts:
     )
     key = Key(STREAM, 7, int(FILTER_PROCESS), 0)
     for row in range(ROWS):
-        fill(Row(words, values, WIDTH, KINDS.index(kind), key, row, 1))
+        fill(VariateRow(words, values, WIDTH, KINDS.index(kind), key, row, 1))
         count(counts, values, LOW[kind])
     return counts
 

@@ -17,9 +17,9 @@ from pfdist.kernels import lowering
 from pfdist.kernels.blocks import Source, compile_blocks
 from pfdist.models.program import GROUPS, TAKES
 from pfdist.models.recorded import recorded
-from pfdist.models.repeating import repeated
+from pfdist.models.repeating import repeated_steps
 from pfdist.models.symbols import take
-from pfdist.models.written import models_of, text_of
+from pfdist.models.written import models_of, text_of_models
 
 LAYOUT = {"x": ("slots", 0), "w": ("noise", 0)}
 EXACT = {
@@ -58,9 +58,9 @@ def transition(x, t, w, p):
         return where(a > b, b + noise, take([1.0, 2.0, 4.0], k.astype(int)) - a), kept * a
 
     levels = [level * x[0], level + x[0], x[0] - level, level - 1.0]
-    a, b = repeated(step, (x[0], level), t + 1, [w, levels], 4)
+    a, b = repeated_steps(step, (x[0], level), t + 1, [w, levels], 4)
     if t % 3 == 0:
-        a, b = repeated(lambda s, k, _: (s[1] + k, s[0] * 0.5), (x[0], level), 3)
+        a, b = repeated_steps(lambda s, k, _: (s[1] + k, s[0] * 0.5), (x[0], level), 3)
     if t == 4:
         return (b - a * level,)
     return (a + take([2.0, 0.5], where(b > 1.0, 1.0, 0.0).astype(int)) * np.floor(b) + w[0],)
@@ -75,7 +75,7 @@ MODEL = recorded(
     ),
     range(INSTANTS + 1),
 )
-TEXT = text_of(MODEL, MODEL)
+TEXT = text_of_models(MODEL, MODEL)
 
 
 def mutated(rng):

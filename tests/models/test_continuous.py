@@ -14,7 +14,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
 from pfdist.models.continuous import doubled
 from pfdist.models.recorded import recorded
-from pfdist.models.written import models_of, text_of
+from pfdist.models.written import models_of, text_of_models
 
 A = np.array([[-0.3, 0.5], [-0.4, -0.1]])
 B = np.array([[0.3, 0.1], [0.0, 0.2]])
@@ -255,7 +255,7 @@ def test_a_loop_has_the_bits_of_steps_that_are_written_out(substeps):
 
 def test_a_model_with_loops_travels_as_text_with_all_bits():
     model = recorded(made(tank(5), parameters={"outflow": 0.3, "spread": 0.2}), range(7))
-    read, _ = models_of(text_of(model, model).encode())
+    read, _ = models_of(text_of_models(model, model).encode())
     assert read.transition == model.transition
     states = [simulate(each, 6, range(100), 1).x for each in (model, read)]
     np.testing.assert_array_equal(*states)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from pfdist import where
 from pfdist.models import load_model
 from pfdist.models.derivatives import RULES, pulled
-from pfdist.models.program import BINARY, OPERATORS, UNARY, evaluate
+from pfdist.models.program import BINARY, OPERATORS, UNARY, evaluate_program
 from pfdist.models.recorded import recorded
-from pfdist.models.repeating import repeated
+from pfdist.models.repeating import repeated_steps
 from pfdist.models.symbols import Recording, RefusedError, Symbol
 from pfdist.models.tracing import Formula, trace
 
@@ -33,7 +33,7 @@ def values_and_slopes(function: Callable[..., Any], *at: Array) -> tuple[Array, 
     x = tuple(Symbol(recording, recording.add("x", (), i)) for i in range(len(at)))
     value = function(*x)
     program = recording.closed([value, *pulled([(value, 1.0)], x)])
-    first, *slopes = evaluate(program, {"x": at}, 0, {})
+    first, *slopes = evaluate_program(program, {"x": at}, 0, {})
     return first, np.array([np.broadcast_to(each, at[0].shape) for each in slopes])
 
 
@@ -82,7 +82,7 @@ def test_second_derivatives_are_those_of_the_first() -> None:
     a, b = (Symbol(recording, recording.add("x", (), i)) for i in range(2))
     gradient = pulled([(np.log(np.cosh(a * b)), 1.0)], (a, b))
     hessian = [pulled([(each, 1.0)], (a, b)) for each in gradient]
-    found = np.array(evaluate(recording.closed([*chain(*hessian)]), {"x": AT}, 0, {}))
+    found = np.array(evaluate_program(recording.closed([*chain(*hessian)]), {"x": AT}, 0, {}))
     x, y = AT
     tanh, sech2 = np.tanh(x * y), np.cosh(x * y) ** -2
     mixed = tanh + x * y * sech2
@@ -102,7 +102,7 @@ def test_a_loop_that_is_written_out_has_the_derivative_of_its_steps() -> None:
 
     def cubed(x: Any, p: Any) -> Any:
         x[0].recording.unrolls = True
-        values = repeated(lambda x, k, _: (x[0] + 0.5 * x[1], x[1] - 0.25 * k * x[0]), x, 3)
+        values = repeated_steps(lambda x, k, _: (x[0] + 0.5 * x[1], x[1] - 0.25 * k * x[0]), x, 3)
         return (*pulled([(values[0], 1.0)], x), *pulled([(values[1], 1.0)], x))
 
     formula = Formula(cubed, "cubed", {"x": 2, "p": 0}, {}, "a model", 4)
@@ -116,7 +116,7 @@ def test_a_loop_that_is_written_out_has_the_derivative_of_its_steps() -> None:
 def test_a_loop_that_is_not_written_out_is_refused() -> None:
     recording = Recording()
     x = Symbol(recording, recording.add("x", (), 0))
-    (value,) = repeated(lambda x, k, _: (2.0 * x[0],), (x,), 3)
+    (value,) = repeated_steps(lambda x, k, _: (2.0 * x[0],), (x,), 3)
     with pytest.raises(RefusedError, match=r"a loop .* has no derivative"):
         pulled([(value, 1.0)], (x,))
 

@@ -15,7 +15,7 @@ from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import Sensor, StateSpaceModel, installed_models, load_model
 from pfdist.models.recorded import differences, recorded
-from pfdist.models.written import key_of_model, models_of, text_of
+from pfdist.models.written import key_of_model, models_of, text_of_models
 
 INSTANTS = range(13)
 QUICK = {"ungm", "bearings_only", "two_compartments"}  # `pytest -m zoo` compiles the others
@@ -151,7 +151,7 @@ def test_parameters_that_are_numbers_have_programs_of_their_own(write: Write, tm
     (folder,) = (each.parent for each in tmp_path.glob("*/mine.py"))
     model = load_model("mine.py:model", folder)
     known = recorded(model, INSTANTS, [{"sigma": 1.5}])
-    for each in (known, models_of(text_of(known, known).encode())[0]):
+    for each in (known, models_of(text_of_models(known, known).encode())[0]):
         for sigma, expected in ((0.9, 3.0), (1.5, 6.0)):
             changed = each.with_parameters({"sigma": sigma})
             assert changed.transition((3.0,), 0, (0.0,), changed.p) == (expected,)
@@ -165,7 +165,7 @@ def test_parameters_that_are_numbers_have_programs_of_their_own(write: Write, tm
 def test_a_run_with_a_formula_that_was_not_traced_is_not_read(write: Write) -> None:
     """Versions before kept the values of such a formula for some numbers."""
     known = write("", "x[0]")
-    data = json.loads(text_of(known, known))
+    data = json.loads(text_of_models(known, known))
     data["truth"]["formulas"]["transition"] = {"values": [[[0.5]]]}
     with pytest.raises(ValueError, match="transition has no program, which versions before allow"):
         models_of(json.dumps(data).encode())
@@ -183,7 +183,7 @@ def test_every_model_computes_the_same_by_its_text(name: str) -> None:
     clock = [float(t) for t in INSTANTS] if model.reads_clock else None
     model = model.on_clock(clock) if clock else model
     known = recorded(model, INSTANTS)
-    read, believed = models_of(text_of(known, known).encode())
+    read, believed = models_of(text_of_models(known, known).encode())
     assert believed is read
     assert not [*differences(known, read)]
     assert key_of_model(known) == key_of_model(read)
@@ -212,7 +212,7 @@ def test_numbers_of_any_kind_are_known_again_and_count(values) -> None:
         return recorded(model, INSTANTS)
 
     known = made()
-    read, _ = models_of(text_of(known, known).encode())
+    read, _ = models_of(text_of_models(known, known).encode())
     assert not [*differences(known, read)]
     assert key_of_model(known) == key_of_model(read)
     for change in ({"dt": 0.9}, {"n": 4}):
@@ -260,6 +260,6 @@ def test_the_order_of_sensors_and_their_noise_are_named() -> None:
     ):
         assert key in dict(differences(known, other))
         assert key_of_model(known) != key_of_model(other)
-    read, _ = models_of(text_of(known, known).encode())
+    read, _ = models_of(text_of_models(known, known).encode())
     assert not [*differences(known, read)]
     assert key_of_model(known) == key_of_model(read)

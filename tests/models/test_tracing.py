@@ -18,7 +18,7 @@ from pfdist.elementwise import clip, where
 from pfdist.errors import ModelError, TraceError
 from pfdist.models import tracing
 from pfdist.models.checks import ARGUMENTS
-from pfdist.models.program import Operation, Program, evaluate, merged
+from pfdist.models.program import Operation, Program, evaluate_program, merged
 from pfdist.models.recorded import recorded
 from pfdist.models.symbols import take
 from pfdist.models.tracing import MODES, Formula, trace
@@ -80,7 +80,7 @@ def test_each_model_that_ships_is_traced_with_symbols_alone(name):
                 got = result.values(groups, t, model.parameters)
                 got, expected = _broadcast(got, 20), _broadcast(expected, 20)
                 np.testing.assert_allclose(got, expected, rtol=1e-12)
-                same = evaluate(merged(result.programs[0]), groups, t, model.parameters)
+                same = evaluate_program(merged(result.programs[0]), groups, t, model.parameters)
                 np.testing.assert_array_equal(_broadcast(same, 20), got)
 
 
@@ -270,7 +270,7 @@ def test_merging_changes_no_value_and_keeps_different_columns_apart():
     apart = merged(Program(operations, (5,), np.array([[1.0, 1.0], [2.0, 3.0]])))
     assert [len(each.operations) for each in (same, apart)] == [4, 6]  # without the sine
     for program, expected in ((same, 4.0 * 5), (apart, 5.0 * 5)):
-        assert evaluate(program, {"x": [5.0]}, 1, {}, 1) == (expected,)
+        assert evaluate_program(program, {"x": [5.0]}, 1, {}, 1) == (expected,)
 
 
 # --- what is refused ------------------------------------------------------------------------------

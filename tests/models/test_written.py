@@ -19,7 +19,7 @@ from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
 from pfdist.models.recorded import recorded
-from pfdist.models.written import MOST_LISTS, models_of, text_of
+from pfdist.models.written import MOST_LISTS, models_of, text_of_models
 
 MODEL = recorded(load_model("robot"), range(5))
 SECONDS = 5.0
@@ -31,7 +31,7 @@ def program(data: Any, formula: str = "transition") -> Any:
 
 
 def changed(change: Callable[[Any], Any]) -> bytes:
-    data = json.loads(text_of(MODEL, MODEL))
+    data = json.loads(text_of_models(MODEL, MODEL))
     change(data)
     return json.dumps(data).encode()
 
@@ -45,7 +45,7 @@ def operation(number: int, *content: Any) -> Callable[[Any], Any]:
     return change
 
 
-LAST = len(program(json.loads(text_of(MODEL, MODEL)))["operations"]) - 1
+LAST = len(program(json.loads(text_of_models(MODEL, MODEL)))["operations"]) - 1
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ LOOP = recorded(load_model("lotka_volterra"), range(5))
 def test_a_loop_that_is_wrong_is_named_in_a_line(
     name: str, change: dict[int, Any], says: str
 ) -> None:
-    data = json.loads(text_of(LOOP, LOOP))
+    data = json.loads(text_of_models(LOOP, LOOP))
     operations = program(data)["operations"]
     number = [each[0] for each in operations].index(name)
     for place, content in change.items():
@@ -134,7 +134,7 @@ def test_a_loop_that_is_wrong_is_named_in_a_line(
 
 def test_a_loop_of_many_steps_is_read_at_once() -> None:
     """Reading a model calls its formulas, but computes one step of a loop."""
-    data = json.loads(text_of(LOOP, LOOP))
+    data = json.loads(text_of_models(LOOP, LOOP))
     changed = program(data)
     begin = [["x", [], 0], ["x", [], 1], ["constant", [], 0], ["repeat", [2, 0, 1], 10_000]]
     body = [["state", [3], 0], *(["sin", [4 + k], None] for k in range(9_999))]
@@ -161,7 +161,7 @@ def test_a_loop_of_many_steps_is_read_at_once() -> None:
 )
 def test_a_declaration_that_is_wrong_is_named_in_a_line(declared: Any, says: str) -> None:
     model = batched(load_model("ungm"))
-    data = json.loads(text_of(model, model))
+    data = json.loads(text_of_models(model, model))
     data["truth"]["formulas"]["transition"]["declared"].update(declared)
     with pytest.raises(ValueError, match=says):
         models_of(json.dumps(data).encode())
@@ -169,7 +169,7 @@ def test_a_declaration_that_is_wrong_is_named_in_a_line(declared: Any, says: str
 
 @pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999", "9" * 30, "[" * 100_000])
 def test_a_number_that_no_model_has_is_refused(number: str) -> None:
-    data = json.loads(text_of(MODEL, MODEL))
+    data = json.loads(text_of_models(MODEL, MODEL))
     data["truth"]["parameters"]["dt"] = "here"
     with pytest.raises(ValueError, match=r"numbers must be finite|64 bits|deep") as refused:
         models_of(json.dumps(data).replace('"here"', number).encode())
@@ -179,14 +179,14 @@ def test_a_number_that_no_model_has_is_refused(number: str) -> None:
 @pytest.mark.parametrize("results", [0, -1, 10**9, "1", None])
 def test_a_wrong_number_of_results_is_refused(results: Any) -> None:
     model = batched(load_model("ungm"))
-    data = json.loads(text_of(model, model))
+    data = json.loads(text_of_models(model, model))
     data["truth"]["formulas"]["transition"]["results"] = results
     with pytest.raises(ValueError, match="a number of results is wrong"):
         models_of(json.dumps(data).encode())
 
 
 def test_values_for_steps_are_limited_because_they_compile_slowly() -> None:
-    data = json.loads(text_of(LOOP, LOOP))
+    data = json.loads(text_of_models(LOOP, LOOP))
     operations = program(data)["operations"]
     number = [each[0] for each in operations].index("nth")
     operations[number][1] += [3] * 10_000
@@ -195,7 +195,7 @@ def test_values_for_steps_are_limited_because_they_compile_slowly() -> None:
 
 
 def test_a_result_within_a_loop_is_refused() -> None:
-    data = json.loads(text_of(LOOP, LOOP))
+    data = json.loads(text_of_models(LOOP, LOOP))
     program(data)["outputs"] = [100, 101]
     with pytest.raises(ValueError, match="a result is of a step"):
         models_of(json.dumps(data).encode())
@@ -212,8 +212,8 @@ def test_a_result_within_a_loop_is_refused() -> None:
         b"[" * 100_000,
         b"[" * (MOST_LISTS + 1),
         b'{"a":' * 100_000,
-        text_of(MODEL, MODEL).replace("0.0", "NaN", 1).encode(),
-        text_of(MODEL, MODEL).replace("0.0", "Infinity", 1).encode(),
+        text_of_models(MODEL, MODEL).replace("0.0", "NaN", 1).encode(),
+        text_of_models(MODEL, MODEL).replace("0.0", "Infinity", 1).encode(),
     ],
 )
 def test_a_text_that_is_no_model_is_refused(content: bytes) -> None:
@@ -225,7 +225,7 @@ def test_a_text_that_is_no_model_is_refused(content: bytes) -> None:
 
 @pytest.mark.parametrize("count", [50_001, 10_000_000])
 def test_many_operations_are_refused_at_once(count: int) -> None:
-    head, tail = json.dumps(json.loads(text_of(MODEL, MODEL))).split('"operations": [', 1)
+    head, tail = json.dumps(json.loads(text_of_models(MODEL, MODEL))).split('"operations": [', 1)
     content = f'{head}"operations": [{count * "[1,[],2],"}{tail}'.encode()
     start = time.process_time()
     with pytest.raises(ValueError, match=r"operations|lists"):
@@ -242,7 +242,7 @@ def test_every_number_comes_back_bit_for_bit(value: float) -> None:
     read, _ = models_of(changed(change))
     constants = read.transition.variants[0].programs[0].constants
     np.testing.assert_array_equal(np.float64(value).tobytes(), constants[0, :1].tobytes())
-    assert models_of(text_of(read, read).encode())[0] == read
+    assert models_of(text_of_models(read, read).encode())[0] == read
 
 
 def test_each_program_of_a_formula_gives_as_many_results() -> None:
@@ -254,7 +254,7 @@ def test_each_program_of_a_formula_gives_as_many_results() -> None:
         log_likelihood=lambda y, x, t, p: -((y[0] - x[0]) ** 2) * table.get(t, t),
     )
     known = recorded(model, range(5))
-    data = json.loads(text_of(known, known))
+    data = json.loads(text_of_models(known, known))
     (traced,) = data["truth"]["formulas"]["log_likelihood"]
     traced["programs"].append(json.loads(json.dumps(traced["programs"][0])))
     traced["programs"][1]["outputs"] *= 300

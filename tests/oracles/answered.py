@@ -6,7 +6,7 @@ from typing import Any
 
 from pfdist.problem.sections import Execution
 from pfdist.runner.build import Built, make_pool
-from pfdist.runner.door import Driver, Session, complete
+from pfdist.runner.door import Driver, RunSession, complete
 from pfdist.runner.progress import Progress
 from pfdist.store import Store
 
@@ -18,5 +18,5 @@ def answered(
     show: Callable[[Progress], Any] = lambda progress: None,
 ) -> Any:
     """The value of a driver; it keeps nothing, so its store has no folder."""
-    session = Session(built, Store(Path("nowhere")), show)
+    session = RunSession(built, Store(Path("nowhere")), show)
     return complete(driver(session, *arguments), make_pool(Execution(pool="serial")))

@@ -7,7 +7,7 @@ import llvmlite.binding as llvm
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.kernels.blocks import Blocks, Source, call_block, compile_blocks, run
+from pfdist.kernels.blocks import Blocks, Source, call_block, compile_blocks, run_block
 from pfdist.kernels.cached import entry
 from pfdist.kernels.lowering import Half, machine_code, module_of, optimised, split
 from pfdist.kernels.memory import read
@@ -29,7 +29,7 @@ def computed(name, *arguments):
     half = Half(tuple(operations), (len(operations) - 1,), ())
     out = np.empty((1, slots.shape[1]))
     code = machine_code((half,))
-    run(code, code.addresses[half], out, slots)
+    run_block(code, code.addresses[half], out, slots)
     return out[0, :size]
 
 

@@ -16,7 +16,7 @@ from pfdist.common.clock import Clock
 from pfdist.errors import JobError
 from pfdist.pages.figure import FIGURES, Tables, drawn
 from pfdist.pages.gains import median_draw, plot_of_draw
-from pfdist.pages.online import measured_at, with_online
+from pfdist.pages.online import measured_marks, with_online
 from pfdist.pages.plots import (
     budget,
     draw_figures,
@@ -294,7 +294,7 @@ def test_another_set_is_an_outline_over_the_same_bars() -> None:
 
 def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours() -> None:
     times = [(0, 3), (1, 2), (0, 3), (0, 2)]
-    measured = measured_at(times, 4)
+    measured = measured_marks(times, 4)
     assert [tuple(np.flatnonzero(row)) for row in measured] == times
     table = pd.DataFrame({"measurement_times": times})
     draws = OnlineDraws("regular", "survivors", (0, 3), table, Clock.counting(4))

@@ -22,7 +22,7 @@ from pfdist.common.percent import gap_sentence, percent
 from pfdist.errors import StoreError
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.about_run import _LOAD
-from pfdist.questions.run_page import page_of, searches
+from pfdist.questions.run_page import page_of, searches_section
 from pfdist.questions.subject import Subject, effect
 from pfdist.results.sampling_windows import sentences, windows_of
 from pfdist.store.verify import verify_run
@@ -372,7 +372,7 @@ def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) 
     """The searches of a range of budgets believe something of each number of measurements."""
     job = small_job.with_changes([*MODEL, "problem.horizon=6"])
     subject = Subject(pfdist.budget(job, (2, 3), tmp_path / "run", draws=20, figures=False))
-    found = searches(subject)
+    found = searches_section(subject)
     assert found is not None
     assert found.blocks[0].head == ["search", "method", "sets evaluated"]
 

@@ -10,7 +10,7 @@ import pytest
 from pfdist import StateSpaceModel
 from pfdist.errors import EngineWarning
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.pools import threads
 from pfdist.pools.base import Task
 from pfdist.pools.threads import ThreadPool
@@ -19,7 +19,7 @@ from pfdist.pools.threads import ThreadPool
 def test_compiled_filters_release_pythons_lock(ungm: StateSpaceModel) -> None:
     """Otherwise this thread stands still, and asks for no task, while another one filters."""
     evaluator = Evaluator(ungm, 60)
-    work = Work(((0, 30, 60),), (60,), (1,), 2, (0, 1000), Estimation(4000))
+    work = FilterWork(((0, 30, 60),), (60,), (1,), 2, (0, 1000), Estimation(4000))
     evaluator.compile(work.estimation)
     with ThreadPool(1) as pool:
         task = Task("a", evaluator.filtered, work)

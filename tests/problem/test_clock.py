@@ -12,7 +12,7 @@ from pfdist.common.measurement_times import regular
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.written import clock_of, instants_of
+from pfdist.problem.written import clock_of, instants_written
 
 UNEVEN = Clock((0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0), "h")
 
@@ -73,7 +73,7 @@ def test_whole_numbers_alone_count_instants() -> None:
 
 def test_a_range_of_a_clock_may_span_many_units_but_no_clock_has_so_many_instants() -> None:
     clock = Clock.regular(5_000_000, 1_000_000, "s")
-    assert instants_of("0:5000000", clock) == [0, 1, 2, 3, 4, 5]
+    assert instants_written("0:5000000", clock) == [0, 1, 2, 3, 4, 5]
     with pytest.raises(MeasurementTimesError, match="at most 1,000,000 numbers"):
         clock_of("0:5000000")
 
@@ -103,9 +103,9 @@ def test_a_time_that_is_none_of_the_clocks_is_named_with_the_nearest(
     written: object, message: str
 ) -> None:
     with pytest.raises(MeasurementTimesError, match=message):
-        instants_of(written, UNEVEN, "forbidden") if isinstance(written, str) else UNEVEN.instant(
-            written, "forbidden"
-        )  # type: ignore[arg-type]
+        instants_written(written, UNEVEN, "forbidden") if isinstance(
+            written, str
+        ) else UNEVEN.instant(written, "forbidden")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_a_time_that_is_none_of_the_clocks_is_named_with_the_nearest(
     ],
 )
 def test_times_are_written_as_numbers_and_ranges(written: object, instants: list[int]) -> None:
-    assert instants_of(written, UNEVEN) == instants
+    assert instants_written(written, UNEVEN) == instants
 
 
 def test_the_horizon_must_be_a_multiple_of_the_step() -> None:

@@ -20,7 +20,7 @@ from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistError,
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.measurements import read_measurements
 from pfdist.filters.user_prior import as_prior
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.questions.run_page import page_of
 from pfdist.questions.why import Why
@@ -124,7 +124,7 @@ def test_engines_weigh_instants_alike(job: Path, estimator: str) -> None:
     """The compiled filter and the plain filter, for whole sets, for prefixes and for sums."""
     made = build(pfdist.load_job(job)).evaluator
     sets, ends, estimation = ((1, 5, 6), (1, 5)), (7, 5), Estimation(30, "systematic", estimator)
-    work = Work(sets, ends, (3, 3), 4, (0, 6), estimation)
+    work = FilterWork(sets, ends, (3, 3), 4, (0, 6), estimation)
     plain, compiled = (
         Evaluator(made.model, 7, made.believed, engine=engine, weights=made.weights)
         for engine in ("numpy", "compiled")
@@ -252,7 +252,7 @@ def test_why_keeps_the_exact_cost_where_instants_do_not_count(
 def test_an_infinite_error_of_weight_0_does_not_count(job: Path, engine: str) -> None:
     model = pfdist.load_model(f"{job.with_name('ou.py')}:model").on_clock(TIMES)
     infinite = replace(model, error=lambda z, e, t, p: np.where(t == 2, np.inf, (z[0] - e[0]) ** 2))
-    work = Work(((1, 5), (1,)), (7, 7), (3, 3), 4, (0, 6), Estimation(30))
+    work = FilterWork(((1, 5), (1,)), (7, 7), (3, 3), 4, (0, 6), Estimation(30))
     weights = (2.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     found, without = (
         Evaluator(each, 7, engine=engine, weights=weights) for each in (infinite, model)

@@ -14,7 +14,7 @@ from pfdist.common.measurement_times import regular
 from pfdist.errors import JobError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.questions.model_checks import check_loaded
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.runner import particles
@@ -37,7 +37,7 @@ def test_the_number_is_enough_against_the_kalman_filter_and_fewer_are_not() -> N
     exact = expected_mse(model, HORIZON, [TIMES])[0]
 
     def loss(number: int) -> Estimate:
-        work = Work((TIMES,), (HORIZON,), (7,), 3, (0, 40_000), Estimation(number))
+        work = FilterWork((TIMES,), (HORIZON,), (7,), 3, (0, 40_000), Estimation(number))
         mse = Estimate.of_mean(evaluator(work).mse[:, 0])
         return Estimate(1 - exact / mse.value, mse.standard_error / mse.value)
 

@@ -16,13 +16,13 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.model_text import MEASURED
 from pfdist import Problem, Run, StateSpaceModel
-from pfdist.common.section import keys_of
+from pfdist.common.section import keys_of_section
 from pfdist.errors import PfdistError, RunMismatchError, StoreError
 from pfdist.models.library import epidemic
 from pfdist.models.recorded import differences
 from pfdist.problem.job import job_toml, load_job
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.problem.sections import Filter
+from pfdist.problem.sections import FilterSection
 from pfdist.runner.build import build
 
 ROBOT = (
@@ -118,7 +118,7 @@ def test_a_shipped_model_makes_the_run_of_the_job_file(tmp_path: Path) -> None:
 
 def test_every_key_of_the_sections_is_an_argument() -> None:
     arguments = set(inspect.signature(Problem).parameters)
-    keys = {*keys_of(ProblemSection), *keys_of(Filter)}
+    keys = {*keys_of_section(ProblemSection), *keys_of_section(FilterSection)}
     assert arguments == keys | {"model", "filter_model", "scenarios"}
     doc = inspect.getdoc(Problem)
     assert doc is not None

@@ -12,7 +12,7 @@ from oracles.guided import sharp_walk
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import GUIDED, PLAIN, Work
+from pfdist.filters.work import GUIDED, PLAIN, FilterWork
 from pfdist.problem.job import Job
 from pfdist.questions import model_checks as checks_of_models
 from pfdist.questions.check_model import checks_of
@@ -116,7 +116,7 @@ def test_a_comparison_takes_a_twentieth_of_the_work_of_the_run(
     monkeypatch.setattr(builds, "_choices", {})
     steps, filtered = list[float](), Evaluator.filtered
 
-    def counted(self: Evaluator, work: Work) -> object:
+    def counted(self: Evaluator, work: FilterWork) -> object:
         steps.append(work.steps * (10 if work.estimation.proposal == GUIDED else 1))
         return filtered(self, work)
 

@@ -17,9 +17,9 @@ from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, SearchError, TaskError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Work
+from pfdist.filters.work import FilterWork
 from pfdist.pools.base import Outcome, SerialPool
-from pfdist.questions.run_page import searches
+from pfdist.questions.run_page import searches_section
 from pfdist.questions.subject import Subject
 from pfdist.results.stored_run import killed_of
 from pfdist.runner import door
@@ -152,7 +152,9 @@ def test_the_answer_says_how_many_sets_were_killed(small_job: Job, tmp_path: Pat
     rows = run.table("evaluations")
     killed = rows["copies"][np.isinf(rows["expected_mse"])].groupby(rows["phase"]).sum()
     assert 0 < killed["genetic"] < 24
-    texts = [block.text for block in searches(Subject(run)).blocks if hasattr(block, "text")]
+    texts = [
+        block.text for block in searches_section(Subject(run)).blocks if hasattr(block, "text")
+    ]
     said = (
         f"genetic: {killed['genetic']} evaluated sets had an infinite error, by degenerate draws."
     )
@@ -208,7 +210,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
     counted.clear()
     calls, do = 0, Evaluator.filtered
 
-    def failing(self: Evaluator, work: Work) -> Any:
+    def failing(self: Evaluator, work: FilterWork) -> Any:
         nonlocal calls
         calls += 1
         if calls > stop_after:

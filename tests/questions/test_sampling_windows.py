@@ -14,7 +14,7 @@ from pfdist.questions import worth as module
 from pfdist.questions.worth import sampling_windows, worth_of
 from pfdist.results.sampling_windows import windows_of
 from pfdist.runner.build import Built, build
-from pfdist.runner.door import Driver, Session
+from pfdist.runner.door import Driver, RunSession
 from pfdist.runner.progress import Progress
 
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
@@ -167,7 +167,7 @@ def test_a_measurement_that_no_particle_explains_there_is_a_loss(small_job: Job)
 def test_no_measurements_have_no_windows_and_progress_grows(small_job: Job) -> None:
     seen = list[Progress]()
 
-    def both(session: Session) -> Driver:
+    def both(session: RunSession) -> Driver:
         assert (yield from sampling_windows(session, "none", (), 5)) == []
         assert (yield from sampling_windows(session, "one", (3,), 300))
 

@@ -25,7 +25,7 @@ from pfdist.common.scenario import Scenario
 from pfdist.errors import JobError, ModelError
 from pfdist.filters.estimate import Evaluation, difference
 from pfdist.filters.scenarios import scenarios_of_draws
-from pfdist.filters.work import BLOCK, Estimation, Work, with_truth
+from pfdist.filters.work import BLOCK, Estimation, FilterWork, with_truth
 from pfdist.pages.terminal import lines_of
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.questions.compared_page import worst_effect
@@ -85,7 +85,7 @@ def test_a_scenario_without_a_share_has_no_draw() -> None:
 
 def test_a_work_may_be_cut_between_any_two_draws() -> None:
     evaluator = build(problem(particles=20).job()).evaluator
-    work = Work(((0, 4), (3,)), (HORIZON,) * 2, (5, 5), 9, (0, 60), Estimation(20))
+    work = FilterWork(((0, 4), (3,)), (HORIZON,) * 2, (5, 5), 9, (0, 60), Estimation(20))
     whole = evaluator(work).mse
     parts = [evaluator(replace(work, draws=draws)).mse for draws in ((0, 7), (7, 8), (8, 60))]
     assert np.array_equal(np.concatenate(parts), whole)
@@ -93,7 +93,7 @@ def test_a_work_may_be_cut_between_any_two_draws() -> None:
 
 def test_each_draw_is_that_of_a_model_with_the_parameters_of_its_scenario() -> None:
     evaluator = build(problem(particles=20).job()).evaluator
-    work = Work(((0, 4),), (HORIZON,), (5,), 9, (0, 60), Estimation(20))
+    work = FilterWork(((0, 4),), (HORIZON,), (5,), 9, (0, 60), Estimation(20))
     mse = evaluator(work).mse
     numbers = scenarios_of_draws([0.25, 0.25, 0.5], 9, range(60))
     for number, parameters in enumerate(SCENARIOS):
@@ -355,7 +355,7 @@ def test_the_best_shares_beat_every_weighting_on_a_grid() -> None:
 def test_the_truth_in_the_cloud_of_a_told_filter_costs_no_more_than_the_kalman_filter() -> None:
     evaluator = build(problem(filter="nominal", particles=30).job()).evaluator.truth
     draws = 200 * BLOCK
-    work = Work(((0, 6),), (HORIZON,), (5,), 9, (0, draws), with_truth(30))
+    work = FilterWork(((0, 6),), (HORIZON,), (5,), 9, (0, draws), with_truth(30))
     variance = evaluator.filtered(work).mse[:, 0]
     exact = combined(costs([(0, 6)], told=True), "mean")[0]
     error = variance.std() / np.sqrt(draws)

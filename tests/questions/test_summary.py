@@ -17,7 +17,7 @@ from pfdist.errors import RunMismatchError, StoreError
 from pfdist.pages.terminal import lines_of
 from pfdist.problem.search_section import CommonNoiseSettings
 from pfdist.questions.evaluate import Evaluated
-from pfdist.questions.run_page import answer_of, page_of, searches
+from pfdist.questions.run_page import answer_of, page_of, searches_section
 from pfdist.questions.subject import Subject
 from pfdist.results import Run, reaching
 from pfdist.results.stored_run import check_one_number
@@ -63,7 +63,9 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(r
     how = "particles = 20, resampling = systematic, estimator = filter_variance"
     assert result.search_settings == how
     text = _all_that_is_said(raced)
-    (row,) = [row for row in searches(Subject(raced)).blocks[0].rows if row[0].text == "survivors"]
+    (row,) = [
+        row for row in searches_section(Subject(raced)).blocks[0].rows if row[0].text == "survivors"
+    ]
     assert row[3].text == with_error(result.search_mse, result.search_standard_error)
     excess = 100 * result.search_excess
     assert row[4].text == f"{abs(excess):.1f} % {'below' if excess < 0 else 'above'}"

@@ -16,7 +16,7 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Result, Work
+from pfdist.filters.work import FilterWork, Result
 from pfdist.problem.sweep import START_SECONDS, parts_that_pay
 from pfdist.questions.sweep import foreseen
 from pfdist.runner.progress import Progress
@@ -74,7 +74,7 @@ def filtered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     numbers: list[int] = []
     filtered = Evaluator.filtered
 
-    def counting(evaluator: Evaluator, work: Work) -> Result:
+    def counting(evaluator: Evaluator, work: FilterWork) -> Result:
         if all(len(id_.partition(":")[0]) == 16 for id_ in work.ids):  # no set of a comparison
             numbers.append((work.draws[1] - work.draws[0]) * len(work.measurement_times))
         return filtered(evaluator, work)

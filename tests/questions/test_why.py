@@ -18,7 +18,7 @@ from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.filters import kalman
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.questions.why import Why
 from pfdist.questions.worth import CHANGES
 from pfdist.results.sampling_windows import windows_of
@@ -108,7 +108,7 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
     quick = small_job.with_changes(changes)
     found, built = why(run_of(*changes), draws), build(quick)
     for row in found.sets.to_dict("records"):
-        alone = Work(
+        alone = FilterWork(
             measurement_times=(tuple(row["measurement_times"]),),
             ends=(12,),
             filter_streams=(stream_of("why", quick.seed, "filter", row["name"]),),

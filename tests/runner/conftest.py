@@ -11,11 +11,11 @@ import pfdist
 from pfdist import Job
 from pfdist.errors import TaskError
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import Work
+from pfdist.filters.work import FilterWork
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.problem.sections import Execution
 from pfdist.runner.build import Built, build, make_pool
-from pfdist.runner.door import Batch, Driver, Session, complete
+from pfdist.runner.door import Driver, RunSession, WorkBatch, complete
 from pfdist.runner.progress import Progress
 from pfdist.search import Candidate
 from pfdist.store import Store
@@ -27,8 +27,8 @@ def built(small_job: Job) -> Built:
 
 
 @pytest.fixture
-def session(built: Built, tmp_path: Path) -> Session:
-    return Session(built, Store(tmp_path / "run"))
+def session(built: Built, tmp_path: Path) -> RunSession:
+    return RunSession(built, Store(tmp_path / "run"))
 
 
 @pytest.fixture(scope="session")
@@ -68,9 +68,9 @@ def asks() -> type[Asks]:
 
 
 @pytest.fixture
-def handed(monkeypatch: pytest.MonkeyPatch) -> list[Work]:
+def handed(monkeypatch: pytest.MonkeyPatch) -> list[FilterWork]:
     """The works that the serial pool has computed, from now on."""
-    works, do = list[Work](), SerialPool.run
+    works, do = list[FilterWork](), SerialPool.run
 
     def noting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
         for outcome in do(self, tasks):
@@ -99,16 +99,16 @@ def stopped() -> Callable[..., None]:
 @pytest.fixture
 def cut_short(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """``cut_short(phase, job, path, ...)``: a plan fails when a phase has got its first result."""
-    take = Batch.take
+    take = WorkBatch.take
 
     def plan(phase: str, *arguments: Any, **options: Any) -> None:
-        def fail(self: Batch, *result: Any) -> None:
+        def fail(self: WorkBatch, *result: Any) -> None:
             take(self, *result)
             if self.phase == phase:
                 raise TaskError("the lights went out", "")
 
         with monkeypatch.context() as patch:
-            patch.setattr(Batch, "take", fail)
+            patch.setattr(WorkBatch, "take", fail)
             with pytest.raises(TaskError, match="the lights went out"):
                 pfdist.plan(*arguments, **options)
 

@@ -20,7 +20,7 @@ from pfdist.problem.problem import as_job
 from pfdist.runner.backtesting import (
     ReplicateErrors,
     ReplicateWork,
-    errors_of,
+    errors_of_replicates,
     evaluator_for,
     outcomes,
 )
@@ -75,7 +75,7 @@ def exact(y: Any, judged: Any, sets: Any = SETS, **parameters: float) -> tuple[A
 
 def test_errors_are_those_by_hand_and_as_foreseen_exactly(y: Any) -> None:
     todo = work(y)
-    found = errors_of(todo)
+    found = errors_of_replicates(todo)
     real, foreseen = exact(y, todo.judged)
     np.testing.assert_allclose(found.real, real, rtol=1e-9)
     means_agree(found.foreseen, foreseen)
@@ -94,7 +94,7 @@ def test_errors_are_those_by_hand_and_as_foreseen_exactly(y: Any) -> None:
 
 
 def test_surprises_are_p_values_of_the_measurements_of_the_plan(y: Any) -> None:
-    found, expected = errors_of(work(y, draws=10)).surprises, []
+    found, expected = errors_of_replicates(work(y, draws=10)).surprises, []
     for number, t in enumerate(SETS[0]):
         mean, variance = estimates(y[:, 0], SETS[0][:number])
         expected.append(2 * stats.norm.sf(abs(y[t, 0] - mean[t]) / np.sqrt(variance[t] + 0.01)))
@@ -103,7 +103,7 @@ def test_surprises_are_p_values_of_the_measurements_of_the_plan(y: Any) -> None:
 
 def test_a_right_model_covers_nine_of_ten_values_and_real_errors_are_as_foreseen() -> None:
     systems = simulate(lake(), HORIZON, range(40), 98).y
-    results = [errors_of(work(each, draws=150)) for each in systems]
+    results = [errors_of_replicates(work(each, draws=150)) for each in systems]
     means_agree(np.array([each.covered for each in results]).T, 0.9)
     expected = exact(systems[0], work(systems[0], draws=1).judged)[1]
     means_agree(np.array([each.real for each in results]).T, expected)
@@ -112,7 +112,7 @@ def test_a_right_model_covers_nine_of_ten_values_and_real_errors_are_as_foreseen
 def test_the_parameters_of_the_replicate_are_those_of_its_filter_and_its_draws(y: Any) -> None:
     given = {"noise": 0.5, "sd": 0.2}
     todo = work(y, parameters=given)
-    found = errors_of(todo)
+    found = errors_of_replicates(todo)
     real, foreseen = exact(y, todo.judged, **given)
     np.testing.assert_allclose(found.real, real, rtol=1e-9)
     means_agree(found.foreseen, foreseen)
@@ -122,7 +122,7 @@ def test_the_parameters_of_the_replicate_are_those_of_its_filter_and_its_draws(y
 def test_known_quantities_are_judged_without_noise(y: Any) -> None:
     draws = simulate(lake(), HORIZON, range(1), 99)
     todo = work(draws.y[0], z=draws.z[0])
-    found = errors_of(todo)
+    found = errors_of_replicates(todo)
     real, foreseen = exact(draws.y[0], todo.judged)
     np.testing.assert_allclose(found.real, real, rtol=1e-9)
     means_agree(found.foreseen, foreseen - 0.01 / VARIANCE)
@@ -131,7 +131,7 @@ def test_known_quantities_are_judged_without_noise(y: Any) -> None:
 
 def test_particles_have_the_exact_errors_within_their_noise(y: Any) -> None:
     todo = work(y, engine="compiled", particles=2000, draws=200)
-    found = errors_of(todo)
+    found = errors_of_replicates(todo)
     real, foreseen = exact(y, todo.judged)
     np.testing.assert_allclose(found.real, real, rtol=0.05)
     means_agree(found.foreseen, foreseen * 1.002)
@@ -154,7 +154,7 @@ def test_a_clock_of_the_replicate_has_its_own_instants() -> None:
     clock = Clock((0.0, 0.3, 0.7, 2.0), "h")
     keys = {"horizon": 4, "time_step": 0.5, "measurement_budget": 1, "time_unit": "h"}
     todo = work([[0.5], [1.0], [-0.2], [0.8]], model, sets=((1,),), clock=clock, **keys)
-    found = errors_of(todo)
+    found = errors_of_replicates(todo)
     gain = 1 / 1.01
     kept = np.exp(-np.array([0.4, 1.7]))
     means, variances = kept * gain, 1 - kept**2 * gain
@@ -182,7 +182,7 @@ def test_sensors_are_judged_side_by_side() -> None:
     both = simulate(model, HORIZON, range(1), 99).y[0]
     sets = ((0, 23), (34, 35))  # 0 fine, 11 coarse; 17 both
     todo = work(both, model, sets=sets)
-    found = errors_of(todo)
+    found = errors_of_replicates(todo)
     mean, variance, means, variances = 0.0, 0.3**2 / (1 - 0.95**2), [], []
     for t in range(HORIZON + 1):
         for sensor in (0, 1):
@@ -212,7 +212,7 @@ def test_missing_components_are_missing_in_the_simulated_systems(y: Any) -> None
     both = np.hstack([y, y + 0.5])
     lacking = both.copy()
     lacking[list(SETS[0]), 0] = np.nan
-    whole, part = (errors_of(work(each, model)) for each in (both, lacking))
+    whole, part = (errors_of_replicates(work(each, model)) for each in (both, lacking))
     coarse = estimates(both[:, 1], SETS[0], noise=2.0)
     which = ~np.isnan(work(both, model, draws=1).judged[:, 0])
     np.testing.assert_allclose(part.estimates[0, :, 0], coarse[0], atol=1e-9)
@@ -224,9 +224,9 @@ def test_missing_components_are_missing_in_the_simulated_systems(y: Any) -> None
 def test_scenarios_have_their_shares_of_the_simulated_systems(y: Any) -> None:
     section = {"parameters": [{"sd": 0.2}, {"sd": 0.6}], "weights": [1, 3], "filter": "nominal"}
     todo = work(y, engine="compiled", scenarios=section, particles=200, draws=480)
-    first, second = (errors_of(replace(todo, evaluator=each)) for each in
+    first, second = (errors_of_replicates(replace(todo, evaluator=each)) for each in
                      todo.evaluator.of_scenarios)  # fmt: skip
-    found = errors_of(todo)
+    found = errors_of_replicates(todo)
     np.testing.assert_array_equal(found.real, first.real)  # the filter is the same
     expected = 0.25 * first.foreseen.mean(axis=1) + 0.75 * second.foreseen.mean(axis=1)
     means_agree(found.foreseen, expected)
@@ -238,7 +238,7 @@ def test_learned_parameters_are_unknown_in_each_simulated_system() -> None:
     learned = {"parameters": {"drift": {"normal": [0.0, 1.0]}}, "filter": "learned"}
     y, sets = simulate(WALK, 8, range(1), 3).y[0], ((2, 6),)
     known, unknown = (
-        errors_of(work(y, WALK, sets=sets, draws=480, **given, **more))
+        errors_of_replicates(work(y, WALK, sets=sets, draws=480, **given, **more))
         for more in ({}, {"scenarios": learned})
     )
     assert unknown.foreseen.mean() > 1.5 * known.foreseen.mean()
@@ -249,10 +249,11 @@ def test_angles_are_compared_by_the_smaller_difference() -> None:
     model = replace(lake(noise=0.001, sd=0.001), linear_gaussian=False, circular=(0,))
     y = np.full((HORIZON + 1, 1), 0.01)
     y[1:6] = 2 * np.pi - 0.01
-    found = errors_of(work(y, model, engine="compiled", particles=50, draws=50))
+    found = errors_of_replicates(work(y, model, engine="compiled", particles=50, draws=50))
     assert np.all(found.real < 0.001)
-    assert np.all(errors_of(work(y, replace(model, circular=()), engine="compiled", particles=50,
-                                 draws=50)).real > 1.0)  # fmt: skip
+    plain = replace(model, circular=())
+    found = errors_of_replicates(work(y, plain, engine="compiled", particles=50, draws=50))
+    assert np.all(found.real > 1.0)
 
 
 def test_an_impossible_measurement_is_counted_and_left_out(y: Any) -> None:
@@ -264,7 +265,7 @@ def test_an_impossible_measurement_is_counted_and_left_out(y: Any) -> None:
     )  # fmt: skip
     far = y.copy()
     far[11] = 1e3
-    found = errors_of(work(far, uniform, engine="compiled", particles=100, draws=20))
+    found = errors_of_replicates(work(far, uniform, engine="compiled", particles=100, draws=20))
     assert found.impossible == 1  # with the plan alone
     assert 0.0 in found.surprises.tolist()
     assert np.isfinite(found.real).all()
@@ -275,8 +276,11 @@ def test_a_filter_that_collapses_is_counted(y: Any) -> None:
     far = y.copy()
     far[11] = 20.0  # a measurement of the plan alone
     for engine, collapsed in (("compiled", 1), ("kalman", 0)):
-        assert errors_of(work(far, engine=engine, particles=500, draws=20)).collapsed == collapsed
-    assert errors_of(work(y, engine="compiled", particles=500, draws=20)).collapsed == 0
+        assert (
+            errors_of_replicates(work(far, engine=engine, particles=500, draws=20)).collapsed
+            == collapsed
+        )
+    assert errors_of_replicates(work(y, engine="compiled", particles=500, draws=20)).collapsed == 0
 
 
 def test_an_error_of_a_task_names_the_purpose() -> None:
@@ -288,7 +292,7 @@ def test_an_error_of_a_task_names_the_purpose() -> None:
 
 
 def test_results_have_intervals_around_the_means(y: Any) -> None:
-    found: ReplicateErrors = errors_of(work(y, draws=100))
+    found: ReplicateErrors = errors_of_replicates(work(y, draws=100))
     low, mean, high = found.intervals
     assert np.all((low < mean) & (mean < high))
     assert low.shape == (2, HORIZON + 1, 1)

@@ -11,11 +11,11 @@ import pytest
 
 from pfdist import Job
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, Result, Work, sum_of_draws, with_truth
+from pfdist.filters.work import Estimation, FilterWork, Result, sum_of_draws, with_truth
 from pfdist.pools.base import SerialPool
 from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
 from pfdist.runner.build import Built, build
-from pfdist.runner.door import Session
+from pfdist.runner.door import RunSession
 from pfdist.runner.pace import Pace
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.ranks import RankWork
@@ -23,7 +23,7 @@ from pfdist.search import Candidate
 from pfdist.store import Store
 
 Completed = Callable[..., Any]
-Means = Callable[[Session, int], list[np.ndarray]]
+Means = Callable[[RunSession, int], list[np.ndarray]]
 HORIZON, BLOCKS = 12, 3
 SETS = ((0, 3, 7), (0, 3, 4, 5), (), (0, 3, 7, 11))
 COUNTED = Counted(SETS, np.array([7, 5, 0, 0]), np.array([9, 12, 12, 12]))
@@ -40,8 +40,8 @@ def built(small_job: Job) -> Built:
 def means(completed: Completed) -> Means:
     """``means(session, blocks)``: the means of a new start of the program."""
 
-    def found(session: Session, blocks: int) -> list[np.ndarray]:
-        session = Session(session.built, session.store)
+    def found(session: RunSession, blocks: int) -> list[np.ndarray]:
+        session = RunSession(session.built, session.store)
         sums = BlockSums(session.built, COUNTED, (5, 5), ESTIMATION)
         found: list[np.ndarray] = completed(sums.means(blocks, session))
         session.commit()
@@ -53,12 +53,12 @@ def means(completed: Completed) -> Means:
 def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> list[np.ndarray]:
     """Mean errors over some draws, filtered at once, where they count."""
     ends = tuple(COUNTED.ends.tolist())
-    work = Work(SETS, ends, (stream,) * len(SETS), stream, draws, ESTIMATION)
+    work = FilterWork(SETS, ends, (stream,) * len(SETS), stream, draws, ESTIMATION)
     means = built.evaluator.sum_errors(work) / (draws[1] - draws[0])
     return COUNTED.of_instants(means)
 
 
-def _draws(handed: list[Work]) -> list[int]:
+def _draws(handed: list[FilterWork]) -> list[int]:
     return sorted(draw for work in handed for draw in range(*work.draws))
 
 
@@ -69,7 +69,7 @@ def assert_alike(found: list[np.ndarray], errors: list[np.ndarray], rtol: float 
 
 
 def test_means_are_those_of_all_draws_and_blocks_that_are_stored_are_not_filtered_again(
-    built: Built, session: Session, means: Means, handed: list[Work]
+    built: Built, session: RunSession, means: Means, handed: list[FilterWork]
 ) -> None:
     first = means(session, 2)
     assert _draws(handed) == [*range(2 * BLOCK)]
@@ -93,9 +93,9 @@ def test_means_are_those_of_all_draws_and_blocks_that_are_stored_are_not_filtere
         ["scenarios.parameters={process_sd={uniform=[2, 4]}}", "scenarios.count=3"],
     ],
 )
-@pytest.mark.parametrize("kind", [Work, RankWork])
+@pytest.mark.parametrize("kind", [FilterWork, RankWork])
 def test_a_block_has_the_bits_of_the_sum_of_its_draws(
-    small_job: Job, changes: list[str], kind: type[Work]
+    small_job: Job, changes: list[str], kind: type[FilterWork]
 ) -> None:
     """So a table does not show whether a model was slow and its blocks were cut."""
     evaluator = build(small_job.with_changes(changes)).evaluator
@@ -111,15 +111,15 @@ def test_a_block_has_the_bits_of_the_sum_of_its_draws(
 
 @pytest.mark.parametrize("draws", [1, 10, BLOCK + 5])
 def test_a_slow_model_loses_no_draw_that_was_filtered(
-    session: Session,
+    session: RunSession,
     means: Means,
-    handed: list[Work],
+    handed: list[FilterWork],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     draws: int,
 ) -> None:
     """The process is killed after some draws; the tables are those of a quick model."""
-    quick = Session(session.built, Store(tmp_path / "quick"))
+    quick = RunSession(session.built, Store(tmp_path / "quick"))
     expected, do = means(quick, 2), SerialPool.run
     monkeypatch.setattr(Pace, "expected", lambda self, steps: 3600.0)
     monkeypatch.setattr(Pace, "size", lambda self, remaining: 1)
@@ -148,20 +148,20 @@ def test_a_slow_model_loses_no_draw_that_was_filtered(
 
 
 def test_whatever_order_blocks_come_in_the_means_have_the_same_bytes(
-    session: Session, means: Means, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    session: RunSession, means: Means, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     in_order, do = means(session, 7), SerialPool.run
     monkeypatch.setattr(SerialPool, "run", lambda self, tasks: reversed(list(do(self, tasks))))
-    elsewhere = Session(session.built, Store(tmp_path / "another run"))
+    elsewhere = RunSession(session.built, Store(tmp_path / "another run"))
     assert_alike(means(elsewhere, 7), in_order, rtol=0)
 
 
 def test_a_set_with_an_infinite_draw_has_no_mean_and_others_have(
-    built: Built, session: Session, means: Means, monkeypatch: pytest.MonkeyPatch
+    built: Built, session: RunSession, means: Means, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = Evaluator.filtered
 
-    def infinite(self: Evaluator, work: Work) -> Result:
+    def infinite(self: Evaluator, work: FilterWork) -> Result:
         """In the second block with the first set, and in every block with the last."""
         sums = real(self, work).sums.copy()
         sums[IS_LAST] = np.nan
@@ -187,7 +187,7 @@ WINDOWS = [
 
 
 def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
-    built: Built, session: Session, asks: Any, completed: Completed
+    built: Built, session: RunSession, asks: Any, completed: Completed
 ) -> None:
     """So the errors of a set add up to its cost, where they count from the first instant on."""
     settings = replace(built.searches[0].settings, draws=2 * BLOCK, estimation=ESTIMATION)
@@ -205,12 +205,12 @@ def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
 
 
 def test_an_exact_engine_tells_errors_without_draws(
-    small_job: Job, tmp_path: Path, handed: list[Work], asks: Any, completed: Completed
+    small_job: Job, tmp_path: Path, handed: list[FilterWork], asks: Any, completed: Completed
 ) -> None:
     exact = build(small_job.with_changes(["model.name=random_walk", "filter.engine=kalman"]))
     search = asks(WHOLE, *WINDOWS)
     phase = Phase("mine", search, "search", exact.searches[0].settings, exact)
-    completed(run_phase(phase, Session(exact, Store(tmp_path / "run"))))
+    completed(run_phase(phase, RunSession(exact, Store(tmp_path / "run"))))
     assert not handed
     errors = COUNTED.of_instants(exact.evaluator.expected_errors(SETS, weighted=True))
     assert_alike([evaluation.errors_of_instants for evaluation in search.told[1:]], errors)

@@ -16,11 +16,11 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import SweepError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.runner import door
-from pfdist.runner.door import Batch, Driver, Session, complete
+from pfdist.runner.door import Driver, RunSession, WorkBatch, complete
 
-WORK = Work(((0,),), (12,), (1,), 1, (0, 10), Estimation(particles=10), ids=("a",))
+WORK = FilterWork(((0,),), (12,), (1,), 1, (0, 10), Estimation(particles=10), ids=("a",))
 ALIKE = {"comparison.draws": [250, 300]}  # two points with one search
 
 
@@ -61,7 +61,7 @@ def test_points_beside_a_point_that_fails_compute_what_it_has_not(
 
 
 def test_a_run_commits_every_second_and_after_minutes_every_five(
-    session: Session, monkeypatch: pytest.MonkeyPatch
+    session: RunSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now, commits = 0.0, list[float]()
     monkeypatch.setattr(door, "time", SimpleNamespace(monotonic=lambda: now))
@@ -94,7 +94,7 @@ def test_a_sweep_without_workers_ends_with_one_line(
 
 
 def test_a_driver_is_closed_before_the_loop_ends_however_it_ends(
-    session: Session,
+    session: RunSession,
 ) -> None:
     events = list[str]()
 
@@ -105,7 +105,7 @@ def test_a_driver_is_closed_before_the_loop_ends_however_it_ends(
 
     def driver() -> Driver:
         try:
-            yield Batch(session, "none", [WORK], None)
+            yield WorkBatch(session, "none", [WORK], None)
         finally:
             events.append("closed")
 

@@ -18,7 +18,7 @@ from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, RunMismatchError
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.results import Run
 from pfdist.results.online import online_draws
 from pfdist.runner.build import build
@@ -77,9 +77,9 @@ def draw_by_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 1)
 
 
-def _work(times: tuple[int, ...], draw: int) -> Work:
+def _work(times: tuple[int, ...], draw: int) -> FilterWork:
     """The work of the filter with some times, spelt out."""
-    return Work(
+    return FilterWork(
         measurement_times=(times,),
         ends=(HORIZON,),
         filter_streams=(stream_of("comparison", 1, "filter", "survivors"),),
@@ -141,7 +141,7 @@ def test_the_plan_is_the_first_search_also_beside_sets_that_the_job_names(
 @pytest.mark.slow
 @pytest.mark.usefixtures("draw_by_draw")
 def test_a_run_that_is_stopped_goes_on_with_the_draws_that_it_lacks(
-    job: Job, run: Run, tmp_path: Path, stopped: Callable[..., None], handed: list[Work]
+    job: Job, run: Run, tmp_path: Path, stopped: Callable[..., None], handed: list[FilterWork]
 ) -> None:
     stopped(job, tmp_path / "run", "online", 2)
     part = pfdist.open_run(tmp_path / "run")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pfdist.filters.work import BLOCK, Estimation, Work
+from pfdist.filters.work import BLOCK, Estimation, FilterWork
 from pfdist.pools.base import patience
 from pfdist.runner.pace import (
     LEAST_SECONDS,
@@ -22,11 +22,11 @@ from pfdist.runner.pace import (
 from pfdist.runner.progress import Progress, Reporter
 
 
-def work(sets: int, first: int, last: int, stream: int = 0) -> Work:
+def work(sets: int, first: int, last: int, stream: int = 0) -> FilterWork:
     """A work of one instant and one particle: a particle-step for each set and draw."""
     times = ((0,),) * sets
     estimation = Estimation(particles=1)
-    return Work(times, (0,) * sets, tuple(range(sets)), stream, (first, last), estimation)
+    return FilterWork(times, (0,) * sets, tuple(range(sets)), stream, (first, last), estimation)
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 50, 1000])

@@ -17,11 +17,11 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.errors import MeasurementTimesError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Work
+from pfdist.filters.work import FilterWork
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import run_comparison
-from pfdist.runner.door import Session
+from pfdist.runner.door import RunSession
 from pfdist.runner.pace import Pace
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.search import Candidate, Optimiser, RandomTrials
@@ -42,7 +42,7 @@ def _phase(built: Built, optimiser: Optimiser) -> Phase:
 def test_other_times_than_there_are_end_in_an_error_before_anything_is_computed(
     phase: str,
     built: Built,
-    session: Session,
+    session: RunSession,
     asks: Any,
     completed: Completed,
     monkeypatch: pytest.MonkeyPatch,
@@ -80,14 +80,14 @@ def test_what_the_build_has_checked_no_task_checks_again(
 
 def test_a_problem_checks_a_work_that_comes_from_outside(built: Built) -> None:
     evaluator: Evaluator = built.evaluator
-    work = Work(((0, 13),), (12,), (1,), 1, (0, 2), built.comparing)
+    work = FilterWork(((0, 13),), (12,), (1,), 1, (0, 2), built.comparing)
     with pytest.raises(MeasurementTimesError, match=r"must lie in 0\.\.12, got 13"):
         evaluator(work)
 
 
 def test_results_come_back_under_the_ids_of_their_evaluations(built: Built) -> None:
     times = ((0, 4, 8, 12), (1, 2, 3), (0, 4, 9, 12))
-    work = Work(times, (12,) * 3, (7,) * 3, 7, (0, 5), built.comparing, ids=("a", "b", "c"))
+    work = FilterWork(times, (12,) * 3, (7,) * 3, 7, (0, 5), built.comparing, ids=("a", "b", "c"))
     together = work.by_id(built.evaluator.filtered(work))
     for id_, one_set in zip(work.ids, times, strict=True):
         alone = replace(
@@ -117,7 +117,7 @@ def test_whatever_order_outcomes_come_in_each_evaluation_has_its_own_results(
 
 
 def test_a_set_that_is_asked_for_twice_is_computed_once(
-    built: Built, session: Session, handed: list[Work], completed: Completed
+    built: Built, session: RunSession, handed: list[FilterWork], completed: Completed
 ) -> None:
     phase = _phase(built, RandomTrials(built.job.problem.feasible, 10))
     completed(run_phase(phase, session))
@@ -126,12 +126,12 @@ def test_a_set_that_is_asked_for_twice_is_computed_once(
     assert len({id_ for id_, _ in parts}) == 10
     session.commit()
     works = len(handed)
-    completed(run_phase(phase, Session(built, session.store)))  # all are in the store
+    completed(run_phase(phase, RunSession(built, session.store)))  # all are in the store
     assert len(handed) == works
 
 
 def test_a_prefix_up_to_the_end_and_the_whole_set_have_one_result(
-    built: Built, session: Session, asks: Any, completed: Completed
+    built: Built, session: RunSession, asks: Any, completed: Completed
 ) -> None:
     search = asks(Candidate((0, 12), 12), Candidate((0, 12)), Candidate((0, 12), 12, 10))
     for _ in range(2):  # the second time from the store

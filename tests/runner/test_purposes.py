@@ -12,11 +12,11 @@ import pfdist
 from pfdist import Job
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Work
+from pfdist.filters.work import FilterWork
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.why import why
 from pfdist.runner.build import build
-from pfdist.runner.door import Batch
+from pfdist.runner.door import WorkBatch
 from pfdist.runner.phase import Phase
 
 SMALL = [
@@ -29,15 +29,15 @@ SMALL = [
 def streams(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[int]]:
     """The keys of the draws, and of the filters' noise, that each phase has asked for."""
     seen = defaultdict[str, set[int]](set)
-    init = Batch.__init__
+    init = WorkBatch.__init__
 
-    def recorded(self: Batch, *arguments: Any, **more: Any) -> None:
+    def recorded(self: WorkBatch, *arguments: Any, **more: Any) -> None:
         init(self, *arguments, **more)
         seen[self.phase.partition(".proof")[0]] |= {  # a bound has several phases
             key for work in self.works for key in (work.draws_stream, *work.filter_streams)
         }
 
-    monkeypatch.setattr(Batch, "__init__", recorded)
+    monkeypatch.setattr(WorkBatch, "__init__", recorded)
     return seen
 
 
@@ -112,7 +112,7 @@ def test_no_two_phases_share_a_draw(
     }
     assert budget["comparison"] & plan["comparison"] <= losses
 
-    works: list[Work] = []
+    works: list[FilterWork] = []
     filtered = Evaluator.filtered
     monkeypatch.setattr(
         Evaluator, "filtered", lambda self, work: works.append(work) or filtered(self, work)

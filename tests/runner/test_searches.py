@@ -9,7 +9,7 @@ from pfdist.filters.work import Estimation
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.sections import DEFAULT_METHOD, Execution
 from pfdist.runner.build import build, make_pool
-from pfdist.runner.door import Session, complete
+from pfdist.runner.door import RunSession, complete
 from pfdist.runner.driver import drive
 from pfdist.store import Store
 
@@ -43,7 +43,7 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
     sections = [f'[[search]]\nmethod = "{name}"\n{keys}\n' for name, keys in METHODS.items()]
     (folder / "job.toml").write_text(JOB + "".join(sections))
     built, store = build(load_job(folder / "job.toml")), Store(folder / "run")
-    complete(drive(Session(built, store)), make_pool(Execution(pool="serial")))
+    complete(drive(RunSession(built, store)), make_pool(Execution(pool="serial")))
     sets = store.compared_sets()
     return dict(zip(sets, built.evaluator.expected_mse(list(sets.values())), strict=True))
 

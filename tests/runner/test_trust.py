@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 import pfdist
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.runner.build import Built, build
 
@@ -34,7 +34,7 @@ def test_a_search_ends_near_a_good_set_though_the_variance_prefers_another(
 def _excess(built: Built, estimation: Estimation, times: Times, share: float = 0.15) -> float:
     """How far a set's error is above that of a good set and a share of it, in standard errors."""
     draws, stream = 5000, stream_of("comparison", 123)
-    work = Work((times, GOOD), (14, 14), (stream,) * 2, stream, (0, draws), estimation)
+    work = FilterWork((times, GOOD), (14, 14), (stream,) * 2, stream, (0, draws), estimation)
     mse: NDArray[np.float64] = built.evaluator(work).mse
     apart = mse[:, 0] - (1 + share) * mse[:, 1]
     return float(np.mean(apart) / np.std(apart) * np.sqrt(draws))

@@ -21,7 +21,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Estimation, Work, with_truth
+from pfdist.filters.work import Estimation, FilterWork, with_truth
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.runner.block_sums import GROUPS
@@ -93,14 +93,14 @@ def _alone(
     streams: tuple[int, int] = (3, 4),
 ) -> Array:
     """Errors of a set; the streams are those of its filter and of the draws."""
-    work = Work((times,), (case.horizon,), streams[:1], streams[1], draws, estimation)
+    work = FilterWork((times,), (case.horizon,), streams[:1], streams[1], draws, estimation)
     return case.evaluator.filtered(work).mse[:, 0]
 
 
 def _sums(case: Case, relaxation: Relaxation, known: Times, number: int) -> Sums:
     """Sums of groups of draws; each repetition has draws of its own."""
     first, sets = number * GROUPS * IN_GROUP, (*relaxation.sets, known)
-    work = Work(
+    work = FilterWork(
         measurement_times=sets,
         ends=(*relaxation.ends.tolist(), case.horizon),
         filter_streams=(1,) * len(sets),

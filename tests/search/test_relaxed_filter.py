@@ -15,7 +15,7 @@ from oracles.windows import counted, relaxed_errors
 from pfdist import load_job, load_model
 from pfdist.common.measurement_times import Times
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Work, with_truth
+from pfdist.filters.work import FilterWork, with_truth
 from pfdist.problem.feasible import Feasible
 from pfdist.search.relaxation import Relaxation, relaxation_with
 
@@ -75,7 +75,7 @@ def _sums(sets: list[Times], ends: list[int], chance: int) -> Array:
             estimation = with_truth(500)
             draws = (first, first + DRAWS)
             streams = (7,) * len(some)
-            work = Work(tuple(some), tuple(until), streams, 8, draws, estimation)
+            work = FilterWork(tuple(some), tuple(until), streams, 8, draws, estimation)
             pieces.append(evaluator.sum_errors(work))
         found.append(np.concatenate(pieces))
     return np.stack(found)

@@ -4,6 +4,7 @@ import ast
 import io
 import re
 import tokenize
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -83,6 +84,30 @@ def keys_in_messages(source: str) -> Iterator[str]:
     for line, text in messages(source):
         if match := JOB_KEY.search(text):
             yield f"{line}: {match[0]}"
+
+
+# A formula of a model, a function of an engine, a figure and a command have names of their kinds.
+OF_A_KIND = ("pfdist/models/library/", "pfdist/cli/own.py")
+PLOTS = (ROOT / "pfdist/pages/plots.py").read_text()
+ENGINES_HAVE = {"filter_checked_draws", "log_evidence", "simulate"}
+
+
+def public_names(source: str) -> Iterator[str]:
+    """Each public class and function of a module, by name; variants for a type checker once."""
+    body = ast.parse(source).body
+    kinds = (ast.ClassDef, ast.FunctionDef)
+    names = {node.name for node in body if isinstance(node, kinds)}
+    yield from (name for name in names - ENGINES_HAVE if not name.startswith("_"))
+
+
+def test_a_name_means_the_same_in_the_whole_package() -> None:
+    places = defaultdict[str, list[str]](list)
+    for file in FILES:
+        if file.startswith("pfdist/") and not file.startswith(OF_A_KIND):
+            for name in public_names((ROOT / file).read_text()):
+                is_figure = file.startswith("pfdist/pages/") and f'"{name}"' in PLOTS
+                places[name] += [] if is_figure else [file]
+    assert {name: files for name, files in places.items() if len(files) > 1} == {}
 
 
 def test_variables_have_nouns_for_names() -> None:
