@@ -52,8 +52,8 @@ def moved_elsewhere(*models: StateSpaceModel) -> list[float]:
     """Give it as another process computes it, which has only what travels."""
     program = (
         "import sys\n"
-        "from pfdist.models.by_value import made\n"
-        "for model in made(sys.stdin.buffer.read()):\n"
+        "from pfdist.models.by_value import models_made\n"
+        "for model in models_made(sys.stdin.buffer.read()):\n"
         "    print(model.transition((2.0,), 0, (0.0,), model.p)[0])"
     )
     done = subprocess.run(

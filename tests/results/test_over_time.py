@@ -12,7 +12,7 @@ import pytest
 import pfdist
 from oracles.three_sensors import SYSTEMS
 from pfdist.filters.kalman import expected_errors
-from pfdist.filters.work import ranges_of
+from pfdist.filters.work import ranges_of_draws
 from pfdist.results import over_time
 from pfdist.results.moments import controlled_mse
 from pfdist.results.over_time import (
@@ -120,7 +120,7 @@ def test_with_few_draws_its_standard_errors_are_those_of_means(small_job: Any) -
 @pytest.mark.parametrize(("draws", "most"), [(1, 1), (63, 1), (64, 2), (4000, 64), (60_000, 1024)])
 def test_there_are_at_least_32_ranges_and_hardly_more_than_64(draws: int, most: int) -> None:
     assert longest_range(draws) == most
-    assert min(draws, 32) <= len(ranges_of(0, draws, most)) <= 64 + np.log2(draws)
+    assert min(draws, 32) <= len(ranges_of_draws(0, draws, most)) <= 64 + np.log2(draws)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -131,12 +131,12 @@ def test_ranges_in_any_pieces_and_twice_are_joined_to_the_longest(seed: int) -> 
     rows = [
         {"position": set_, "name": f"{set_}", "draw": first, "draws": draws,
          "sums": [float((1 + set_) * sum(range(first, first + draws)))]}
-        for piece in pieces for first, draws in ranges_of(*piece, 8) for set_ in (0, 1)
+        for piece in pieces for first, draws in ranges_of_draws(*piece, 8) for set_ in (0, 1)
     ]  # fmt: skip
     rng.shuffle(rows)
     committed = pd.DataFrame(rows).drop_duplicates(KEYS["range_sums"])  # as a store gives them
     ranges = joined_ranges(read_ranges(committed), 32)
-    assert [(each.first, each.draws) for each in ranges] == ranges_of(0, 200, 32)
+    assert [(each.first, each.draws) for each in ranges] == ranges_of_draws(0, 200, 32)
     for each in ranges:
         total = sum(range(each.first, each.end))
         assert each.sums.tolist() == [[total], [2 * total]]

@@ -13,8 +13,8 @@ from pfdist.results.promise import (
     NOT_DECIDED,
     NOT_KEPT,
     NOTHING_FORESEEN,
-    Errors,
     Promise,
+    RelativeErrors,
     promise,
     real_over_foreseen,
 )
@@ -22,10 +22,10 @@ from pfdist.results.promise import (
 PROMISE = Promise(0.2, (0.1, 0.3), 0.2, (0.1, 0.3), 1.0, (0.6, 1.4), 50, 0.0)
 
 
-def _errors(real: Any, foreseen: Any) -> Errors:
-    """Errors with nearly the same foreseen error in two simulated systems."""
+def _errors(real: Any, foreseen: Any) -> RelativeErrors:
+    """RelativeErrors with nearly the same foreseen error in two simulated systems."""
     means = np.asarray(foreseen, np.float64)[:, None]
-    return Errors(np.asarray(real, np.float64), np.hstack([means - 1e-6, means + 1e-6]))
+    return RelativeErrors(np.asarray(real, np.float64), np.hstack([means - 1e-6, means + 1e-6]))
 
 
 def _fieller(x: np.ndarray, y: np.ndarray, confidence: float = 0.95) -> tuple[float, float]:
@@ -46,15 +46,17 @@ def _fieller(x: np.ndarray, y: np.ndarray, confidence: float = 0.95) -> tuple[fl
 
 
 @pytest.fixture
-def made() -> tuple[Errors, Errors]:
-    """Errors of a plan and of other times, of 12 replicates."""
+def made() -> tuple[RelativeErrors, RelativeErrors]:
+    """RelativeErrors of a plan and of other times, of 12 replicates."""
     rng = np.random.default_rng(3)
     plan, other = rng.gamma(4.0, 0.25, 12), rng.gamma(4.0, 0.5, 12)
     foreseen = 1 + 0.1 * rng.random((2, 12))
     return _errors(plan, foreseen[0]), _errors(other, 1 + foreseen[1])
 
 
-def test_a_promise_is_fiellers_ratio_of_the_differences(made: tuple[Errors, Errors]) -> None:
+def test_a_promise_is_fiellers_ratio_of_the_differences(
+    made: tuple[RelativeErrors, RelativeErrors],
+) -> None:
     plan, other = made
     found = promise(plan, other)
     x, y = other.real - plan.real, other.means - plan.means
@@ -72,7 +74,7 @@ def test_a_promise_is_fiellers_ratio_of_the_differences(made: tuple[Errors, Erro
 def test_the_foreseen_interval_is_that_of_the_delta_method() -> None:
     rng = np.random.default_rng(4)
     plan, other = rng.gamma(3.0, 0.2, (5, 480)), rng.gamma(3.0, 0.25, (5, 480))
-    found = promise(Errors(np.ones(5), plan), Errors(np.ones(5), other))
+    found = promise(RelativeErrors(np.ones(5), plan), RelativeErrors(np.ones(5), other))
     gain = 1 - plan.mean() / other.mean()
     rest = (1 - gain) * other - plan
     error = np.sqrt(sum(np.var(row, ddof=1) / 480 for row in rest)) / 5 / other.mean()
@@ -86,7 +88,7 @@ def test_the_interval_is_at_least_as_wide_as_the_model_foresees_for_half_of_the_
     rng = np.random.default_rng(5)
     plan, other = rng.gamma(3.0, 0.2, (8, 480)), rng.gamma(3.0, 0.4, (8, 480))
     alike = 0.01 * rng.random(8)
-    found = promise(Errors(0.3 + alike, plan), Errors(0.6 - alike, other))
+    found = promise(RelativeErrors(0.3 + alike, plan), RelativeErrors(0.6 - alike, other))
     difference = other - plan
     error = np.sqrt(difference.var(axis=1, ddof=1).sum()) / 8 / difference.mean()
     half = 0.5 * stats.t.ppf(0.975, 7) * error
@@ -114,7 +116,9 @@ def test_a_verdict_has_these_limits(change: dict[str, Any], verdict: str) -> Non
     assert replace(PROMISE, **change).verdict == verdict
 
 
-def test_blocks_are_means_of_consecutive_replicates(made: tuple[Errors, Errors]) -> None:
+def test_blocks_are_means_of_consecutive_replicates(
+    made: tuple[RelativeErrors, RelativeErrors],
+) -> None:
     plan, other = made
     x, y = other.real - plan.real, other.means - plan.means
     found = promise(plan, other, 3)
@@ -147,10 +151,12 @@ def test_one_replicate_and_equal_errors_have_no_verdict() -> None:
 
 def test_draws_that_are_not_finite_are_left_out_of_the_foreseen_error() -> None:
     foreseen = np.array([[1.0, 3.0, math.nan], [2.0, math.nan, 4.0]])
-    assert Errors(np.ones(2), foreseen).means.tolist() == [2.0, 3.0]
+    assert RelativeErrors(np.ones(2), foreseen).means.tolist() == [2.0, 3.0]
 
 
-def test_real_over_foreseen_is_an_interval_of_the_logarithm(made: tuple[Errors, Errors]) -> None:
+def test_real_over_foreseen_is_an_interval_of_the_logarithm(
+    made: tuple[RelativeErrors, RelativeErrors],
+) -> None:
     plan, _ = made
     ratio, (low, high) = real_over_foreseen(plan, 3)
     x, y = plan.real, plan.means
@@ -163,6 +169,6 @@ def test_real_over_foreseen_is_an_interval_of_the_logarithm(made: tuple[Errors, 
 
 def test_the_error_of_a_ratio_is_at_least_that_of_the_model() -> None:
     foreseen = np.random.default_rng(6).gamma(2.0, 0.5, (9, 480))
-    ratio, (_, high) = real_over_foreseen(Errors(np.full(9, 0.5), foreseen), 1)
+    ratio, (_, high) = real_over_foreseen(RelativeErrors(np.full(9, 0.5), foreseen), 1)
     error = np.sqrt(foreseen.var(axis=1, ddof=1).sum()) / 9 / foreseen.mean()
     assert math.log(high / ratio) == pytest.approx(stats.t.ppf(0.975, 8) * error)
