@@ -24,7 +24,8 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -56,20 +57,28 @@ def read_listing(folder: Path) -> Listing | None:
     path = folder / FILES
     with files.reading(path):
         try:
-            content = parse_json(read_text(path))
-            listing = Listing(
-                content["run"],
-                tuple(content["files"]),
-                {name: tuple(hashes) for name, hashes in content["about"].items()},
-                dict(content["pages"]),
-            )
-            if content == _content(listing) and all(map(_PUBLISHED.fullmatch, listing.files)):
-                return listing
+            listing = _listing_of(read_text(path))
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise _damaged(path) from error
-    raise _damaged(path)
+    if listing is None:
+        raise _damaged(path)
+    return listing
+
+
+@lru_cache(maxsize=16)  # each question reads the list of its run many times
+def _listing_of(text: str) -> Listing | None:
+    """What a text lists; None if its content has another hash."""
+    content = parse_json(text)
+    listing = Listing(
+        content["run"],
+        tuple(content["files"]),
+        {name: tuple(hashes) for name, hashes in content["about"].items()},
+        dict(content["pages"]),
+    )
+    is_whole = content == _content(listing) and all(map(_PUBLISHED.fullmatch, listing.files))
+    return listing if is_whole else None
 
 
 def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None:
@@ -131,7 +140,7 @@ def forget_pages(folder: Path, *names: str) -> None:
 def _content(listing: Listing) -> dict[str, Any]:
     """The content of files.json, as JSON has it."""
     about = {name: [*hashes] for name, hashes in listing.about.items()}
-    content = {**asdict(listing), "files": sorted(listing.files), "about": about}
+    content = {**vars(listing), "files": sorted(listing.files), "about": about}
     text = json.dumps(content, sort_keys=True)
     return {"sha256": hashlib.sha256(text.encode()).hexdigest(), **content}
 

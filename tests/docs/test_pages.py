@@ -35,9 +35,9 @@ NAMED_ALONE = re.compile(r"[a-z-]+")  # `pfdist plan`: the page speaks of the co
 VALUES = {"COMMAND": "run", "SHELL": "bash", "TIMES": "0:60:3", "NUMBERS": "5:41"}  # for words
 VALUES |= {"[RUN": "RUN", "...]": "RUN"}
 A_FILE = re.compile(r"# (\w+\.(?:py|toml|csv))")  # the first line of a block that is a file
-SLOW_PAGES = (
-    "choose-model", "compare", "cookbook", "densities", "guided", "questions", "robust", "sensors",
-    "start",
+PAGES_PLAYED = (
+    "choose-model", "compare", "cookbook", "densities", "filter", "guided", "questions", "robust",
+    "sensors", "start",
 )  # fmt: skip
 PROSE = ("pfdist finds", "pfdist needs")  # sentences of the README that begin a line
 SECONDS = 600  # for a cell of the notebook, on a machine with other work
@@ -135,11 +135,9 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("checkout")
-@pytest.mark.parametrize(
-    "page",
-    ["filter", *(pytest.param(page, marks=pytest.mark.slow) for page in SLOW_PAGES)],
-)
+@pytest.mark.parametrize("page", PAGES_PLAYED)
 def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert _blocks(DOCS / f"{page}.md", "console|python")
     if page == "start":  # its first command computes this run; the committed one is of version 0.4

@@ -28,17 +28,17 @@ from pfdist.models.written import models_of, text_of
 HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
 UNGM = load_model("ungm")
 KINDS = [
-    pytest.param(UNGM, Estimation(100), id="ungm"),
+    pytest.param(UNGM, Estimation(100), id="ungm", marks=pytest.mark.slow),
     pytest.param(UNGM, Estimation(101, "sorted_systematic"), id="sorted"),
     pytest.param(UNGM, Estimation(100, "residual", threshold=0.5), id="carried"),
     pytest.param(UNGM, Estimation(100, estimator=FILTER_NOISE.name), id="two filters"),
     pytest.param(UNGM, with_truth(100), id="truth inside"),
-    pytest.param(load_model("bearings_only"), Estimation(100), id="bearings"),
-    pytest.param(load_model("robot"), Estimation(100), id="angles"),
+    *(
+        pytest.param(load_model(name), Estimation(100), id=name, marks=pytest.mark.slow)
+        for name in ("bearings_only", "robot", "pharmacokinetics", "lotka_volterra")
+    ),
     pytest.param(load_model("xray_tumour"), Estimation(100), id="sensors"),
-    pytest.param(load_model("pharmacokinetics"), Estimation(100), id="clock"),
-    pytest.param(load_model("lotka_volterra"), Estimation(100), id="loops"),
-    pytest.param(growth, Estimation(100, "systematic"), id="guided"),
+    pytest.param(growth, Estimation(100, "systematic"), id="guided", marks=pytest.mark.slow),
     pytest.param(sharp_walk(3), Estimation(100, "stratified"), id="guided, 3 components"),
 ]
 

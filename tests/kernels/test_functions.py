@@ -90,8 +90,8 @@ def test_each_universal_function_that_is_recorded_is_tested():
 
 @pytest.mark.parametrize("name", ROUND)
 def test_values_are_within_two_units_in_the_last_place(name):
-    """Against mpmath, at 2,000 arguments of the whole range: subnormal, negative and huge, too."""
-    values = arguments(name, 2_000, np.random.default_rng(1))
+    """Against mpmath, at 700 arguments of the whole range: subnormal, negative and huge, too."""
+    values = arguments(name, 700, np.random.default_rng(1))
     got = values_of(name, *values)
     finite = where_finite(name, values, got)
     apart, where = worst(name, [each[finite] for each in values], got[finite])
@@ -147,7 +147,10 @@ def test_special_values_are_those_of_numpy(name):
 
 @pytest.mark.parametrize(
     ("triple", "processor"),
-    [("aarch64-unknown-linux-gnu", "neoverse-n1"), ("x86_64-unknown-linux-gnu", "haswell")],
+    [
+        ("x86_64-unknown-linux-gnu", "haswell"),
+        pytest.param("aarch64-unknown-linux-gnu", "neoverse-n1", marks=pytest.mark.slow),
+    ],
 )
 def test_no_function_calls_a_library(triple, processor):
     halves = []

@@ -157,7 +157,7 @@ def test_the_frames_of_a_function_are_read_from_its_assembly():
     assert found == {"": 0, "one": 679040, "two": 39072, "three": float("inf"), "four": 480}
 
 
-@pytest.mark.parametrize("write", [long_step, shared, *map(slow, (chain, entries, states))])
+@pytest.mark.parametrize("write", [long_step, *map(slow, (shared, chain, entries, states))])
 def test_a_long_program_has_the_values_of_its_plain_twin_on_a_small_stack(write):
     """All operations are rounded exactly, so the bits are the same. A frame grew to 1 MB here."""
     some = write(600 if write is not chain else 3000)

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.every_set import every_set
+from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
 from pfdist.filters.kalman import expected_errors
@@ -35,6 +36,21 @@ FEASIBLE = {name: Feasible(HORIZON, BUDGET, **given) for name, given in COUNTED.
 }
 
 Array = NDArray[np.float64]
+
+
+def with_each(names: Collection[str]) -> pytest.MarkDecorator:
+    """Each linear system with one of some names, in turn; all others are slow."""
+    count = len(names)
+    return pytest.mark.parametrize(
+        ("model", "name"),
+        [
+            pytest.param(
+                model, name, id=f"{system}-{name}", marks=[pytest.mark.slow] * (k % count != j)
+            )
+            for k, (system, model) in enumerate(SYSTEMS.items())
+            for j, name in enumerate(names)
+        ],
+    )
 
 
 class Case(NamedTuple):

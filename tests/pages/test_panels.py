@@ -1,7 +1,6 @@
 """Every public figure: of a run or of tables, in given or new axes, with no legend on data."""
 
 import inspect
-import io
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import combinations, pairwise
@@ -245,7 +244,7 @@ def _shapes(axes: Axes) -> list[list[float]]:
 
 
 @every
-@pytest.mark.parametrize("style", [PRINT, SCREEN])
+@pytest.mark.parametrize("style", [PRINT, pytest.param(SCREEN, marks=pytest.mark.slow)])
 def test_its_legend_covers_no_data_and_most_of_it_lies_within_the_axes(
     name: str, style: str, drawings: dict[str, list[Draw]]
 ) -> None:
@@ -533,7 +532,7 @@ def _with_costly_names() -> dict[str, Draw]:
 def test_a_name_is_no_formula(name: str) -> None:
     figure = Figure(layout="constrained")
     axes = _with_costly_names()[name](ax=figure.subplots())
-    figure.savefig(io.BytesIO(), format="svg")
+    figure.draw_without_rendering()  # which sets texts
     legend = axes.get_legend()
     texts = [
         *axes.texts,
@@ -552,8 +551,8 @@ def _boxes(axes: Axes) -> list[Any]:
     return boxes
 
 
-@pytest.mark.parametrize("style", [PRINT, SCREEN])
-@pytest.mark.parametrize("number", [1, 15, 16, 40])
+@pytest.mark.parametrize("style", [PRINT, pytest.param(SCREEN, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [16, 40])
 def test_each_of_forty_sets_has_its_name_in_a_new_figure(number: int, style: str) -> None:
     sets = {f"set {position}": [position] for position in range(number)}
     with styled(style):

@@ -44,8 +44,8 @@ def checked(model: StateSpaceModel, horizon: int, particles: int) -> dict[str, C
 def test_a_slow_model_has_fewer_draws_and_its_checks_say_so(
     monkeypatch: pytest.MonkeyPatch, engine: str
 ) -> None:
-    """A thousand draws would take half a minute; here a check may take about two seconds."""
-    monkeypatch.setattr(checks_of_models, "_LONGEST", 2.0)
+    """A thousand draws would take half a minute; here a check may take about half a second."""
+    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.6)
     checks = checked(slow(400, engine), 12, 500)
     says = r"0\.00% of draws with 4 regular times .* \(only \d+ draws: each takes [\d.]+ s\)"
     assert re.fullmatch(says, checks["degenerate draws"].text), checks["degenerate draws"]

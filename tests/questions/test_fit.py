@@ -70,7 +70,7 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
         return -float(exact_log_evidence(recorded, y).sum())
 
     best = minimize(
-        loss, [*START.values()], method="L-BFGS-B", bounds=[(0, 0.99), (0.1, 5), (0.1, 5)]
+        loss, [*TRUE.values()], method="L-BFGS-B", bounds=[(0, 0.99), (0.1, 5), (0.1, 5)]
     )
     assert fitted.is_converged
     assert fitted.error == 0.0
@@ -80,14 +80,28 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
     assert fitted.log_likelihood >= -loss(np.array([*TRUE.values()]))
 
 
-def test_particles_find_nearly_the_same(data: pd.DataFrame, fitted: Fitted) -> None:
+@pytest.mark.parametrize(
+    ("parameters", "particles", "evaluations"),
+    [
+        (["noise"], 100, 16),
+        pytest.param([*START], 300, 80, marks=pytest.mark.slow),
+    ],
+)
+def test_particles_find_nearly_the_same(
+    parameters: list[str], particles: int, evaluations: int, data: pd.DataFrame
+) -> None:
     """The fit by particles loses little of Kalman's likelihood: less than a 95 % region, 3.9."""
-    exact = fitted
-    fitted = pfdist.fit(problem(particles=300), data, [*START], evaluations=80, pool="threads")
-    start = pfdist.Problem(
-        model_with(**fitted.parameters), horizon=HORIZON, measurement_budget=4, engine="kalman"
+    exact = pfdist.fit(problem(engine="kalman"), data, parameters, pool="serial")
+    fitted = pfdist.fit(
+        problem(particles=particles), data, parameters, evaluations=evaluations, pool="threads"
     )
-    again = pfdist.fit(start, data, [*START], evaluations=1, pool="serial")
+    start = pfdist.Problem(
+        model_with(**(START | fitted.parameters)),
+        horizon=HORIZON,
+        measurement_budget=4,
+        engine="kalman",
+    )
+    again = pfdist.fit(start, data, parameters, evaluations=1, pool="serial")
     assert exact.log_likelihood - again.started_at < 2.0
     assert 0.0 < fitted.error < 3.0
     assert abs(fitted.log_likelihood - again.started_at) < 6 * fitted.error
@@ -181,7 +195,9 @@ def test_without_two_starts_that_agree_the_search_has_not_converged(data: pd.Dat
     assert "no two distant starts" in str(fitted)
 
 
-@pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 5))]
+)
 def test_the_error_contains_that_of_the_maximum(seed: int) -> None:
     """Few particles: the exact likelihood of k = -1, the largest, beside that of what is found."""
     settings = {"horizon": 8, "measurement_budget": 4}

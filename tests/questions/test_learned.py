@@ -24,7 +24,11 @@ def problem(scenarios: Any, **others: Any) -> pfdist.Problem:
     return pfdist.Problem(WALK, **(given | others))
 
 
-@pytest.fixture(scope="module", params=[LEARNED, LISTED], ids=["distributions", "list"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(LEARNED, marks=pytest.mark.slow), LISTED],  # and see motion below
+    ids=["distributions", "list"],
+)
 def planned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("learned")
     return pfdist.plan(

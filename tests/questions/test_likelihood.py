@@ -227,7 +227,13 @@ def test_a_level_that_rarely_or_never_changes(level: Any, state: str, says: str)
     assert (found, text[: len(says)]) == (state, says)
 
 
-@pytest.mark.parametrize("name", sorted(installed_models()))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.zoo] * (name not in ("ungm", "epidemic_counts")))
+        for name in sorted(installed_models())
+    ],
+)
 def test_each_model_that_ships_agrees_at_24_pairs(name: str) -> None:
     model = load_model(name)
     if model.reads_clock:

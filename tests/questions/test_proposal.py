@@ -143,7 +143,9 @@ SQUARE = StateSpaceModel(  # whose sign no measurement sees
 )
 
 
-@pytest.mark.parametrize(("model", "state"), [(SHARP, "ok"), (SQUARE, "note")])
+@pytest.mark.parametrize(
+    ("model", "state"), [pytest.param(SHARP, "ok", marks=pytest.mark.slow), (SQUARE, "note")]
+)
 def test_a_guided_filter_by_hand_is_judged_as_auto_judges(
     model: StateSpaceModel, state: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,6 +179,7 @@ def test_auto_is_checked_with_a_proposal_of_the_model() -> None:
     assert own == by_hand != without
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_guided_run_is_tight(tmp_path: Path) -> None:
     """Beside the truth, guided particles leave more variance than plain ones."""
     gaps = []

@@ -1,6 +1,7 @@
 """Batched models in whole runs: a user's file with a helper, every pool, every question."""
 
 import re
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -79,7 +80,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 @pytest.mark.filterwarnings(DECLARED)
 @pytest.mark.parametrize(
-    ("pool", "workers"), [("threads", 2), ("processes", 2), pytest.param("ray", 1)]
+    ("pool", "workers"),
+    [
+        ("processes", 2),
+        pytest.param("threads", 2, marks=pytest.mark.slow),
+        pytest.param("ray", 1, marks=pytest.mark.slow),
+    ],
 )
 def test_every_pool_gives_the_same_bytes(
     finished: Run, pool: str, workers: int, tmp_path: Path, request: pytest.FixtureRequest
@@ -96,15 +102,21 @@ def test_every_pool_gives_the_same_bytes(
 def test_its_questions_are_answered(finished: Run) -> None:
     job = finished.path.parent / "job.toml"
     folder = finished.path
-    bound = pfdist.bound(job, draws=480, results=folder, figures=False, report=False)
-    assert all(0.0 <= gap.gap_at_most <= 1.0 for gap in bound.gaps)
-    why = pfdist.why(job, results=folder, draws=50, figures=False)
+    why = pfdist.why(job, results=folder, draws=20, figures=False)
     assert why.profile["error"].notna().all()
     assert len(pfdist.open_run(folder).table("online")) == 4
     page = pfdist.report(folder)
     assert "declared as version 1, helper.py " in Path(page).read_text(encoding="utf-8")
     with pytest.raises(ModelError, match="a run does not contain the functions of a batched model"):
         pfdist.why(folder, draws=50, figures=False)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(DECLARED)
+def test_its_gap_is_proved(finished: Run, tmp_path: Path) -> None:
+    folder = shutil.copytree(finished.path, tmp_path / "run")
+    bound = pfdist.bound(finished.path.parent / "job.toml", draws=480, results=folder)
+    assert all(0.0 <= gap.gap_at_most <= 1.0 for gap in bound.gaps)
 
 
 @pytest.mark.filterwarnings(DECLARED)
@@ -153,7 +165,8 @@ def test_a_simulator_that_crashes_is_a_failed_task(tmp_path: Path) -> None:
 def test_check_model_names_the_faster_engine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, says: str
 ) -> None:
-    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.5)  # no larger numbers are tried
+    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.1)  # no larger numbers are tried
+    monkeypatch.setattr(checks_of_models, "_DRAWS", 50)
     job = written(tmp_path / "here", line=line)
     name = f"{job.with_name('simulator.py')}:model"
     checks = {each.name: each for each in check_loaded(partial(pfdist.load_model, name), 8, 40)}

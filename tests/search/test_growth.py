@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from oracles.systems import SYSTEMS
 from oracles.windows import (
     FEASIBLE,
     HORIZON,
@@ -15,6 +14,7 @@ from oracles.windows import (
     counted_errors,
     longest_end,
     relaxed_errors,
+    with_each,
 )
 from pfdist import StateSpaceModel
 from pfdist.filters.kalman import expected_mse
@@ -84,8 +84,7 @@ def test_what_several_sets_lack_is_given_at_once() -> None:
     assert windows == {(NOTHING, 0), (NOTHING, 1), (0, 4), (1, 4), (4, 6)}
 
 
-@pytest.mark.parametrize("name", FEASIBLE)
-@pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
+@with_each(FEASIBLE)
 def test_windows_that_grow_along_the_best_set_prove_the_optimum(
     model: StateSpaceModel, name: str
 ) -> None:

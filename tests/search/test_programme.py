@@ -15,6 +15,7 @@ from oracles.windows import (
     counted_errors,
     relaxed_errors,
     satisfying,
+    with_each,
 )
 from pfdist import StateSpaceModel, linear_gaussian
 from pfdist.common.clock import Clock
@@ -108,8 +109,7 @@ def test_a_restricted_relaxation_has_the_paths_through_the_windows_of_some_sets(
         assert grown.passable[grown.windows_of(times)].all()
 
 
-@systems
-@pytest.mark.parametrize("name", FEASIBLE)
+@with_each(FEASIBLE)
 def test_windows_give_bounds_that_rise_with_their_length_to_the_optimum(
     model: StateSpaceModel, name: str
 ) -> None:

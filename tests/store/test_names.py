@@ -24,11 +24,11 @@ NAMES = [
     pytest.param("s3:", id="an address", marks=pytest.mark.slow),
     pytest.param("~root", id="a tilde", marks=pytest.mark.slow),
     pytest.param("a  b%41", id="spaces and a percent sign"),
-    pytest.param(os.fsdecode(b"a\xffb"), id="not UTF-8"),
+    pytest.param(os.fsdecode(b"a\xffb"), id="not UTF-8", marks=pytest.mark.slow),
     pytest.param("-x", id="a dash", marks=pytest.mark.slow),
     pytest.param("a\nb\x1b[2Jc", id="control characters"),
     pytest.param("[bold]:smile:[/x]", id="marks of a terminal's library", marks=pytest.mark.slow),
-    pytest.param("n" * 200, id="200 characters"),
+    pytest.param("n" * 200, id="200 characters", marks=pytest.mark.slow),
     pytest.param("*?[a]", id="wild cards", marks=pytest.mark.slow),
 ]
 
