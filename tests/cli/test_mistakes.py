@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
@@ -155,7 +156,7 @@ FILES = {
 }
 
 
-@pytest.mark.parametrize("name", FILES)
+@in_turn("name", FILES)
 def test_a_hostile_job_file_is_refused_in_one_line(
     name: str, tmp_path: Path, refused: Refused
 ) -> None:
@@ -168,8 +169,8 @@ def test_a_hostile_job_file_is_refused_in_one_line(
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("kind", ["pipe", "device", "socket", "huge"])
-@pytest.mark.parametrize(
+@in_turn("kind", ["pipe", "device", "socket", "huge"])
+@in_turn(
     "line", ["run {path}", "sweep {path}", "evaluate {job} --times 0 --set model.name={path}:m"]
 )
 def test_no_pipe_device_socket_or_huge_file_is_read(
@@ -193,7 +194,7 @@ def test_no_pipe_device_socket_or_huge_file_is_read(
     assert words in told
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("line", "code", "meant"),
     [
         ("paln", 2, "plan"),

@@ -12,6 +12,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
+from oracles.in_turn import in_turn
 from pfdist.common.nearest import did_you_mean, did_you_mean_path, quoted_names
 from pfdist.common.section import Arguments, Whole, checked, explained
 from pfdist.errors import ArgumentError, JobError
@@ -47,7 +48,7 @@ def sentence(data: dict[str, Any]) -> str:
     return explained(caught.value, Section)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("key", "value", "said"),
     [
         ("whole", 0, "whole must be at least 1, got 0"),
@@ -141,7 +142,7 @@ def test_settings_raise_the_error_that_their_class_names() -> None:
         assert caught.value.argument in wrong
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("word", "name"),
     [
         ("survivor", "survivors"),

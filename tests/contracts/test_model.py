@@ -10,6 +10,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.clocked import times_of, with_clock
+from oracles.in_turn import in_turn
 from pfdist import Job, load_job, load_model
 from pfdist.common.measurement_times import regular
 from pfdist.filters import plain
@@ -60,7 +61,7 @@ def test_check_model_finds_nothing_wrong(name: str) -> None:
     assert checks[-1].name == "an evaluation"
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@in_turn("name", SHIPPED)
 def test_there_is_a_job_of_it(name: str) -> None:
     assert name in {load_job(path).model.name for path in JOBS}
 

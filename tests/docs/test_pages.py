@@ -20,6 +20,7 @@ import pytest
 from matplotlib import pyplot
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import load_model
 from pfdist.cli.main import main
 from pfdist.cli.program import line_of
@@ -63,7 +64,7 @@ def _commands() -> list[str]:
     return sorted(command for command in found if not f"pfdist {command}".startswith(PROSE))
 
 
-@pytest.mark.parametrize("command", _commands())
+@in_turn("command", _commands())
 def test_a_command_of_the_manual_is_accepted(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

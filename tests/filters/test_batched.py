@@ -13,6 +13,7 @@ import pytest
 from oracles.batched import batched
 from oracles.clocked import times_of
 from oracles.guided import growth, sharp_walk
+from oracles.in_turn import in_turn
 from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, load_model
 from pfdist.errors import ModelError, TraceError
 from pfdist.filters.cloud import Cloud
@@ -207,7 +208,7 @@ def changing(x, t, w, p):
     return x
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("transition", "message"),
     [
         (lambda x, t, w, p: 1 / 0 if t == 3 else x + w, r"transition failed: ZeroDivisionError"),
@@ -320,7 +321,7 @@ def test_a_model_is_sent_while_modules_are_imported(monkeypatch):
     assert any(name.startswith("imported") for name in sys.modules)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("fields", "message"),
     [
         ({"version": ""}, "version must be at least 1 characters long, got ''"),

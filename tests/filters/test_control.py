@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.batched import batched
+from oracles.in_turn import in_turn
 from oracles.three_sensors import SYSTEMS
 from pfdist import StateSpaceModel, load_model
 from pfdist.filters import plain
@@ -95,8 +96,8 @@ def test_a_filter_that_leaves_one_of_the_sorted_points_out_is_biased(
     assert not _is_zero(wrong, 8.0)
 
 
-@pytest.mark.parametrize("model", [UNGM, OWN_ERROR, TWO, BOTH], ids=lambda model: model.name)
-@pytest.mark.parametrize("particles", [1, 2, 70])
+@in_turn("model", [UNGM, OWN_ERROR, TWO, BOTH])
+@in_turn("particles", [1, 2, 70])
 def test_the_plain_twin_agrees(model: StateSpaceModel, particles: int) -> None:
     drawn = simulate(model, 12, range(9), 1)
     given = (

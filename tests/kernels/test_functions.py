@@ -5,6 +5,7 @@ import pytest
 
 from oracles.computed import called_elsewhere, computed, formula
 from oracles.exact import VALUES, arguments, nearest_to_quarter_turns, units_apart
+from oracles.in_turn import in_turn
 from pfdist.kernels.functions import FUNCTIONS
 from pfdist.kernels.lowering import Half
 from pfdist.models.program import Operation
@@ -127,7 +128,7 @@ def test_the_angles_nearest_to_quarter_turns_are_exact_too(name):
     assert apart <= TOLERANCE, where
 
 
-@pytest.mark.parametrize("name", [*ONE, *TWO])
+@in_turn("name", [*ONE, *TWO])
 def test_special_values_are_those_of_numpy(name):
     """Signed zeros, infinities, NaN, subnormal numbers, and arguments out of the domain."""
     values = [SPECIAL]

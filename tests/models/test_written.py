@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from oracles.batched import batched
+from oracles.in_turn import in_turn
 from pfdist.errors import ModelError
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
@@ -106,7 +107,7 @@ def test_a_part_that_is_wrong_is_named_in_a_line(change: Callable[[Any], Any], s
 LOOP = recorded(load_model("lotka_volterra"), range(5))
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("name", "change", "says"),
     [
         ("repeat", {2: 0}, "a loop has wrong sizes"),
@@ -209,7 +210,7 @@ def test_a_result_within_a_loop_is_refused() -> None:
         models_of(json.dumps(data).encode())
 
 
-@pytest.mark.parametrize(
+@in_turn(
     "content",
     [
         b"",

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.every_set import every_set
+from oracles.in_turn import in_turn
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
@@ -77,7 +78,7 @@ _CASES = [
     for name in FEASIBLE
     for unit in ((1, 2, 3) if name in MONEY else (1,))
 ]
-cases = pytest.mark.parametrize("case", _CASES, ids=["-".join(map(str, case)) for case in _CASES])
+cases = in_turn("case", _CASES)
 
 
 @cache

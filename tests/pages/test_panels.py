@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import plots
 from pfdist.common.clock import Clock
 from pfdist.common.component_names import numbered_components
@@ -466,7 +467,7 @@ def test_a_name_that_does_not_exist_is_told_with_those_that_do(
 
 
 @every
-@pytest.mark.parametrize("wrong", [5, "results/quick", {"regular": 3}, [1, 2], None])
+@in_turn("wrong", [5, "results/quick", {"regular": 3}, [1, 2], None])
 def test_what_is_no_source_is_refused_in_one_line(name: str, wrong: object) -> None:
     """The line names the argument, the allowed types, and the type that it got."""
     draw = getattr(plots, name)

@@ -11,6 +11,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common.percent import particle_loss_text
@@ -260,7 +261,7 @@ def test_numbers_may_be_a_range_or_a_set_and_without_a_gap_are_the_same_run(
     assert {file.name for file in (folder / "figures").iterdir()} == figures
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("options", "words"),
     [
         ("0:5", r"--measurements: each entry .* must be at least 1, got 0$"),

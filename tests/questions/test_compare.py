@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
@@ -343,7 +344,7 @@ def test_wrong_options_are_refused_in_one_line(
         assert message in line
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("changes", "message"),
     [
         (["search=[]"], "search must name at least one search, unless"),

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.learned import WALK
 from pfdist import Run
 from pfdist.errors import JobError, ModelError, PfdistError
@@ -76,7 +77,7 @@ def test_the_parameters_can_be_what_is_estimated() -> None:
     assert many.expected_mse < few.expected_mse
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("change", "says"),
     [
         ({"criterion": "worst"}, "'learned' takes 'mean' as scenarios.criterion, got 'worst'"),

@@ -14,6 +14,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.in_turn import in_turn
 from oracles.model_text import MEASURED
 from pfdist import Problem, Run, StateSpaceModel
 from pfdist.common.section import keys_of
@@ -125,7 +126,7 @@ def test_every_key_of_the_sections_is_an_argument() -> None:
     assert all(key in doc for key in keys)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("forbidden", "section"),
     [
         (range(4, 7), ("4-6",)),

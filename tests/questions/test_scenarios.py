@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from oracles.walks import (
     HORIZON,
@@ -394,7 +395,7 @@ def test_weights_become_shares() -> None:
     assert section.each == (Scenario(0.25, {"k": 1.0}), Scenario(0.75, {"k": 2.0}))
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("section", "says"),
     [
         ({"parameters": [1.0]}, "must be a list with the parameters of each scenario"),

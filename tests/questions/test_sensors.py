@@ -11,6 +11,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from oracles.two_platforms import two_platforms
@@ -275,7 +276,7 @@ def test_a_mistake_in_a_table_names_its_row(rows: str, said: str, tmp_path: Path
         read_measurements(table, SYSTEMS[3].as_model(), Clock.counting(HORIZON))
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("keys", "said"),
     [
         ({"sensors": ["far", "near", "both"]}, "must name the sensors of the model"),

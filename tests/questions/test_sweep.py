@@ -12,6 +12,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
@@ -349,8 +350,8 @@ def test_a_folder_of_another_run_fails_its_point_alone(
     assert pfdist.open_run(folder / "seed=2").state == "finished"
 
 
-@pytest.mark.parametrize("start", [pfdist.sweep, foreseen])
-@pytest.mark.parametrize(
+@in_turn("start", [pfdist.sweep, foreseen])
+@in_turn(
     ("over", "options", "words"),
     [
         ({"filter.particles": [9, 0]}, {}, "the point particles=0 of the sweep: filter.particles "),

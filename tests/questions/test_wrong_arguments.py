@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import PfdistError
 
 PROBLEM = pfdist.Problem("random_walk", horizon=12, measurement_budget=4, engine="kalman")
@@ -139,7 +140,7 @@ NO_CASES |= {"ode", "sde", "BatchedModel"}  # see test_continuous and test_batch
 NO_CASES |= {"clip", "densities", "take", "where", "linear_gaussian", "Sensor"}  # what makes models
 
 
-@pytest.mark.parametrize(("name", "arguments", "options"), CASES)
+@in_turn(("name", "arguments", "options"), CASES)
 def test_a_wrong_argument_ends_in_one_line(
     name: str,
     arguments: tuple[Any, ...],

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from oracles.in_turn import in_turn
 from pfdist.filters.estimate import Evaluation
 from pfdist.results import (
     BIN,
@@ -148,8 +149,8 @@ GAINS: dict[str, Callable[[np.random.Generator, int], Array]] = {
 }
 
 
-@pytest.mark.parametrize("shape", GAINS)
-@pytest.mark.parametrize(
+@in_turn("shape", GAINS)
+@in_turn(
     ("count", "size"), [(2, 1), (3, 1), (17, 1), (17, 7), (1000, 7), (1000, 1000), (40_000, 10_000)]
 )
 def test_blocks_give_what_numpy_and_scipy_give_on_the_whole(
@@ -294,7 +295,7 @@ def test_that_the_two_gains_disagree_is_known_where_their_intervals_are_apart() 
     assert not figures_of(np.ones(1), np.ones(1)).gains_disagree
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("relative", "means", "apart"),
     [
         ((-0.02, -0.01), (0.01, 0.02), True),  # opposite signs

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from oracles.in_turn import in_turn
 from oracles.windows import (
     FEASIBLE,
     HORIZON,
@@ -25,7 +26,7 @@ ROUNDING = 1e-12
 
 
 @cases
-@pytest.mark.parametrize("most", [1, 3, 100])
+@in_turn("most", [1, 3, 100])
 def test_each_set_is_the_best_through_windows_that_none_before_it_has_passed(
     case: Case, most: int
 ) -> None:

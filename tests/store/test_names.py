@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.main import main
 
@@ -79,7 +80,7 @@ def test_figures_are_drawn_into_a_folder_of_any_name(name: str, small_job: Job, 
 @pytest.mark.parametrize(
     "name", [pytest.param("n" * 256, id="256 characters"), pytest.param("d/" * 3000, id="deep")]
 )
-@pytest.mark.parametrize("command", ["status", "verify", "plot", "why"])
+@in_turn("command", ["status", "verify", "plot", "why"])
 def test_a_name_that_no_file_can_have_is_refused_in_one_line(
     name: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
