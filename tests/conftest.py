@@ -1,6 +1,7 @@
 """Fixtures that tests share: models, small jobs, and one Ray cluster a process."""
 
 import contextlib
+import fcntl
 import os
 import shlex
 import shutil
@@ -67,6 +68,31 @@ def one_format() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pfdist.pages.figure.FORMATS", ("svg",))
+        yield
+
+
+class AcrossProcesses:
+    """A lock that one thread of one process holds."""
+
+    def __init__(self, path: Path) -> None:
+        self._lock, self._file = threading.Lock(), path.open("w")
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+        fcntl.flock(self._file, fcntl.LOCK_EX)
+
+    def __exit__(self, *error: object) -> None:
+        fcntl.flock(self._file, fcntl.LOCK_UN)
+        self._lock.release()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_compiles(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let one process compile a function that is not kept yet; the other loads it then."""
+    with pytest.MonkeyPatch.context() as patch:
+        if "PYTEST_XDIST_WORKER" in os.environ:
+            lock = AcrossProcesses(tmp_path_factory.getbasetemp().parent / "compiling")
+            patch.setattr("pfdist.kernels.cached._ONE_AT_A_TIME", lock)
         yield
 
 

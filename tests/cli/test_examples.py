@@ -132,7 +132,11 @@ def test_the_commands_that_take_a_run_are_found() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [*TAKE_A_RUN, *(pytest.param(name, marks=pytest.mark.slow) for name in ASK)]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ASK or name == "plot"))
+        for name in (*TAKE_A_RUN, *ASK)
+    ],
 )
 @pytest.mark.usefixtures("no_figures")
 def test_a_command_about_a_run_opens_the_committed_run(

@@ -11,7 +11,7 @@ from zoneinfo import ZoneInfo
 
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracles.in_turn import in_turn
@@ -80,6 +80,7 @@ def test_a_text_means_the_instants_whose_local_date_matches(
 
 
 @pytest.mark.parametrize("start", [SPRING, AUTUMN])
+@settings(max_examples=25)
 @given(ends=st.tuples(st.integers(0, DAYS), st.integers(0, DAYS)).map(sorted))
 def test_a_range_of_dates_has_both_ends(start: str, ends: list[int]) -> None:
     clock, (first, last) = half_hours(start, ZONE), ends

@@ -22,7 +22,7 @@ from pfdist.models import load_model
 from pfdist.models.recorded import recorded
 from pfdist.models.written import MOST_LISTS, models_of, text_of
 
-MODEL = recorded(load_model("robot"), range(5))
+MODEL = recorded(load_model("ungm"), range(5))
 SECONDS = 5.0
 
 
