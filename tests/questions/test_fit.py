@@ -83,7 +83,7 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
 @pytest.mark.parametrize(
     ("parameters", "particles", "evaluations"),
     [
-        (["noise"], 100, 16),
+        (["noise"], 100, 30),
         pytest.param([*START], 300, 80, marks=pytest.mark.slow),
     ],
 )
@@ -92,8 +92,12 @@ def test_particles_find_nearly_the_same(
 ) -> None:
     """The fit by particles loses little of Kalman's likelihood: less than a 95 % region, 3.9."""
     exact = pfdist.fit(problem(engine="kalman"), data, parameters, pool="serial")
+    near = ["model.parameters.noise=0.3"] if parameters == ["noise"] else []
     fitted = pfdist.fit(
-        problem(particles=particles), data, parameters, evaluations=evaluations, pool="threads"
+        *(problem(particles=particles), data, parameters),
+        evaluations=evaluations,
+        changes=near,
+        pool="threads",
     )
     start = pfdist.Problem(
         model_with(**(START | fitted.parameters)),

@@ -34,7 +34,7 @@ model = BatchedModel(
     measurement=lambda x, t, v, p: x**2 / 20 + v,
     log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0] ** 2 / 20) ** 2,
     quantity_of_interest=lambda x, t, p: x,
-    initial_noise=("normal",), process_noise=("normal",), measurement_noise=("normal",),
+    initial_noise=("normal",), process_noise=("normal",), measurement_noise=("normal",), {more}
 )
 """
 JOB = """
@@ -59,11 +59,13 @@ draws = 4
 DECLARED = "ignore:model growth is declared:pfdist.errors.EngineWarning"
 
 
-def written(folder: Path, version: str = "1", line: str = "pass") -> Path:
+def written(
+    folder: Path, version: str = "1", line: str = "pass", more: str = "together=500"
+) -> Path:
     """A job whose model stands in a file with a helper beside it."""
     folder.mkdir(exist_ok=True)
     (folder / "helper.py").write_text(HELPER, encoding="utf-8")
-    text = MODEL.format(version=version, line=line)
+    text = MODEL.format(version=version, line=line, more=more)
     (folder / "simulator.py").write_text(text, encoding="utf-8")
     (folder / "job.toml").write_text(JOB, encoding="utf-8")
     return folder / "job.toml"
@@ -183,7 +185,7 @@ def test_check_model_asks_for_smaller_arrays_of_a_slow_simulator(
         "pfdist.questions.model_checks.seconds_a_step",
         lambda evaluator, *_: 1e-6 * (getattr(evaluator.model, "together", 1) / 1e4) ** power,
     )
-    name = f"{written(tmp_path / 'here', line='pass').with_name('simulator.py')}:model"
+    name = f"{written(tmp_path / 'here', more='').with_name('simulator.py')}:model"
     checks = {each.name: each for each in check_loaded(partial(pfdist.load_model, name), 8, 40)}
     assert ("together" in checks) == is_asked
     if is_asked:
@@ -199,7 +201,8 @@ def test_it_is_the_filter_of_the_same_formulas(finished: Run, tmp_path: Path) ->
     formulas = formulas.replace("5 * w", "(5 * w[0],)").replace("/ 20 + v,", "/ 20 + v[0],")
     formulas = formulas.replace("x[0]**2 / 20 + v[0],", "(x[0]**2 / 20 + v[0],),")
     job = written(tmp_path / "here")
-    job.with_name("simulator.py").write_text(formulas.format(line="pass"), encoding="utf-8")
+    text = formulas.format(line="pass", more="")
+    job.with_name("simulator.py").write_text(text, encoding="utf-8")
     run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
     for name in ("mse_regular", "mse_random"):
         found, expected = (each.table("comparison")[name] for each in (finished, run))
