@@ -156,8 +156,8 @@ def test_a_hostile_job_file_is_refused_in_one_line(
     assert not (tmp_path / "run").exists()
 
 
-@in_turn("kind", ["pipe", "device", "socket", "huge"])
-@in_turn(
+@pytest.mark.parametrize("kind", ["pipe", "device", "socket", "huge"])
+@pytest.mark.parametrize(
     "line", ["run {path}", "sweep {path}", "evaluate {job} --times 0 --set model.name={path}:m"]
 )
 def test_no_pipe_device_socket_or_huge_file_is_read(
@@ -181,7 +181,7 @@ def test_no_pipe_device_socket_or_huge_file_is_read(
     assert words in told
 
 
-@in_turn(
+@pytest.mark.parametrize(
     ("line", "code", "meant"),
     [
         ("paln", 2, "plan"),

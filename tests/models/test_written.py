@@ -63,7 +63,7 @@ LAST = len(program(json.loads(text_of(MODEL, MODEL)))["operations"]) - 1
         (operation(LAST, "covariate", [0], "speed"), "an entry of a parameter at a computed"),
         (operation(LAST, "add", [0, 1], "more"), "add of something"),
         (lambda data: program(data).update(outputs=[10**6]), "a result is missing"),
-        (lambda data: program(data).update(outputs=[0]), "as many components"),
+        (lambda data: program(data).update(outputs=[0, 0]), "as many components"),
         (lambda data: program(data, "log_likelihood").update(outputs=[0] * 500), "other results"),
         (lambda data: program(data).update(outputs=[0] * 10**6), "1,000,000 results"),
         (lambda data: data["truth"].update(name=None), "name must be a string, got None"),
