@@ -74,7 +74,7 @@ class Case(NamedTuple):
 
 _CASES = [
     Case(name, seed, unit)
-    for seed in range(4)
+    for seed in (1, 2)
     for name in FEASIBLE
     for unit in ((1, 2, 3) if name in MONEY else (1,))
 ]

@@ -22,7 +22,7 @@ from pfdist.search.exchange import shifts
 
 NAMES = "|".join(field.name for field in fields(Constraints))
 quick = settings(
-    max_examples=50,
+    max_examples=20,
     suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
 )
 LARGE = [
