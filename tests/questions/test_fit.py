@@ -64,10 +64,12 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
     y = np.full((SYSTEMS, HORIZON + 1, 1), np.nan)
     y[data["system"], data["t"], 0] = data["y0"]
 
+    model = model_with(**START)
+    recorded = recorded_evaluator(model, model, horizon=HORIZON).model
+
     def loss(values: np.ndarray) -> float:
-        model = model_with(**dict(zip(START, values.tolist(), strict=True)))
-        recorded = recorded_evaluator(model, model, horizon=HORIZON).model
-        return -float(exact_log_evidence(recorded, y).sum())
+        there = recorded.with_parameters(dict(zip(START, values.tolist(), strict=True)))
+        return -float(exact_log_evidence(there, y).sum())
 
     best = minimize(
         loss, [*TRUE.values()], method="L-BFGS-B", bounds=[(0, 0.99), (0.1, 5), (0.1, 5)]
@@ -83,7 +85,7 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
 @pytest.mark.parametrize(
     ("parameters", "particles", "evaluations"),
     [
-        (["noise"], 100, 30),
+        (["sd"], 100, 30),
         pytest.param([*START], 300, 80, marks=pytest.mark.slow),
     ],
 )
@@ -92,12 +94,8 @@ def test_particles_find_nearly_the_same(
 ) -> None:
     """The fit by particles loses little of Kalman's likelihood: less than a 95 % region, 3.9."""
     exact = pfdist.fit(problem(engine="kalman"), data, parameters, pool="serial")
-    near = ["model.parameters.noise=0.3"] if parameters == ["noise"] else []
     fitted = pfdist.fit(
-        *(problem(particles=particles), data, parameters),
-        evaluations=evaluations,
-        changes=near,
-        pool="threads",
+        problem(particles=particles), data, parameters, evaluations=evaluations, pool="threads"
     )
     start = pfdist.Problem(
         model_with(**(START | fitted.parameters)),
