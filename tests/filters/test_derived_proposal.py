@@ -100,7 +100,7 @@ def test_four_sharp_sensors_with_clutter() -> None:
     mse = filter_checked_draws(model, draws, tuple(range(31)), 7, guided(500)).mse
     assert mse.mean() - 3 * mse.std() / math.sqrt(mse.size) < 0.06
     assert mse.mean() < 0.09
-    assert filter_checked_draws(model, draws, tuple(range(31)), 7, Estimation(500)).mse.mean() > 4.0
+    assert filter_checked_draws(model, draws, tuple(range(31)), 7, Estimation(500)).mse.mean() > 3.0
 
 
 # --- with the truth inside ------------------------------------------------------------------------
