@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
 # No test depends on measured time, and each finds the same when it is repeated.
-settings.register_profile("steady", deadline=None, derandomize=True, database=None)
+settings.register_profile("steady", max_examples=40, deadline=None, derandomize=True, database=None)
 settings.load_profile("steady")
 
 PROMISES = (

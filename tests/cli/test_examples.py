@@ -134,7 +134,7 @@ def test_the_commands_that_take_a_run_are_found() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in ASK or name == "plot"))
+        pytest.param(name, marks=[pytest.mark.slow] * (name in (*ASK, "plot", "report")))
         for name in (*TAKE_A_RUN, *ASK)
     ],
 )

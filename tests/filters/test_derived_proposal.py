@@ -227,7 +227,7 @@ def test_the_bound_of_sharp_sensors_is_nearer_to_the_exact_error() -> None:
     """Its expectation is at most that of the exact filter, for any number of particles."""
     model = bootstrap(sharp_walk(2, sensor=0.1))
     exact = kalman.expected_mse(model, HORIZON, [TIMES])[0]
-    draws = simulate(model, HORIZON, range(3000), 3)
+    draws = simulate(model, HORIZON, range(1500), 3)
     plain, near = (
         filter_checked_draws(model, draws, TIMES, 7, with_truth(20, proposal)).mse
         for proposal in (PLAIN, GUIDED)

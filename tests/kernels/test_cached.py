@@ -108,6 +108,7 @@ def test_the_folder_of_another_user_is_not_used(tmp_path, monkeypatch):
         assert find() == ""
 
 
+@pytest.mark.slow
 def test_a_folder_that_others_may_write_is_not_used(tmp_path):
     tmp_path.chmod(0o777)
     (said,) = computed(tmp_path)[1]

@@ -108,7 +108,7 @@ def every(size):
 
 
 CASES = [
-    (chain, 1300), (long_step, 900), (shared, 480),
+    (long_step, 900), slow(chain, 1300), slow(shared, 480),
     slow(entries, 560), slow(states, 540), slow(every, 60),
 ]  # fmt: skip
 LIMITS = [

@@ -113,6 +113,7 @@ def test_every_point_has_the_bytes_of_its_own_run(
     assert hashes(sweep.path / "seed=7") == hashes(last)
 
 
+@pytest.mark.slow
 def test_an_evaluation_that_several_points_need_is_seldom_computed_twice(
     swept: Sweeping, finished: Finished, tmp_path: Path, filtered: list[int]
 ) -> None:
