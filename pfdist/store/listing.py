@@ -69,7 +69,7 @@ def read_listing(folder: Path) -> Listing | None:
 
 @lru_cache(maxsize=16)  # each question reads the list of its run many times
 def _listing_of(text: str) -> Listing | None:
-    """What a text lists; None if its content has another hash."""
+    """The list in a text; None if its content has another hash."""
     content = parse_json(text)
     listing = Listing(
         content["run"],
