@@ -12,7 +12,7 @@ from pfdist.filters.evaluator import recorded_evaluator
 from pfdist.filters.evidence import exact_log_evidence
 from pfdist.questions.fit import Fitted
 
-HORIZON, SYSTEMS = 20, 30
+HORIZON, SYSTEMS = 20, 15
 TRUE = {"a": 0.9, "sd": 0.5, "noise": 0.7}
 START = {"a": 0.6, "sd": 1.0, "noise": 1.0}
 
@@ -38,7 +38,7 @@ def model_with(**parameters: float) -> pfdist.StateSpaceModel:
 
 @pytest.fixture(scope="module")
 def data() -> pd.DataFrame:
-    """Measurements of thirty systems; every fifth instant was not measured."""
+    """Measurements of fifteen systems; every fifth instant was not measured."""
     problem = pfdist.Problem(model_with(**TRUE), horizon=HORIZON, measurement_budget=4)
     draws = pfdist.simulate(problem, draws=SYSTEMS, seed=3)
     draws = draws.rename(columns={"draw": "system", "y_0": "y0"})[["system", "t", "y0"]]

@@ -256,12 +256,8 @@ def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_pat
 
 def test_why_gives_the_exact_worth_of_each_measurement_to_the_mean(tmp_path: Path) -> None:
     asked, times = problem(engine="kalman"), [0, 4, 8, 11]
-    run = pfdist.compare(
-        asked,
-        times={"mine": times, "late": [9, 10, 11, 12]},
-        results=tmp_path / "run",
-        figures=False,
-    )
+    sets: Any = {"mine": times, "late": [9, 10, 11, 12]}
+    run = pfdist.compare(asked, times=sets, results=tmp_path / "run", draws=48, figures=False)
     rows = pfdist.why(run, figures=False).worth.query("name == 'mine'").set_index("t")
     without = [[t for t in times if t != out] for out in times]
     cost, *others = combined(costs([times, *without], told=True), "mean")
