@@ -102,8 +102,8 @@ def test_surprises_are_p_values_of_the_measurements_of_the_plan(y: Any) -> None:
 
 
 def test_a_right_model_covers_nine_of_ten_values_and_real_errors_are_as_foreseen() -> None:
-    systems = simulate(lake(), HORIZON, range(24), 98).y
-    results = [errors_of(work(each, draws=80)) for each in systems]
+    systems = simulate(lake(), HORIZON, range(40), 98).y
+    results = [errors_of(work(each, draws=60)) for each in systems]
     means_agree(np.array([each.covered for each in results]).T, 0.9)
     expected = exact(systems[0], work(systems[0], draws=1).judged)[1]
     means_agree(np.array([each.real for each in results]).T, expected)
