@@ -284,20 +284,26 @@ def test_the_bound_of_an_objects_run_is_proved(tmp_path: Path) -> None:
         assert all(gap.bound.value <= gap.expected_mse.value for gap in proved.gaps)
 
 
-def test_an_installed_model_is_known_by_its_name_and_travels_with_its_constants(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    keys: dict[str, Any] = {"horizon": 6, "time_unit": "d", "measurement_budget": 3}
-    fewer = replace(
-        epidemic.model, parameters={**epidemic.model.parameters, "infectious_days": 5.0}
-    )
+EPIDEMIC: dict[str, Any] = {"horizon": 6, "time_unit": "d", "measurement_budget": 3}
+
+
+def with_fewer_days() -> pfdist.StateSpaceModel:
+    """The epidemic that ships, with another value of a parameter."""
+    return replace(epidemic.model, parameters={**epidemic.model.parameters, "infectious_days": 5.0})
+
+
+def test_an_installed_model_is_known_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(epidemic, "SUBSTEPS", 1)  # two steps are traced more slowly than one
-    for model in (epidemic.model, fewer, pfdist.load_model("epidemic")):
-        assert Problem(model, **keys).job().model.name == "epidemic"
+    for model in (epidemic.model, with_fewer_days(), pfdist.load_model("epidemic")):
+        assert Problem(model, **EPIDEMIC).job().model.name == "epidemic"
+
+
+@pytest.mark.slow
+def test_an_installed_model_travels_with_its_constants(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = list[int]()
     for steps in (1, 2):
         monkeypatch.setattr(epidemic, "SUBSTEPS", steps)
-        evaluator = build(Problem(fewer, **keys).job()).evaluator
+        evaluator = build(Problem(with_fewer_days(), **EPIDEMIC).job()).evaluator
         sizes.append(len(evaluator.model.transition.traced.programs[0].operations))
     assert sizes[0] < sizes[1]
 
