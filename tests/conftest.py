@@ -1,6 +1,7 @@
 """Fixtures that tests share: models, small jobs, and one Ray cluster a process."""
 
 import contextlib
+import fcntl
 import os
 import shlex
 import shutil
@@ -27,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
 # No test depends on measured time, and each finds the same when it is repeated.
-settings.register_profile("steady", deadline=None, derandomize=True, database=None)
+settings.register_profile("steady", max_examples=40, deadline=None, derandomize=True, database=None)
 settings.load_profile("steady")
 
 PROMISES = (
@@ -67,6 +68,31 @@ def one_format() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pfdist.pages.figure.FORMATS", ("svg",))
+        yield
+
+
+class AcrossProcesses:
+    """A lock that one thread of one process holds."""
+
+    def __init__(self, path: Path) -> None:
+        self._lock, self._file = threading.Lock(), path.open("w")
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+        fcntl.flock(self._file, fcntl.LOCK_EX)
+
+    def __exit__(self, *error: object) -> None:
+        fcntl.flock(self._file, fcntl.LOCK_UN)
+        self._lock.release()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_compiles(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let one process compile a function that is not kept yet; the other loads it then."""
+    with pytest.MonkeyPatch.context() as patch:
+        if "PYTEST_XDIST_WORKER" in os.environ:
+            lock = AcrossProcesses(tmp_path_factory.getbasetemp().parent / "compiling")
+            patch.setattr("pfdist.kernels.cached._ONE_AT_A_TIME", lock)
         yield
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from oracles.computed import formula
+from oracles.in_turn import in_turn
 from pfdist import clip, where
 
 INF, NAN = math.inf, math.nan
@@ -16,8 +17,8 @@ def arrays(arguments):
     return tuple(np.array([argument, argument]) for argument in arguments)
 
 
-@pytest.mark.parametrize("function", [where, compiled_where], ids=["plain", "compiled"])
-@pytest.mark.parametrize(
+@in_turn("function", [where, compiled_where])
+@in_turn(
     ("condition", "if_true", "if_false", "chosen"),
     [
         (True, 1.5, 2.5, 1.5),
@@ -34,8 +35,8 @@ def test_where_chooses_alike_on_scalars_and_arrays(function, condition, if_true,
     assert function(*arrays(arguments)).tolist() == [chosen, chosen]
 
 
-@pytest.mark.parametrize("function", [clip, compiled_clip], ids=["plain", "compiled"])
-@pytest.mark.parametrize(
+@in_turn("function", [clip, compiled_clip])
+@in_turn(
     ("x", "low", "high", "limited"),
     [
         (-1.0, 0.0, 1.0, 0.0),

@@ -7,13 +7,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import Job
 
 
-@pytest.mark.parametrize("name", pfdist.__all__)
+@in_turn("name", pfdist.__all__)
 def test_every_exported_name_is_documented(name: str) -> None:
     exported = getattr(pfdist, name)
     doc = inspect.getdoc(exported)

@@ -236,24 +236,24 @@ def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
 def _add_search_errors(run: StoredRun, rows: dict[str, Results]) -> None:
     """Add the error of the estimate of the search that found a set, and its cause."""
     is_worst = run.job.get("scenarios", {}).get("criterion") == "worst"
-    worst = worst_of(run) if is_worst else {}
+    worst, copies = worst_of(run) if is_worst else {}, copies_of(run)
     for name, row in rows.items():
         if name in worst:
             row["worst_mse"] = worst[name]["expected_mse"]
         if row["kind"] == FOUND:
             search, errors = set_key_of(name, run.job).origin, row | worst.get(name, {})
-            row.update(_search_errors(run, search, errors))
+            row.update(_search_errors(run, search, errors, len(copies.get(search, [1]))))
 
 
-def _search_errors(run: StoredRun, search: str, result: Results) -> Results:
+def _search_errors(run: StoredRun, search: str, result: Results, evaluations: int) -> Results:
     """The columns that begin with search_, from a set's errors in the search and on fresh draws."""
     mse = result["expected_mse"]
     comparable = mse != 0.0 and math.isfinite(mse)
-    own, copies = own_estimation(run, search), copies_of(run).get(search, [1])
+    own = own_estimation(run, search)
     return {
         "search_excess": result["search_mse"] / mse - 1.0 if comparable else math.nan,
         "search_settings": ", ".join(f"{key} = {value}" for key, value in own.items()),
-        "search_cause": cause_of_excess(result, own, str(run.path), len(copies)),
+        "search_cause": cause_of_excess(result, own, str(run.path), evaluations),
     }
 
 

@@ -47,15 +47,17 @@ class StoredRun:
     @property
     def tables(self) -> tuple[str, ...]:
         """Names of the tables that the run has in files."""
-        return tuple(name for name in KEYS if self._store.has(name))
+        there = self._store.tables
+        return tuple(name for name in KEYS if name in there)
 
     def table(self, name: str, draws: int | None = None) -> pd.DataFrame:
         """A table that the run has in files; only its first draws, if `draws` is given."""
-        if not self._store.has(name):
+        there = self._store.tables
+        if name not in there:
             has = ", ".join(self.tables) or "none yet"
             raise StoreError(f"the run {self.path} has no table {name!r}; it has: {has}")
         table = self._store.compared() if name == "compared" else self._store.read(name, draws)
-        if self._store.has("compared"):
+        if "compared" in there:
             table.attrs["sets"] = self.labels
         return table
 

@@ -48,7 +48,7 @@ def _here() -> dict[str, Any]:
     """The machine of this process, and the versions that compute on it."""
     return {
         "python": platform.python_version(),
-        "libraries": {name: version(name) for name in _LIBRARIES},
+        "libraries": dict(_libraries()),
         "machine": {
             "node": platform.node(),
             "system": platform.platform(),
@@ -56,6 +56,11 @@ def _here() -> dict[str, Any]:
         },
         "processor": processor(),
     }
+
+
+@cache
+def _libraries() -> dict[str, str]:
+    return {name: version(name) for name in _LIBRARIES}
 
 
 @cache

@@ -24,7 +24,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -154,7 +154,7 @@ def forget_pages(folder: Path, *names: str) -> None:
 
 def _content(listing: Listing) -> dict[str, Any]:
     about = {name: [*hashes] for name, hashes in listing.about.items()}
-    content = {**asdict(listing), "files": sorted(listing.files), "about": about}
+    content = {**vars(listing), "files": sorted(listing.files), "about": about}
     text = json.dumps(content, sort_keys=True)
     return {"sha256": hashlib.sha256(text.encode()).hexdigest(), **content}
 

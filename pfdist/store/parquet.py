@@ -140,7 +140,7 @@ class Store:
                 written.add(path)
                 if table == "draws":
                     self._note_holder(path, rows)
-            former = self._published(table) | {p for p in self._listed() if p.parent == folder}
+            former = self._published(table) | self._listed(table)
             old |= {path for path in former if path.name.startswith(f"{phase}-")}
             parts += self._parts(table, phase)
         # The list comes after all files and before the first part goes: at any instant every row is
@@ -205,6 +205,12 @@ class Store:
         rows = self.compared()
         times = [tuple(each.tolist()) for each in rows["measurement_times"]]
         return dict(zip(map(str, rows["name"]), times, strict=True))
+
+    @property
+    def tables(self) -> set[str]:
+        """Names of the tables with committed rows."""
+        parts = self._parts("*", "*")  # first, see `_files`
+        return {path.parent.name for path in (*parts, *self._listed())}
 
     def has(self, table: str, phase: str = "") -> bool:
         """Whether a table, or a phase in it, has committed rows."""
@@ -339,9 +345,11 @@ class Store:
         found = (self.path / "tables").glob(f"{table}/*-?????-*.parquet")
         return set(filter(_is_own, found))
 
-    def _listed(self) -> set[Path]:
-        listing = read_listing(self.path)
-        return set() if listing is None else {self.path / name for name in listing.files}
+    def _listed(self, table: str = "") -> set[Path]:
+        """Published files of a table, or of all, as files.json lists them."""
+        listing, start = read_listing(self.path), f"tables/{table}/" if table else ""
+        names = () if listing is None else listing.files
+        return {self.path / name for name in names if name.startswith(start)}
 
     def _list(self, paths: Iterable[Path]) -> None:
         names = sorted(path.relative_to(self.path).as_posix() for path in paths)
@@ -350,11 +358,8 @@ class Store:
     def _files(self, table: str, phase: str = "") -> list[Path]:
         # Parts are listed first: a row that is published meanwhile is read twice, never missed.
         parts = self._parts(table, phase or "*")
-        listed = (path for path in self._listed() if path.parent.name == table)
-        return [
-            *sorted(path for path in listed if path.name.startswith(f"{phase}-" if phase else "")),
-            *parts,
-        ]
+        listed, start = self._listed(table), f"{phase}-" if phase else ""
+        return [*sorted(path for path in listed if path.name.startswith(start)), *parts]
 
     def _load(
         self, table: str, phase: str = "", filters: pc.Expression | None = None

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.words import WORDS, Word
 from pfdist.common.arguments import address_fault, path_argument
@@ -59,7 +60,7 @@ def test_the_table_has_the_arguments_that_it_should() -> None:
     assert {command for command, _ in table} == COMMANDS.keys() - {"models", "completion"}
 
 
-@pytest.mark.parametrize(("command", "name"), [*_paths()])
+@in_turn(("command", "name"), [*_paths()])
 def test_an_address_is_refused_wherever_a_command_takes_a_path(
     command: str, name: str, finished: Callable[..., Path], call: Call, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -117,7 +118,7 @@ def test_an_address_is_known_as_a_text_and_as_a_path(path: str | Path) -> None:
         path_argument("results", path)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     "path",
     [
         "s3:",

@@ -124,7 +124,11 @@ ASK = {"bound": [], "filter": ["patient.csv"], "next": ["patient.csv"], "why": [
 
 
 @pytest.mark.parametrize(
-    "name", [*TAKE_A_RUN, *(pytest.param(name, marks=pytest.mark.slow) for name in ASK)]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in (*ASK, "plot", "report")))
+        for name in (*TAKE_A_RUN, *ASK)
+    ],
 )
 @pytest.mark.usefixtures("no_figures")
 def test_a_command_about_a_run_opens_the_committed_run(

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
@@ -77,8 +78,6 @@ def refused(call: Callable[..., Any]) -> Refused:
         (f"evaluate {{job}} --times 1 --set seed={NINES}", 1, "19 digits"),
         (f"evaluate {{job}} --times 1 --set {'a.' * 99_999}a=1", 1, "16 parts"),
         ("evaluate {job} --times 1 --set seed=a\udcffb", 1, "UTF-8"),
-        ("evaluate {job} --times 1 --set seed=1\nseed=2", 1, "key=value"),
-        ("budget {job} --measurements \u0662:5", 2, "ranges"),
         ("budget {job} --measurements 2:3 --target 1_0", 2, "digits 0-9, such as 0.25"),
         ("status nowhere", 1, "nowhere holds no run: it has no run.json"),
         ("status " + "x" * 300, 1, "cannot read|holds no run"),
@@ -139,7 +138,7 @@ FILES = {
 }
 
 
-@pytest.mark.parametrize("name", FILES)
+@in_turn("name", FILES)
 def test_a_hostile_job_file_is_refused_in_one_line(
     name: str, tmp_path: Path, refused: Refused
 ) -> None:

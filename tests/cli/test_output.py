@@ -70,7 +70,13 @@ def test_a_misspelt_command_imports_no_command() -> None:
     assert not {*HEAVY, "numpy"} & {*done.stdout.split()}
 
 
-@pytest.mark.parametrize("words", ["", "--help", "plan --help", "models"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--help",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("", "plan --help", "models")),
+    ],
+)
 def test_a_reader_that_ends_is_no_error(words: str) -> None:
     line = f"{sys.executable} -m pfdist {words} | true; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)

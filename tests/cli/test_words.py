@@ -9,6 +9,7 @@ import pytest
 from cyclopts import CycloptsError
 
 from oracles.completed_by_zsh import completed_by_zsh
+from oracles.in_turn import in_turn
 from pfdist.cli.own import completion
 from pfdist.cli.program import line_of
 
@@ -52,7 +53,7 @@ def test_a_report_is_written_unless_it_is_declined() -> None:
     assert options_of("run a.toml --report")["report"] is True
 
 
-@pytest.mark.parametrize(
+@in_turn(
     "line",
     [
         "evaluate a.toml --times 0 x",
@@ -96,7 +97,7 @@ LINES = {
 }
 
 
-@pytest.mark.parametrize(("line", "found"), LINES.items())
+@in_turn(("line", "found"), LINES.items())
 def test_bash_completes(line: str, found: set[str], folder: Path) -> None:
     ask = (
         ". ./script\n"

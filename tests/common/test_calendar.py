@@ -11,9 +11,10 @@ from zoneinfo import ZoneInfo
 
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from oracles.in_turn import in_turn
 from pfdist.common.calendar import calendar_of, unit_of_spans
 from pfdist.common.clock import Clock
 from pfdist.errors import JobError, MeasurementTimesError
@@ -67,9 +68,9 @@ WORDS: dict[str, Matches] = {
 }
 
 
-@pytest.mark.parametrize("zone", [ZONE, "", "America/New_York"])
-@pytest.mark.parametrize("start", [SPRING, AUTUMN])
-@pytest.mark.parametrize("text", WORDS)
+@in_turn("zone", [ZONE, "", "America/New_York"])
+@in_turn("start", [SPRING, AUTUMN])
+@in_turn("text", WORDS)
 def test_a_text_means_the_instants_whose_local_date_matches(
     text: str, start: str, zone: str
 ) -> None:
@@ -79,6 +80,7 @@ def test_a_text_means_the_instants_whose_local_date_matches(
 
 
 @pytest.mark.parametrize("start", [SPRING, AUTUMN])
+@settings(max_examples=25)
 @given(ends=st.tuples(st.integers(0, DAYS), st.integers(0, DAYS)).map(sorted))
 def test_a_range_of_dates_has_both_ends(start: str, ends: list[int]) -> None:
     clock, (first, last) = half_hours(start, ZONE), ends
@@ -210,7 +212,7 @@ def test_a_whole_float_is_an_instant() -> None:
 BOTH = r"2026-04-01\.\.2026-05-01, hours of the day, as 08:00\.\.18:00"
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("keys", "message"),
     [
         ({"required": ["20:30"]}, f"problem.required must name dates, .*{BOTH}.*'20:30'"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from oracles.in_turn import in_turn
 from pfdist.common.nearest import did_you_mean, did_you_mean_path, quoted_names
 from pfdist.common.section import Arguments, Whole, checked, explained
 from pfdist.errors import ArgumentError, JobError
@@ -46,7 +47,7 @@ def sentence(data: dict[str, Any]) -> str:
     return explained(caught.value, Section)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("key", "value", "said"),
     [
         ("whole", 0, "whole must be at least 1, got 0"),
@@ -128,7 +129,7 @@ def test_settings_raise_the_error_that_their_class_names() -> None:
         assert caught.value.argument in wrong
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("word", "name"),
     [
         ("survivor", "survivors"),

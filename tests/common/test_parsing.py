@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.parsing import (
     MOST_BYTES,
@@ -96,7 +97,7 @@ def test_other_texts_are_no_numbers(text: str) -> None:
         finite_number(text)
 
 
-@pytest.mark.parametrize("text", ["1_0", "\u0663", "\u00b2", "", " 1", "1.0", "+", "9" * 5000])
+@in_turn("text", ["1_0", "\u0663", "\u00b2", "", " 1", "1.0", "+", "9" * 5000])
 def test_whole_numbers_are_spelt_in_ascii_digits(text: str) -> None:
     with pytest.raises(ValueError, match="digits 0-9") as refused:
         whole_number(text)
@@ -123,7 +124,7 @@ def test_a_line_holds_no_control_characters_but_every_name() -> None:
     assert one_line("a\nb\x1b[2J\x00\udcff é  ±") == "a b?[2J?\udcff é  ±"
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("text", "numbers"),
     [
         ("7", [7]),
@@ -142,7 +143,7 @@ def test_numbers_ranges_commas_and_spaces_mix(text: str, numbers: list[int]) -> 
     assert whole_numbers(text) == numbers
 
 
-@pytest.mark.parametrize(
+@in_turn(
     "text", ["", ",", "1,,2", "x", "1:", ":2", "1:2:3:4", "3:1", "1:3:0", "1:3:-1", "1.5", "1-3"]
 )
 def test_anything_else_is_refused_with_what_was_given(text: str) -> None:

@@ -3,10 +3,10 @@
 import math
 import re
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from oracles.in_turn import in_turn
 from pfdist.common.rounding import rounded, with_error, with_interval
 
 LARGE_AND_SMALL = st.floats(-300, 300).map(lambda exponent: 10.0**exponent)
@@ -23,7 +23,7 @@ def _read(text: str) -> tuple[float, float]:
     return float(f"{value}e{exponent}"), float(f"{error}e{exponent}")
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("value", "error", "text"),
     [
         (22.7345, 0.0304, "22.735 ± 0.030"),
@@ -66,7 +66,7 @@ def test_rounding_moves_neither_by_more_than_half_of_the_errors_second_digit(
     assert len(text) < 40
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("value", "low", "high", "texts"),
     [
         (17.632, 16.21, 19.04, ("17.6", "16.2", "19.0")),

@@ -75,7 +75,13 @@ def test_its_title_is_a_sentence_about_the_run(name: str, runs: list[Run]) -> No
     assert not [title for title in titles if "nan" in title.split()], titles
 
 
-@every
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name not in ("times", "bound", "draw")))
+        for name in FIGURES
+    ],
+)
 def test_the_same_figure_is_the_same_bytes(name: str, runs: list[Run]) -> None:
     run = next(run for run in runs if FIGURES[name].files(run))
     files = (figures.save_plots(run.path, FIGURES[name].plots(Tables(run))) for _ in range(2))

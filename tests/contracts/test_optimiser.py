@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import pickle
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from oracles.in_turn import in_turn
 from oracles.kalman import TRACKING, believed_errors
 from pfdist.common.measurement_times import Times
 from pfdist.filters import kalman
@@ -64,9 +66,11 @@ TRUTHS = {
 }
 
 every = pytest.mark.parametrize("method", METHODS)
-both = pytest.mark.parametrize(
-    ("method", "problem"), [(method, problem) for method in METHODS for problem in PROBLEMS]
-)
+
+
+def both(test: Callable[..., None]) -> Callable[..., None]:
+    """A decorator: call a test with each method and each problem."""
+    return every(in_turn("problem", PROBLEMS)(test))
 
 
 def _optimiser(method: str, problem: str) -> Optimiser:

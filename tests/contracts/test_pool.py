@@ -1,4 +1,7 @@
-"""The contract of every pool."""
+"""The contract of every pool, and what Ray's alone has.
+
+All quick tests on a cluster of Ray stand here: one process runs a file, so one cluster starts.
+"""
 
 import contextlib
 import os
@@ -10,14 +13,21 @@ import time
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from pfdist.errors import SilenceError
-from pfdist.pools import base, workers
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist.errors import EngineWarning, PoolError, SilenceError
+from pfdist.pools import base, ray_pool, workers
 from pfdist.pools.base import Function, Pool, Task
 from pfdist.pools.kinds import POOLS
+from pfdist.pools.ray_cluster import connected, load_ray
+from pfdist.pools.ray_pool import RayPool
+
+ROOT = Path(__file__).parents[2]
 
 
 class Made:
@@ -383,3 +393,137 @@ def _until(reached: Callable[[], bool], seconds: float = 120.0) -> None:
     while not reached():
         assert time.monotonic() < deadline, f"not reached in {seconds:.0f} s"
         time.sleep(0.05)
+
+
+# --- runs, and the pool of Ray --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "file", ["tests/small.toml", pytest.param("jobs/quick.toml", marks=pytest.mark.slow)]
+)
+def test_two_workers_of_ray_give_the_bytes_of_the_serial_pool(
+    file: str, finished: Callable[..., Path], tmp_path: Path, ray_cluster: None
+) -> None:
+    job = pfdist.load_job(ROOT / file)
+    serial = hashes(finished('execution.pool="serial"', job=job.path.read_text()))
+    pfdist.run(job, tmp_path / "run", pool="ray", workers=2, figures=False)
+    assert hashes(tmp_path / "run") == serial
+    assert len(serial) > 6
+
+
+@pytest.mark.parametrize("address", ["", "local"])
+def test_without_an_existing_cluster_one_is_started(
+    address: str, ray_cluster: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: dict[str, Any] = {}
+    ray = load_ray()
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", lambda **options: seen.update(options))
+    monkeypatch.setattr(ray, "shutdown", lambda: None)
+    with connected(address, 3):
+        pass
+    assert (seen["address"], seen["num_cpus"], seen["include_dashboard"]) == ("local", 3, False)
+    assert not seen["log_to_driver"]
+
+
+def few(count: int) -> Iterator[Task]:
+    return (Task(str(number), abs, -number) for number in range(count))
+
+
+@pytest.fixture
+def cores(ray_cluster: None, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Lets the cluster seem to have these numbers of cores, one after another."""
+
+    def let(*numbers: int) -> None:
+        rest = list(numbers)
+
+        def look(cluster: Any) -> int:
+            cluster.number = rest.pop(0) if len(rest) > 1 else rest[0]
+            return cluster.number
+
+        monkeypatch.setattr(ray_pool._Cores, "look", look)
+
+    return let
+
+
+def test_workers_are_the_cores_of_the_cluster_and_of_nodes_that_join(
+    cores: Callable[..., None],
+) -> None:
+    cores(2, 2, 5)
+    with RayPool() as pool:
+        assert pool.workers == 2
+        assert len(list(pool.run(few(20)))) == 20
+        assert pool.workers == 5
+
+
+@pytest.mark.parametrize(
+    ("demanded", "number", "most"),
+    [(0, 0, 16), (0, 4, 16), (0, 500, 1000), (3, 500, 3), (3, 3, 6), (3, 1, 6)],
+)
+def test_so_many_tasks_are_in_flight(
+    demanded: int, number: int, most: int, cores: Callable[..., None]
+) -> None:
+    """At least 16, also on a cluster without cores, which then gets some."""
+    cores(number)
+    with RayPool(demanded) as pool:
+        assert pool._most_in_flight == most
+
+
+def test_a_pool_waits_for_cores(cores: Callable[..., None]) -> None:
+    cores(-1, 2, 2, 6)
+    said = r"^the Ray cluster has 2 of 6 cores \(execution\.wait_for_cores\); waiting at most 300 s"
+    with pytest.warns(EngineWarning, match=said), RayPool(wait_for_cores=6) as pool:
+        assert pool.workers == 6
+
+
+def test_cores_that_never_come_end_the_wait(
+    cores: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cores(2)
+    monkeypatch.setattr(ray_pool, "CORES_SECONDS", 0.1)
+    said = r"^the Ray cluster has 2 of 6 cores \(execution\.wait_for_cores\) after 0 s"
+    with (
+        pytest.warns(EngineWarning, match="waiting"),
+        pytest.raises(SilenceError, match=said),
+        RayPool(wait_for_cores=6),
+    ):
+        pass
+
+
+def test_a_node_of_another_version_ends_the_run_in_a_line(
+    ray_cluster: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray_pool._remote.cache_clear()
+    monkeypatch.setattr(ray_pool.metadata, "version", lambda name: "9.9")
+    said = r"^every node must have pfdist 9\.9, got .+ on .+: install the same version there$"
+    with RayPool(1) as pool, pytest.raises(PoolError, match=said):
+        list(pool.run(few(3)))
+    ray_pool._remote.cache_clear()
+
+
+@pytest.mark.parametrize("fault", ["hangs", "raises"])
+def test_a_cluster_that_does_not_answer_ends_the_run_before_ray_ends_the_process(
+    fault: str, ray_cluster: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cluster_resources() -> None:
+        if fault == "hangs":
+            time.sleep(20.0)
+        raise RuntimeError("the head is lost")
+
+    with RayPool(1) as pool:
+        cores = ray_pool._Cores()
+        monkeypatch.setattr(pool, "_cores", cores)
+        ray = SimpleNamespace(cluster_resources=cluster_resources)
+        monkeypatch.setattr(ray_pool, "load_ray", lambda: ray)
+        monkeypatch.setattr(ray_pool, "LOST_SECONDS", 0.2)
+        said = (
+            "no answer from the Ray cluster for" if fault == "hangs" else "lost: the head is lost"
+        )
+        with pytest.raises(SilenceError, match=said):
+            _look_often(cores)
+
+
+def _look_often(cores: Any) -> None:
+    while True:
+        cores.look()
+        time.sleep(0.02)

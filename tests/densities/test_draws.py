@@ -7,6 +7,7 @@ import pytest
 from scipy import integrate, special, stats
 
 from oracles.computed import formula
+from oracles.in_turn import in_turn
 from pfdist import densities
 from pfdist.densities import DENSITIES, gamma_draw, laplace_draw, von_mises_draw
 from pfdist.kernels.variates import variates
@@ -161,7 +162,7 @@ def test_centred_noise_reaches_where_uniform_noise_ends(power):
     )
 
 
-@pytest.mark.parametrize("name", DENSITIES)
+@in_turn("name", DENSITIES)
 def test_a_draw_takes_the_declared_noise_and_the_parameters_of_the_log_density(name):
     density = DENSITIES[name]
     arguments = list(inspect.signature(density.draw).parameters)

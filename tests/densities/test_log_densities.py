@@ -6,6 +6,7 @@ from scipy import special, stats
 
 import pfdist
 from oracles.computed import formula, libraries_of
+from oracles.in_turn import in_turn
 from pfdist import densities
 from pfdist.densities import DENSITIES, poisson_logpmf
 
@@ -126,7 +127,7 @@ def test_every_density_is_compared_with_scipy():
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize(("name", "arguments", "value"), EXACT)
+@in_turn(("name", "arguments", "value"), EXACT)
 def test_far_tails_and_large_parameters_have_twelve_digits(name, arguments, value):
     assert_close(DENSITIES[name].log_density(*arguments), value)
 
@@ -156,7 +157,7 @@ def test_a_student_t_has_its_tail_where_squares_overflow_and_none_without_a_scal
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize(("name", "y", "parameters"), OUTSIDE)
+@in_turn(("name", "y", "parameters"), OUTSIDE)
 def test_outside_its_support_a_density_is_0(name, y, parameters):
     assert DENSITIES[name].log_density(y, *parameters) == -np.inf
 

@@ -20,6 +20,7 @@ import pytest
 from matplotlib import pyplot
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import load_model
 from pfdist.cli.main import main
 from pfdist.cli.program import line_of
@@ -35,9 +36,9 @@ NAMED_ALONE = re.compile(r"[a-z-]+")  # `pfdist plan`: the page speaks of the co
 VALUES = {"COMMAND": "run", "SHELL": "bash", "TIMES": "0:60:3", "NUMBERS": "5:41"}  # for words
 VALUES |= {"[RUN": "RUN", "...]": "RUN"}
 A_FILE = re.compile(r"# (\w+\.(?:py|toml|csv))")  # the first line of a block that is a file
-SLOW_PAGES = (
-    "choose-model", "compare", "cookbook", "densities", "guided", "questions", "robust", "sensors",
-    "start",
+PAGES_PLAYED = (
+    "choose-model", "compare", "cookbook", "densities", "filter", "guided", "questions", "robust",
+    "sensors", "start",
 )  # fmt: skip
 PROSE = ("pfdist finds", "pfdist needs")  # sentences of the README that begin a line
 SECONDS = 600  # for a cell of the notebook, on a machine with other work
@@ -63,7 +64,7 @@ def _commands() -> list[str]:
     return sorted(command for command in found if not f"pfdist {command}".startswith(PROSE))
 
 
-@pytest.mark.parametrize("command", _commands())
+@in_turn("command", _commands())
 def test_a_command_of_the_manual_is_accepted(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -135,11 +136,9 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("checkout")
-@pytest.mark.parametrize(
-    "page",
-    ["filter", *(pytest.param(page, marks=pytest.mark.slow) for page in SLOW_PAGES)],
-)
+@pytest.mark.parametrize("page", PAGES_PLAYED)
 def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert _blocks(DOCS / f"{page}.md", "console|python")
     if page == "start":  # its first command computes this run; the committed one is of version 0.4

@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
 from pfdist.densities import DENSITIES
@@ -34,7 +35,7 @@ def tables() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("page", [*PAGES, DOCS.parent / "README.md"], ids=lambda page: page.stem)
+@in_turn("page", [*PAGES, DOCS.parent / "README.md"])
 def test_a_page_has_the_tables_that_the_declarations_make(page: Path, tables: ModuleType) -> None:
     text = page.read_text(encoding="utf-8")
     assert text == tables.with_tables(text), "run `python docs/tables.py`"

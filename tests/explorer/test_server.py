@@ -204,7 +204,9 @@ def command(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         each.communicate()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_the_command_prints_its_address_and_ends_with_a_signal(
     command: Callable[..., subprocess.Popen[str]], number: signal.Signals
 ) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 import pfdist
 from oracles.explored import SMALL, job_of
+from oracles.in_turn import in_turn
 from pfdist.common.estimate import Estimate
 from pfdist.common.parsing import parse_toml
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
@@ -400,7 +401,7 @@ def test_a_name_that_no_job_may_have_is_refused(session: ExplorerSession, name: 
     assert "comparison.sets" in answer["error"]
 
 
-@pytest.mark.parametrize(
+@in_turn(
     "message",
     [
         None, 3, [], {}, {"ask": "no"}, {"ask": "answer", "times": None},

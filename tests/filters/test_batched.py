@@ -13,6 +13,7 @@ from scipy import special
 
 from oracles.batched import batched
 from oracles.clocked import times_of
+from oracles.in_turn import in_turn
 from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, densities, load_model
 from pfdist.errors import ModelError, TraceError
 from pfdist.filters.cloud import Cloud
@@ -28,16 +29,18 @@ from pfdist.models.written import models_of, text_of_models
 HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
 UNGM = load_model("ungm")
 KINDS = [
-    pytest.param(UNGM, Estimation(100), id="ungm"),
-    pytest.param(UNGM, Estimation(101, "sorted_systematic"), id="sorted"),
-    pytest.param(UNGM, Estimation(100, "residual", threshold=0.5), id="carried"),
+    pytest.param(UNGM, Estimation(100), id="ungm", marks=pytest.mark.slow),
+    pytest.param(UNGM, Estimation(101, "sorted_systematic"), id="sorted", marks=pytest.mark.slow),
+    pytest.param(
+        UNGM, Estimation(100, "residual", threshold=0.5), id="carried", marks=pytest.mark.slow
+    ),
     pytest.param(UNGM, Estimation(100, estimator=FILTER_NOISE.name), id="two filters"),
     pytest.param(UNGM, with_truth(100), id="truth inside"),
-    pytest.param(load_model("bearings_only"), Estimation(100), id="bearings"),
-    pytest.param(load_model("robot"), Estimation(100), id="angles"),
+    *(
+        pytest.param(load_model(name), Estimation(100), id=name, marks=pytest.mark.slow)
+        for name in ("bearings_only", "robot", "pharmacokinetics", "lotka_volterra")
+    ),
     pytest.param(load_model("xray_tumour"), Estimation(100), id="sensors"),
-    pytest.param(load_model("pharmacokinetics"), Estimation(100), id="clock"),
-    pytest.param(load_model("lotka_volterra"), Estimation(100), id="loops"),
 ]
 
 
@@ -205,7 +208,7 @@ def changing(x, t, w, p):
     return x
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("transition", "message"),
     [
         (lambda x, t, w, p: 1 / 0 if t == 3 else x + w, r"transition failed: ZeroDivisionError"),
@@ -320,7 +323,7 @@ def test_a_model_is_sent_while_modules_are_imported(monkeypatch):
     assert any(name.startswith("imported") for name in sys.modules)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("fields", "message"),
     [
         ({"version": ""}, "version: String should have at least 1 character, got ''"),

@@ -9,6 +9,7 @@ from scipy import stats
 
 import oracles.kalman
 import oracles.modes
+from oracles.in_turn import in_turn
 from pfdist import StateSpaceModel
 from pfdist.errors import MeasurementTimesError, PriorError
 from pfdist.filters import kalman, particle_filter, plain, simulation
@@ -39,7 +40,7 @@ def from_instant(draws: Draws, start: int) -> Draws:
         for name in SCHEMES
     ],
 )
-@pytest.mark.parametrize("engine", ENGINES.values(), ids=ENGINES)
+@in_turn("engine", ENGINES.values())
 def test_a_filter_that_stops_and_goes_on_is_the_filter_that_never_stopped(
     ungm: StateSpaceModel, engine: ModuleType, resampling: str, start: int
 ) -> None:

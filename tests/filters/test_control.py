@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.batched import batched
+from oracles.in_turn import in_turn
 from oracles.three_sensors import SYSTEMS
 from pfdist import StateSpaceModel, load_model
 from pfdist.filters import plain
@@ -95,8 +96,8 @@ def test_a_filter_that_leaves_one_of_the_sorted_points_out_is_biased(
     assert not _is_zero(wrong, 8.0)
 
 
-@pytest.mark.parametrize("model", [UNGM, OWN_ERROR, TWO, BOTH], ids=lambda model: model.name)
-@pytest.mark.parametrize("particles", [1, 2, 70])
+@in_turn("model", [UNGM, OWN_ERROR, TWO, BOTH])
+@in_turn("particles", [1, 2, 70])
 def test_the_plain_twin_agrees(model: StateSpaceModel, particles: int) -> None:
     drawn = simulate(model, 12, range(9), 1)
     given = (
@@ -144,7 +145,9 @@ def _compared(model: StateSpaceModel, horizon: int, draws: int, estimation: Esti
     return evaluator.filtered(work)
 
 
-@pytest.mark.parametrize("resampling", ["multinomial", "systematic"])
+@pytest.mark.parametrize(
+    "resampling", ["multinomial", pytest.param("systematic", marks=pytest.mark.slow)]
+)
 def test_it_lowers_the_variance_on_the_papers_problem(resampling: str) -> None:
     """Another program found 5.3 to 6.4 times, and 2.6 to 2.8 for a gain, with 200 particles."""
     result = _compared(UNGM, 60, 4000, Estimation(200, resampling))
@@ -157,6 +160,7 @@ def test_it_lowers_the_variance_on_the_papers_problem(resampling: str) -> None:
     assert 2.0 < (gains[0].ratio_error / gains[1].ratio_error) ** 2 < 4.5
 
 
+@pytest.mark.slow
 def test_the_mean_is_that_of_a_kalman_filter() -> None:
     """So many particles lose about .0008, less than half of a standard error."""
     result = _compared(WALK, 30, 400, Estimation(4000))

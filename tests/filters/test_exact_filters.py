@@ -101,6 +101,7 @@ def test_on_a_linear_gaussian_model_it_is_the_kalman_filter(times: tuple[int, ..
     np.testing.assert_allclose(variance, [variances[:, 0] for _, variances in exact], rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ON_GRIDS)
 def test_half_the_step_changes_nothing(name: str) -> None:
     model = load_model(name)

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 import oracles.kalman
+from oracles.in_turn import in_turn
 from pfdist import Cloud, Filter, StateSpaceModel, load_model
 from pfdist.errors import (
     MeasurementsError,
@@ -386,7 +387,7 @@ def test_the_kalman_filter_takes_the_moments_of_a_prior() -> None:
 # --- errors ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("t", "y", "words"),
     [
         (1.5, 0.0, r"^t must be an integer, got 1\.5$"),
@@ -489,7 +490,7 @@ def test_a_measurement_that_nothing_explains_leaves_the_filter_where_it_was() ->
     assert filtering.update(4, 0.0).t == 4
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("arguments", "error", "words"),
     [
         ({"particles": 0}, ValueError, "particles must be at least 1, got 0"),

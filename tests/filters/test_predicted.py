@@ -25,8 +25,8 @@ MODELS = {
     "walk": sharp_walk(2),
     "batched": batched(replace(lake(), linear_gaussian=False)),
 }
-RELATIVES = {*installed_models()} - {"ungm", "constant_velocity", "epidemic_counts"}
-"""Those kept have one noise and one sensor, angles, and counts."""
+RELATIVES = {*installed_models()} - {"constant_velocity", "epidemic_counts"}
+"""Those kept have angles, and counts."""
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist import StateSpaceModel, load_model, where
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
@@ -57,8 +58,8 @@ def test_together_they_are_bit_for_bit_as_one_by_one(
         assert 0.02 < ended.mean() < 0.98
 
 
-@pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("with_ends", [False, True])
+@in_turn("seed", range(20))
+@in_turn("with_ends", [False, True])
 def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> None:
     sets, instants = random_sets(30, seed), HORIZON + 1
     rng = np.random.default_rng(seed)

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.lake import lake
 from oracles.two_platforms import two_platforms
 from pfdist.common.clock import Clock
@@ -121,7 +122,7 @@ HEAD = "day,t,y0"
 COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("text", "said"),
     [
         ("", "a table must have a line that names the columns, got none"),

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist import StateSpaceModel, load_model
 from pfdist.common.clock import Clock
 from pfdist.errors import MeasurementsError, PriorError
@@ -70,7 +71,7 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
         assert (found.t, found.y.shape) == ((), (0, 2))
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("content", "words"),
     [
         ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1, got 'time, y0, y1'"),

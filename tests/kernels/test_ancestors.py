@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from oracles import keyed
+from oracles.in_turn import in_turn
 from pfdist.kernels.ancestors import ancestors_of, weights_of
 from pfdist.kernels.schemes import ALL_SCHEMES
 
@@ -15,7 +16,7 @@ def log_weights(draws, particles):
     return np.random.default_rng(particles).normal(scale=2.0, size=(draws, particles))
 
 
-@pytest.mark.parametrize("particles", SIZES)
+@in_turn("particles", SIZES)
 def test_weights_have_the_bits_of_the_reference(particles):
     values = log_weights(3, particles)
     values[1, particles // 2] = -np.inf

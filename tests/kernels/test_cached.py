@@ -59,6 +59,17 @@ def test_two_processes_fill_one_folder_at_a_time_and_the_third_compiles_nothing(
     assert files == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb*")}
 
 
+def test_an_edited_source_has_another_hash(tmp_path, monkeypatch):
+    copy = shutil.copytree(PACKAGE / "kernels", tmp_path / "kernels")
+    before = cached._hash_of_sources()
+    monkeypatch.setattr(cached, "__file__", str(copy / "cached.py"))
+    assert cached._hash_of_sources() == before
+    with (copy / "vectors.py").open("a") as file:
+        file.write("\n# edited\n")
+    assert cached._hash_of_sources() != before
+
+
+@pytest.mark.slow
 def test_an_edited_source_has_a_folder_of_its_own(tmp_path):
     """Numba looks only at the file that defines a function, and not at those that it calls."""
     copy = shutil.copytree(PACKAGE, tmp_path / "copy" / "pfdist")
@@ -96,6 +107,7 @@ def test_the_folder_of_another_user_is_not_used(tmp_path, monkeypatch):
         assert find() == ""
 
 
+@pytest.mark.slow
 def test_a_folder_that_others_may_write_is_not_used(tmp_path):
     tmp_path.chmod(0o777)
     (said,) = computed(tmp_path)[1]
@@ -104,6 +116,7 @@ def test_a_folder_that_others_may_write_is_not_used(tmp_path):
     assert folders(tmp_path) == set()
 
 
+@pytest.mark.slow
 def test_a_place_that_is_a_file_costs_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     (said,) = computed(tmp_path / "file")[1]

@@ -5,6 +5,7 @@ import pytest
 
 from oracles.computed import called_elsewhere, computed, formula
 from oracles.exact import VALUES, arguments, nearest_to_quarter_turns, units_apart
+from oracles.in_turn import in_turn
 from pfdist.kernels.functions import FUNCTIONS
 from pfdist.kernels.lowering import Half
 from pfdist.models.program import Operation
@@ -90,8 +91,8 @@ def test_each_universal_function_that_is_recorded_is_tested():
 
 @pytest.mark.parametrize("name", ROUND)
 def test_values_are_within_two_units_in_the_last_place(name):
-    """Against mpmath, at 2,000 arguments of the whole range: subnormal, negative and huge, too."""
-    values = arguments(name, 2_000, np.random.default_rng(1))
+    """Against mpmath, at 700 arguments of the whole range: subnormal, negative and huge, too."""
+    values = arguments(name, 700, np.random.default_rng(1))
     got = values_of(name, *values)
     finite = where_finite(name, values, got)
     apart, where = worst(name, [each[finite] for each in values], got[finite])
@@ -127,7 +128,7 @@ def test_the_angles_nearest_to_quarter_turns_are_exact_too(name):
     assert apart <= TOLERANCE, where
 
 
-@pytest.mark.parametrize("name", [*ONE, *TWO])
+@in_turn("name", [*ONE, *TWO])
 def test_special_values_are_those_of_numpy(name):
     """Signed zeros, infinities, NaN, subnormal numbers, and arguments out of the domain."""
     values = [SPECIAL]
@@ -147,7 +148,10 @@ def test_special_values_are_those_of_numpy(name):
 
 @pytest.mark.parametrize(
     ("triple", "processor"),
-    [("aarch64-unknown-linux-gnu", "neoverse-n1"), ("x86_64-unknown-linux-gnu", "haswell")],
+    [
+        ("x86_64-unknown-linux-gnu", "haswell"),
+        pytest.param("aarch64-unknown-linux-gnu", "neoverse-n1", marks=pytest.mark.slow),
+    ],
 )
 def test_no_function_calls_a_library(triple, processor):
     halves = []

@@ -137,7 +137,7 @@ def change_data(traced, rng):
 
 @pytest.mark.parametrize("most_together", [300, 8])
 @pytest.mark.parametrize(
-    ("first", "count"), [(0, 10), pytest.param(1000, 2000, marks=pytest.mark.slow)]
+    ("first", "count"), [(0, 5), pytest.param(1000, 2000, marks=pytest.mark.slow)]
 )
 def test_a_mutated_program_has_the_values_of_its_twin_or_is_not_accepted(
     first, count, most_together, monkeypatch

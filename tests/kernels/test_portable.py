@@ -62,7 +62,9 @@ def test_bytes_are_the_same_under_the_names_of_all_processors(cases, most, tmp_p
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="processors of another kind have it")
-@pytest.mark.parametrize(("name", "has"), [("generic", False), ("haswell", True)])
+@pytest.mark.parametrize(
+    ("name", "has"), [("generic", False), pytest.param("haswell", True, marks=pytest.mark.slow)]
+)
 def test_a_processor_without_fused_multiply_add_is_noticed(name, has):
     code = "from pfdist.kernels import lowering; print(lowering.has_fused_multiply_add())"
     environment = {**os.environ, "NUMBA_CPU_NAME": name}

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from oracles import keyed
+from oracles.in_turn import in_turn
 from pfdist.kernels.variates import FILTER_PROCESS, KINDS, TRUTH_INITIAL, variates
 
 STREAM = 0x0123456789ABCDEF
@@ -31,8 +32,8 @@ def test_the_reference_has_the_published_words(counter, key, words):
     assert tuple(map(int, keyed.threefry4x32(key, counter))) == words
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("particles", [1, 15, 16, 17, 64, 100, 1000])
+@in_turn("kind", KINDS)
+@in_turn("particles", [1, 15, 16, 17, 64, 100, 1000])
 def test_compiled_noise_has_the_bits_of_the_reference(kind, particles):
     arguments = STREAM, 7, 3, FILTER_PROCESS, 2
     expected = keyed.variates(kind, particles, *arguments)

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.models.library.linear_gaussian import linear_gaussian
@@ -75,7 +76,7 @@ def measured_with(noise):
     return linear_gaussian("good", measurement=[[1], [2]], measurement_noise=noise, **ones)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("make", "words"),
     [
         # formulas
@@ -132,9 +133,7 @@ def test_a_mistake_in_a_model_is_named_when_it_is_made(make, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "name", ["1", "", "c [mg", "c []", "c [a\nb]", f"c [{'m' * 21}]", "c" * 41, "c.d"]
-)
+@in_turn("name", ["1", "", "c [mg", "c []", "c [a\nb]", f"c [{'m' * 21}]", "c" * 41, "c.d"])
 def test_a_name_that_makes_no_column_is_refused(name):
     with pytest.raises(ModelError, match=r"^model good: z_names: a name must be a letter.*got .*$"):
         changed(z_names=("a", "b", name))

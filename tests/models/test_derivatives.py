@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from oracles.in_turn import in_turn
 from pfdist import where
 from pfdist.models import load_model
 from pfdist.models.derivatives import RULES, pulled
@@ -46,7 +47,7 @@ def differences(function: Callable[..., Any], *at: Array) -> Array:
     return np.array(changes)
 
 
-@pytest.mark.parametrize("name", [name for name in UNARY if name not in STEPS])
+@in_turn("name", [name for name in UNARY if name not in STEPS])
 def test_functions_of_a_number(name: str) -> None:
     function, at = getattr(np, name), AT[0] + WITHIN.get(name, 0.0)
     value, slopes = values_and_slopes(function, at)
@@ -54,14 +55,14 @@ def test_functions_of_a_number(name: str) -> None:
     np.testing.assert_allclose(slopes, differences(function, at), rtol=CLOSE)
 
 
-@pytest.mark.parametrize("name", sorted(STEPS))
+@in_turn("name", sorted(STEPS))
 def test_steps_have_the_derivative_0(name: str) -> None:
     _, slopes = values_and_slopes(lambda x: getattr(np, name)(x) + 0.0 * x, AT[0])
     assert not slopes.any()
     assert name not in RULES
 
 
-@pytest.mark.parametrize("name", [*BINARY, *OPERATORS[:4], "remainder", "power"])
+@in_turn("name", [*BINARY, *OPERATORS[:4], "remainder", "power"])
 def test_functions_of_two_numbers(name: str) -> None:
     function = getattr(np, name)
     value, slopes = values_and_slopes(function, *AT)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from oracles.in_turn import in_turn
 from oracles.moments import assert_positive
 from pfdist.common.measurement_times import regular
 from pfdist.errors import ModelError
@@ -63,7 +64,7 @@ OUTSIDE = {
 }
 
 
-@pytest.mark.parametrize("name", OUTSIDE)
+@in_turn("name", OUTSIDE)
 def test_a_parameter_has_its_range(name):
     for parameter, value in OUTSIDE[name].items():
         with pytest.raises(ModelError, match=f"{name}: parameter {parameter} must .*got {value}"):

@@ -49,7 +49,7 @@ def test_each_draw_has_a_scenario_with_the_probability_of_its_share() -> None:
     np.testing.assert_allclose(counts, [each.share for each in SCENARIOS], atol=0.015)
 
 
-@pytest.mark.parametrize("proposal", [PLAIN, GUIDED])
+@pytest.mark.parametrize("proposal", [GUIDED, pytest.param(PLAIN, marks=pytest.mark.slow)])
 def test_many_particles_give_the_exact_filter_of_a_list(proposal: str) -> None:
     draws = simulate(LIST, HORIZON, range(400), 1)
     settings = Estimation(10_000, "systematic", proposal=proposal)
@@ -76,7 +76,7 @@ def test_many_particles_give_the_exact_filter_of_distributions() -> None:
     assert np.sqrt(np.mean((found.estimate - exact) ** 2)) < 0.04
 
 
-@pytest.mark.parametrize("particles", [20, 200])
+@pytest.mark.parametrize("particles", [200, pytest.param(20, marks=pytest.mark.slow)])
 def test_the_exact_error_of_each_set_lies_between_bound_and_filter(particles: int) -> None:
     """Brute force over all sets of two times; with the truth inside, and by the squared error."""
     sets = [*combinations(range(7), 2)]

@@ -3,6 +3,7 @@ import pytest
 from scipy.linalg import expm
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.moments import assert_mean
 from pfdist import load_job
 from pfdist.filters.simulation import simulate
@@ -22,9 +23,9 @@ def rates(clearance, volume, exchange=EXCHANGE):
     return np.array([[-clearance / volume - to, back], [to, -back]])
 
 
-@pytest.mark.parametrize("clearance", [0.1, 4.5, 90.0])
-@pytest.mark.parametrize("exchange", [1e-6, 6.0, 500.0])
-@pytest.mark.parametrize("step", [0.25, 3.0])
+@in_turn("clearance", [0.1, 4.5, 90.0])
+@in_turn("exchange", [1e-6, 6.0, 500.0])
+@in_turn("step", [0.25, 3.0])
 def test_a_transition_is_the_exponential_of_the_matrix(clearance, exchange, step):
     model = SOURCE.on_clock((0.0, step)).with_parameters({"exchange": exchange})
     amounts = np.array([300.0, 500.0])

@@ -114,6 +114,7 @@ def flow_of_formulas() -> Any:
     return lambda x, t, w, p: (steps(x, t, (), p)[0], x[1] + 0.1 * w[0])
 
 
+@pytest.mark.slow
 def test_a_solver_for_all_particles() -> None:
     """SciPy's solver chooses its steps for all particles of a draw: they are coupled."""
 
@@ -130,6 +131,7 @@ def test_a_solver_for_all_particles() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_class_with_its_own_steps_as_formulas() -> None:
     """A class that a user has for a single system; it is traced as it is."""
 

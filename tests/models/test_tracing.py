@@ -11,6 +11,7 @@ import pytest
 from numba import njit
 
 from oracles.clocked import with_clock
+from oracles.in_turn import in_turn
 from pfdist import load_model
 from pfdist.common import telling
 from pfdist.densities import gamma_logpdf, poisson_draw
@@ -54,7 +55,7 @@ def values(function, t, x=(0.5, -1.5), w=(0.25,)):
 # --- the models that ship -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@in_turn("name", SHIPPED)
 def test_each_model_that_ships_is_traced_with_symbols_alone(name):
     """On a clock of uneven steps; the twin and the merged program have the formula's values."""
     rng = np.random.default_rng(3)
@@ -180,7 +181,7 @@ WRITTEN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("function", WRITTEN)
+@in_turn("function", WRITTEN)
 def test_a_formula_may_be_written_so(function):
     """The program has the values of the formula on arrays, with as many symbols as possible."""
     assert traced(function)[0].mode == WRITTEN[function]

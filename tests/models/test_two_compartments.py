@@ -8,6 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from pfdist import load_model
 from pfdist.filters import kalman
@@ -22,8 +23,8 @@ MEASURED = ["2 immunoassay", "8 20 chromatography"]
 SDS = (2.5, 0.5)
 
 
-@pytest.mark.parametrize("clearance", [0.5, 4.5, 30.0])
-@pytest.mark.parametrize("t", [0, 4, 6])
+@in_turn("clearance", [0.5, 4.5, 30.0])
+@in_turn("t", [0, 4, 6])
 def test_a_transition_is_the_exponential_of_the_matrix(clearance: float, t: int) -> None:
     model = MODEL.with_parameters({"clearance": clearance})
     p, step = model.p, HOURS[t + 1] - HOURS[t]

@@ -6,6 +6,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from oracles.in_turn import in_turn
 from pfdist.pages.panel import shown_range
 from pfdist.pages.plots import budget, error_profile, searches, worth
 
@@ -43,7 +44,7 @@ BULK = RNG.uniform(1, 2, 38)
 ENDS = (BULK.min(), BULK.max())
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("values", "limits"),
     [
         ([1.0, 2.0, 3.0, 9.0], None),  # the others have a quarter of the axis

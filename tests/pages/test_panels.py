@@ -1,7 +1,6 @@
 """Every public figure: of a run or of tables, in given or new axes, with no legend on data."""
 
 import inspect
-import io
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import combinations, pairwise
@@ -18,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import plots
 from pfdist.common.clock import Clock
 from pfdist.common.component_names import numbered_components
@@ -245,7 +245,7 @@ def _shapes(axes: Axes) -> list[list[float]]:
 
 
 @every
-@pytest.mark.parametrize("style", [PRINT, SCREEN])
+@pytest.mark.parametrize("style", [PRINT, pytest.param(SCREEN, marks=pytest.mark.slow)])
 def test_its_legend_covers_no_data_and_most_of_it_lies_within_the_axes(
     name: str, style: str, drawings: dict[str, list[Draw]]
 ) -> None:
@@ -467,7 +467,7 @@ def test_a_name_that_does_not_exist_is_told_with_those_that_do(
 
 
 @every
-@pytest.mark.parametrize("wrong", [5, "results/quick", {"regular": 3}, [1, 2], None])
+@in_turn("wrong", [5, "results/quick", {"regular": 3}, [1, 2], None])
 def test_what_is_no_source_is_refused_in_one_line(name: str, wrong: object) -> None:
     """The line names the argument, the allowed types, and the type that it got."""
     draw = getattr(plots, name)
@@ -533,7 +533,7 @@ def _with_costly_names() -> dict[str, Draw]:
 def test_a_name_is_no_formula(name: str) -> None:
     figure = Figure(layout="constrained")
     axes = _with_costly_names()[name](ax=figure.subplots())
-    figure.savefig(io.BytesIO(), format="svg")
+    figure.draw_without_rendering()  # which sets texts
     legend = axes.get_legend()
     texts = [
         *axes.texts,
@@ -552,8 +552,8 @@ def _boxes(axes: Axes) -> list[Any]:
     return boxes
 
 
-@pytest.mark.parametrize("style", [PRINT, SCREEN])
-@pytest.mark.parametrize("number", [1, 15, 16, 40])
+@pytest.mark.parametrize("style", [PRINT, pytest.param(SCREEN, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [16, 40])
 def test_each_of_forty_sets_has_its_name_in_a_new_figure(number: int, style: str) -> None:
     sets = {f"set {position}": [position] for position in range(number)}
     with styled(style):

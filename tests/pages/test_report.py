@@ -66,7 +66,7 @@ def _again(run: pfdist.Run) -> list[str]:
     return said
 
 
-@pytest.mark.parametrize("ask", [pfdist.bound, pfdist.why])
+@pytest.mark.parametrize("ask", [pfdist.bound, pytest.param(pfdist.why, marks=pytest.mark.slow)])
 def test_an_exact_gain_is_that_of_evaluate(
     ask: Callable[..., object], run: pfdist.Run, exact: Job, see: See
 ) -> None:

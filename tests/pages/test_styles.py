@@ -15,6 +15,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
 
+from oracles.in_turn import in_turn
 from pfdist.pages.style import COLUMN_INCHES, PALETTE, PRINT, SCREEN, SERIES, set_style, styled
 
 ROOT = Path(__file__).parents[2]
@@ -67,8 +68,8 @@ def test_print_report_and_site_have_one_palette() -> None:
     assert {*re.findall("#[0-9a-f]{6}", logo)} <= {*LIGHT.values(), *DARK.values()}
 
 
-@pytest.mark.parametrize("vision", VISION)
-@pytest.mark.parametrize("page", range(3))
+@in_turn("vision", VISION)
+@in_turn("page", range(3))
 def test_every_two_colours_are_apart_for_every_reader(page: int, vision: str) -> None:
     """Also from the text, whose colour the bound has: Delta E of CIE 1976."""
     colours = (LIGHT, DARK, LIGHT)[page] | {"ink": PAGES[page]["ink"]}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist.pools import cores
 from pfdist.pools.cores import usable_cores
 
@@ -30,10 +31,8 @@ def test_without_a_limit_they_are_those_of_the_affinity() -> None:
     assert usable_cores() == 64
 
 
-@pytest.mark.parametrize(
-    ("quota", "cores"), [("400000 100000", 4), ("150000 100000", 2), ("50000 100000", 1)]
-)
-@pytest.mark.parametrize("group", ["", "a/b", "a"])
+@in_turn(("quota", "cores"), [("400000 100000", 4), ("150000 100000", 2), ("50000 100000", 1)])
+@in_turn("group", ["", "a/b", "a"])
 def test_a_quota_of_version_2_holds_in_its_group_and_all_below(
     quota: str, cores: int, group: str, host: Path
 ) -> None:

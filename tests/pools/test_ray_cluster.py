@@ -6,13 +6,12 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from pfdist.errors import PoolError
 from pfdist.pools import ray_cluster
-from pfdist.pools.ray_cluster import connected, load_ray, reach
+from pfdist.pools.ray_cluster import load_ray, reach
 
 _ONE_TASK = """
 from pfdist.pools.base import Task
@@ -58,21 +57,6 @@ def test_a_cluster_of_our_own_has_a_random_token() -> None:
         env={name: value for name, value in os.environ.items() if "RAY" not in name},
     )
     assert done.stdout == "token 64\n"
-
-
-@pytest.mark.parametrize("address", ["", "local"])
-def test_without_an_existing_cluster_one_is_started(
-    address: str, ray_cluster: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: dict[str, Any] = {}
-    ray = load_ray()
-    monkeypatch.setattr(ray, "is_initialized", lambda: False)
-    monkeypatch.setattr(ray, "init", lambda **options: seen.update(options))
-    monkeypatch.setattr(ray, "shutdown", lambda: None)
-    with connected(address, 3):
-        pass
-    assert (seen["address"], seen["num_cpus"], seen["include_dashboard"]) == ("local", 3, False)
-    assert not seen["log_to_driver"]
 
 
 def test_variables_that_the_user_has_set_stay(monkeypatch: pytest.MonkeyPatch) -> None:

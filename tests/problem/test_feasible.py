@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from oracles.every_set import every_set
+from oracles.in_turn import in_turn
 from pfdist.common.measurement_times import Times, regular
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
@@ -21,7 +22,7 @@ from pfdist.search.exchange import shifts
 
 NAMES = "|".join(field.name for field in fields(Constraints))
 quick = settings(
-    max_examples=50,
+    max_examples=20,
     suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
 )
 LARGE = [
@@ -237,8 +238,8 @@ def test_where_times_cost_money_regular_ones_spend_the_most_on_the_most_measurem
     assert feasible.regular() == min(filter(None, every), key=rank)
 
 
-@pytest.mark.parametrize("price", [1, 3])
-@pytest.mark.parametrize(
+@in_turn("price", [1, 3])
+@in_turn(
     ("number", "given_"),
     [(number, {}) for number in (1, 2, 5, 13, 21, 61)]
     + [(10, {"forbidden": tuple(range(20, 31))}), (10, {"required": (7, 40)})]
@@ -355,7 +356,7 @@ IMPOSSIBLE = [
 ]
 
 
-@pytest.mark.parametrize(("given_", "message"), IMPOSSIBLE)
+@in_turn(("given_", "message"), IMPOSSIBLE)
 def test_what_is_impossible_is_said_in_a_sentence(given_: dict[str, Any], message: str) -> None:
     with pytest.raises(MeasurementTimesError, match=message):
         Feasible(10, **given_)

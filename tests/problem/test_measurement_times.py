@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from oracles.in_turn import in_turn
 from pfdist.common.measurement_times import random, regular, validated
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.affordable import nearest
 from pfdist.problem.spacing import Spacing
 
 
-@pytest.mark.parametrize("horizon", [1, 2, 3, 5, 10, 37, 60, 101])
+@in_turn("horizon", [1, 2, 3, 5, 10, 37, 60, 101])
 def test_regular_times_are_the_papers_with_halves_rounded_up(horizon):
     for budget in range(2, horizon + 2):
         # Paper, equation 13, in exact arithmetic: Round[k T / (N - 1)], k = 0..N-1.
@@ -40,7 +41,7 @@ APART = Spacing.constant(4, 10)
 RNG = np.random.default_rng(1)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("call", "words"),
     [
         (lambda: validated([0, 61], 60), "measurement_times must lie in 0..60, got 61"),

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oracles.in_turn import in_turn
 from pfdist.errors import JobError
 from pfdist.problem.job import override
 from pfdist.problem.points import MOST_POINTS, points_of, values_in
@@ -41,7 +42,7 @@ def test_keys_may_change_together_and_points_may_be_added() -> None:
     assert points[0].name == "seed=1_model.parameters.sd=0.5_filter.parameters.sd=1"
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("text", "key", "values"),
     [
         ("seed=1:4", "seed", [1, 2, 3, 4]),
@@ -92,7 +93,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
     ]
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("arguments", "words"),
     [
         (({},), "a sweep must have 1.."),

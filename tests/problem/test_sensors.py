@@ -6,6 +6,7 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist.common.clock import Clock
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Limit
@@ -60,7 +61,7 @@ EACH = {
 }
 
 
-@pytest.mark.parametrize("name", EACH)
+@in_turn("name", EACH)
 def test_the_feasible_sets_are_those_of_the_definition(name: str) -> None:
     feasible = EACH[name]
     wanted = {times for times in ALL if _by_definition(feasible, times)}
@@ -69,7 +70,7 @@ def test_the_feasible_sets_are_those_of_the_definition(name: str) -> None:
     assert {times for times in ALL if feasible.accepts(times)} == wanted
 
 
-@pytest.mark.parametrize("name", EACH)
+@in_turn("name", EACH)
 def test_every_way_to_a_set_leads_to_feasible_sets_alone(name: str) -> None:
     """Prefixes, additions, exchanges, removals, repairs and random sets all stay feasible."""
     feasible, rng = EACH[name], np.random.default_rng(1)
@@ -107,7 +108,7 @@ def test_one_sensor_alone_and_rotation_are_references() -> None:
     assert PRICED.references["alone_x_ray"] == (5,)  # 5 pays for one measurement of 3
 
 
-@pytest.mark.parametrize(("t", "sensor"), [*product(range(5), range(2))])
+@in_turn(("t", "sensor"), [*product(range(5), range(2))])
 def test_a_measurement_is_read_as_it_is_written(t: int, sensor: int) -> None:
     number = 2 * t + sensor
     written = CLOCK.written(number)

@@ -113,7 +113,13 @@ def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
     assert pfdist.open_run(run).state == "finished"
 
 
-@pytest.mark.parametrize("costs", [[3 + t % 2 for t in range(13)], [40 + t for t in range(13)]])
+@pytest.mark.parametrize(
+    "costs",
+    [
+        [3 + t % 2 for t in range(13)],
+        pytest.param([40 + t for t in range(13)], marks=pytest.mark.slow),
+    ],
+)
 def test_where_measurements_cost_money_it_lies_below_the_optimum(
     small_job: Job, tmp_path: Path, costs: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -225,7 +231,9 @@ model = StateSpaceModel(
 """
 
 
-@pytest.mark.parametrize("source", [INFLATED, WITHOUT_NORMALISER])
+@pytest.mark.parametrize(
+    "source", [INFLATED, pytest.param(WITHOUT_NORMALISER, marks=pytest.mark.slow)]
+)
 def test_a_likelihood_that_is_not_that_of_the_noise_gives_no_bound(
     source: str, run_of: RunOf, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common.percent import particle_loss_text
@@ -137,25 +138,27 @@ def test_few_particles_that_reach_no_target_say_that_more_may(
     )
 
 
+@pytest.mark.parametrize(
+    "phase", [DEFAULT_METHOD, pytest.param("lower bound", marks=pytest.mark.slow)]
+)
 def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
-    small_job: Job, tmp_path: Path
+    phase: str, small_job: Job, tmp_path: Path
 ) -> None:
     few = small_job.with_changes(["problem.horizon=8", "filter.particles=10"])
     whole = pfdist.budget(few, (2, 4), tmp_path / "whole", draws=60, figures=False)
-    for phase in (DEFAULT_METHOD, "lower bound"):
 
-        def stop(progress: Progress, phase: str = phase) -> None:
-            if progress.phase == phase and progress.evaluations > 20:
-                raise KeyboardInterrupt
+    def stop(progress: Progress) -> None:
+        if progress.phase == phase and progress.evaluations > 20:
+            raise KeyboardInterrupt
 
-        with pytest.raises(KeyboardInterrupt):
-            pfdist.budget(few, (2, 4), tmp_path / phase, draws=40, progress=stop, figures=False)
-        stopped = pfdist.open_run(tmp_path / phase)
-        assert (stopped.state == "finished") is ("bound" in phase)
-        assert "bound" not in stopped.tables
-        other = few.with_changes(["problem.measurement_budget=3"])  # is left aside
-        pfdist.budget(other, (2, 4), tmp_path / phase, draws=60, figures=False)
-        assert hashes(tmp_path / phase) == hashes(tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.budget(few, (2, 4), tmp_path / phase, draws=40, progress=stop, figures=False)
+    stopped = pfdist.open_run(tmp_path / phase)
+    assert (stopped.state == "finished") is ("bound" in phase)
+    assert "bound" not in stopped.tables
+    other = few.with_changes(["problem.measurement_budget=3"])  # is left aside
+    pfdist.budget(other, (2, 4), tmp_path / phase, draws=60, figures=False)
+    assert hashes(tmp_path / phase) == hashes(tmp_path / "whole")
     assert whole.state == "finished"
     assert whole.names[0] == "regular_2"
     assert whole.table("bound")["draws"].tolist() == [LEAST_DRAWS] * 3
@@ -248,14 +251,17 @@ def test_numbers_may_be_a_range_or_a_set_and_without_a_gap_are_the_same_run(
 ) -> None:
     folder = shutil.copytree(exact.path, tmp_path / "run")
     for numbers in ((1, 6), range(1, 7), {6, 5, 4, 3, 2, 1}):
-        run = pfdist.budget(exact_job, numbers, folder, draws=300, target=3.0, report=False)
+        draw = isinstance(numbers, set)  # the last time alone
+        run = pfdist.budget(
+            exact_job, numbers, folder, draws=300, target=3.0, report=False, figures=draw
+        )
         assert run.job["budget"] == {"least": 1, "most": 6}
     names = ("budget", "budget-target-3", "times")
     figures = {f"{name}.svg" for name in names}
     assert {file.name for file in (folder / "figures").iterdir()} == figures
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("options", "words"),
     [
         ("0:5", r"--measurements: each entry .* must be at least 1, got 0$"),

@@ -176,7 +176,7 @@ LAST = [0, 0, 0, 0, 0, 0, 0, 1]
 
 
 @pytest.mark.parametrize("weights", [[], [f"problem.instant_weights={LAST}"]])
-@pytest.mark.parametrize("engine", ["kalman", "compiled"])
+@pytest.mark.parametrize("engine", ["kalman", pytest.param("compiled", marks=pytest.mark.slow)])
 def test_evaluate_and_the_comparison_show_the_error_itself_and_the_typical_error(
     engine: str, weights: list[str], job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common.parts import Table, Text
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
+from pfdist.pages.figure import FIGURES
 from pfdist.pages.terminal import lines_of
 from pfdist.questions.compared_page import compared as compared_section
 from pfdist.questions.run_page import answer_of, page_of
@@ -298,14 +300,14 @@ def test_the_name_of_a_set_fits_a_column_however_long_its_parts_are(
 def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) -> None:
     changes = ["comparison.draws=30", "search=[{method='random', evaluations=3}]"]
     changes += ["comparison.sets.mine=[0, 1, 2]", "comparison.sets.every='0:12'"]
-    run = pfdist.run(small_job.with_changes(changes), tmp_path / "both", report=True)
+    run = pfdist.run(small_job.with_changes(changes), tmp_path / "both", figures=False)
     assert run.names == ["regular", "mine", "every", "random"]
     assert (named_sets(run), found_sets(run)) == (["mine", "every"], ["random"])
     results = results_of(run)
     assert results["random"].search_cause
     assert results["mine"].broken_constraints == ["problem.measurement_budget is 4, got 3 times"]
-    assert (tmp_path / "both" / "figures" / "compared.svg").exists()
-    page = (tmp_path / "both" / "report.html").read_text()
+    assert FIGURES["compared"].files(run)
+    page = str(page_of(run))
     assert "How the sets compare" in page
     assert "The set mine breaks a constraint" in page
     assert results["every"].expected_mse < results["random"].expected_mse
@@ -342,7 +344,7 @@ def test_wrong_options_are_refused_in_one_line(
         assert message in line
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("changes", "message"),
     [
         (["search=[]"], "a job needs a search, or comparison.sets"),

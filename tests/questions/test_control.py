@@ -108,7 +108,7 @@ def test_why_computes_means_with_controls(small_job: Job, tmp_path: Path) -> Non
     for control in ("", "false"):
         changes = [f"comparison.control={control}"] if control else []
         run = pfdist.run(job.with_changes(changes), tmp_path / f"run{control}", figures=False)
-        answers[control] = pfdist.why(run, 2000, figures=False)
+        answers[control] = pfdist.why(run, 800, figures=False)
     found, plain = answers[""].sets, answers["false"].sets
     apart = np.abs(found["expected_mse"] - plain["expected_mse"])
     assert (apart > 0).all()
@@ -144,7 +144,7 @@ def test_told_scenarios_have_their_own_controls_and_agree_with_kalman_filters(
 def test_sensors_agree_with_a_kalman_filter() -> None:
     system, sets = SYSTEMS[1], [(2, 9, 20, 24), (0, 10, 11, 33)]
     evaluator = Evaluator(system.as_model(), 12)
-    work = evaluator.work(sets, 3, 4, (0, 1000), Estimation(4000), controlled=True)
+    work = evaluator.work(sets, 3, 4, (0, 1000), Estimation(1500), controlled=True)
     result = evaluator.filtered(work)
     for times, values in zip(sets, (result.mse - result.control).T, strict=True):
         error = values.std(ddof=1) / math.sqrt(values.size)

@@ -70,7 +70,10 @@ def test_a_budget_compares_all_numbers(small_job: Job, tmp_path: Path) -> None:
         assert row.evenly_spaced_between or row.evenly_spaced == close
 
 
-@pytest.mark.parametrize("change", ["problem.forbidden=[1]", "problem.minimum_spacing=2"])
+@pytest.mark.parametrize(
+    "change",
+    ["problem.forbidden=[1]", pytest.param("problem.minimum_spacing=2", marks=pytest.mark.slow)],
+)
 def test_nothing_is_said_where_not_all_numbers_can_be_evenly_spaced(
     change: str, small_job: Job, tmp_path: Path
 ) -> None:

@@ -167,6 +167,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     assert answer["most_surprising"]["t"] in (0, 5, 8)
     y[5] = 1e3
     _written(path, (0, 5, 8), y)
+    words.append("--no-report")
     assert main(words) == 0
     text = capsys.readouterr().out
     few = "The estimate is that of a few particles, not the model's: the effective sample size "
@@ -253,16 +254,16 @@ def test_no_file_of_others_is_overwritten(job: Path, y: Any, tmp_path: Path) -> 
             pfdist.filter_measurements(job, path)
 
     path = _written(tmp_path / "mine.csv", (0, 3), y)
-    for name in ("mine.filtered.csv", "mine.filtered.png", "mine.filtered.html"):
-        other = tmp_path / name
-        for content in (b"", b"t,measured\n", b"\x89PNG" + b"x" * 9000):
-            other.write_bytes(content)
-            refused(path, name)
-            assert other.read_bytes() == content
+    contents = {"csv": b"t,measured\n", "png": b"\x89PNG" + b"x" * 9000, "html": b""}
+    for end, content in contents.items():
+        other = tmp_path / f"mine.filtered.{end}"
+        other.write_bytes(content)
+        refused(path, other.name)
+        assert other.read_bytes() == content
         other.unlink()
-        other.symlink_to(tmp_path / "elsewhere")
-        refused(path, name)
-        other.unlink()
+    other.symlink_to(tmp_path / "elsewhere")
+    refused(path, other.name)
+    other.unlink()
     pfdist.filter_measurements(job, path)
     pfdist.filter_measurements(job, path)  # now they are earlier results
     _written(tmp_path / "mine.filtered.parquet", (0, 3), y)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.learned import WALK
 from pfdist import Run
 from pfdist.errors import JobError, ModelError, PfdistError
@@ -24,7 +25,11 @@ def problem(scenarios: Any, **others: Any) -> pfdist.Problem:
     return pfdist.Problem(WALK, **(given | others))
 
 
-@pytest.fixture(scope="module", params=[LEARNED, LISTED], ids=["distributions", "list"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(LEARNED, marks=pytest.mark.slow), LISTED],  # and see motion below
+    ids=["distributions", "list"],
+)
 def planned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("learned")
     return pfdist.plan(
@@ -72,7 +77,7 @@ def test_the_parameters_can_be_what_is_estimated() -> None:
     assert many.expected_mse < few.expected_mse
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("change", "says"),
     [
         ({"criterion": "worst"}, "'learned' takes 'mean' as scenarios.criterion, got 'worst'"),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist import StateSpaceModel, densities, load_model, where
 from pfdist.filters.draws import Draws
 from pfdist.filters.plain import simulate
@@ -198,7 +199,7 @@ def test_a_right_likelihood_agrees(name: str, draws: int) -> None:
 
 
 @EITHER
-@pytest.mark.parametrize("name", WRONG)
+@in_turn("name", WRONG)
 def test_a_wrong_likelihood_is_found(name: str, draws: int) -> None:
     state, text = looked(WRONG[name], draws)
     assert state == "wrong", text
@@ -227,7 +228,13 @@ def test_a_level_that_rarely_or_never_changes(level: Any, state: str, says: str)
     assert (found, text[: len(says)]) == (state, says)
 
 
-@pytest.mark.parametrize("name", sorted(installed_models()))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.zoo] * (name not in ("ungm", "epidemic_counts")))
+        for name in sorted(installed_models())
+    ],
+)
 def test_each_model_that_ships_agrees_at_24_pairs(name: str) -> None:
     model = load_model(name)
     if model.reads_clock:

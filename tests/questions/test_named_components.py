@@ -139,7 +139,9 @@ def test_the_report_of_a_run_uses_the_names(run: pfdist.Run, plain: pfdist.Run) 
     assert "what is measured" not in str(page_of(plain))
 
 
-@pytest.mark.parametrize("columns", [("y0", "y1"), ("y_marker", "y_weight")])
+@pytest.mark.parametrize(
+    "columns", [pytest.param(("y0", "y1"), marks=pytest.mark.slow), ("y_marker", "y_weight")]
+)
 def test_filter_reads_both_kinds_of_columns_and_writes_names(
     run: pfdist.Run, plain: pfdist.Run, tmp_path: Path, columns: tuple[str, str]
 ) -> None:

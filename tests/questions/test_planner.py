@@ -71,6 +71,7 @@ def test_a_coin_never_has_a_larger_error_than_a_quarter() -> None:
     assert left.expected_mse == pytest.approx(exact, abs=0.01)  # 500 particles, 2,000 draws
 
 
+@pytest.mark.slow
 def test_the_standard_error_of_an_expected_error_contains_the_noise_of_the_particles() -> None:
     """Planners with other noise, beside the exact error of a chain of two states, by enumeration.
 

@@ -14,6 +14,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.in_turn import in_turn
 from oracles.model_text import MEASURED
 from pfdist import Problem, Run, StateSpaceModel
 from pfdist.common.section import keys_of_section
@@ -125,7 +126,7 @@ def test_every_key_of_the_sections_is_an_argument() -> None:
     assert all(key in doc for key in keys)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("forbidden", "section"),
     [
         (range(4, 7), ("4-6",)),
@@ -283,20 +284,26 @@ def test_the_bound_of_an_objects_run_is_proved(tmp_path: Path) -> None:
         assert all(gap.bound.value <= gap.expected_mse.value for gap in proved.gaps)
 
 
-def test_an_installed_model_is_known_by_its_name_and_travels_with_its_constants(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    keys: dict[str, Any] = {"horizon": 6, "time_unit": "d", "measurement_budget": 3}
-    fewer = replace(
-        epidemic.model, parameters={**epidemic.model.parameters, "infectious_days": 5.0}
-    )
+EPIDEMIC: dict[str, Any] = {"horizon": 6, "time_unit": "d", "measurement_budget": 3}
+
+
+def with_fewer_days() -> pfdist.StateSpaceModel:
+    """The epidemic that ships, with another value of a parameter."""
+    return replace(epidemic.model, parameters={**epidemic.model.parameters, "infectious_days": 5.0})
+
+
+def test_an_installed_model_is_known_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(epidemic, "SUBSTEPS", 1)  # two steps are traced more slowly than one
-    for model in (epidemic.model, fewer, pfdist.load_model("epidemic")):
-        assert Problem(model, **keys).job().model.name == "epidemic"
+    for model in (epidemic.model, with_fewer_days(), pfdist.load_model("epidemic")):
+        assert Problem(model, **EPIDEMIC).job().model.name == "epidemic"
+
+
+@pytest.mark.slow
+def test_an_installed_model_travels_with_its_constants(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = list[int]()
     for steps in (1, 2):
         monkeypatch.setattr(epidemic, "SUBSTEPS", steps)
-        evaluator = build(Problem(fewer, **keys).job()).evaluator
+        evaluator = build(Problem(with_fewer_days(), **EPIDEMIC).job()).evaluator
         sizes.append(len(evaluator.model.transition.traced.programs[0].operations))
     assert sizes[0] < sizes[1]
 
@@ -356,8 +363,10 @@ def test_measurements_and_priors_may_be_data_frames(tmp_path: Path) -> None:
     prior = pd.DataFrame({"x0": [0.1, 0.2, 0.4]})
     prior.to_csv(tmp_path / "prior.csv", index=False)
     for question in (pfdist.filter_measurements, pfdist.next_time):
-        of_frame = question(run, table, prior=prior).as_json()
-        of_file = question(run, tmp_path / "mine.csv", prior=tmp_path / "prior.csv").as_json()
+        quiet = {"report": False} if question is pfdist.filter_measurements else {}
+        of_frame = question(run, table, prior=prior, **quiet).as_json()
+        files = tmp_path / "mine.csv", tmp_path / "prior.csv"
+        of_file = question(run, files[0], prior=files[1], **quiet).as_json()
         for file in ("table", "figure", "report"):
             assert of_frame.pop(file, None) is None
             of_file.pop(file, None)

@@ -141,7 +141,9 @@ SQUARE = StateSpaceModel(  # whose sign no measurement sees
 )
 
 
-@pytest.mark.parametrize(("model", "state"), [(SHARP, "ok"), (SQUARE, "note")])
+@pytest.mark.parametrize(
+    ("model", "state"), [pytest.param(SHARP, "ok", marks=pytest.mark.slow), (SQUARE, "note")]
+)
 def test_a_guided_filter_by_hand_is_judged_as_auto_judges(
     model: StateSpaceModel, state: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

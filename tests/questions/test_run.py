@@ -27,6 +27,7 @@ from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 from pfdist.store import parquet
+from pfdist.store.folder import FORMATS
 from pfdist.store.verify import verify_run
 
 ROOT = Path(__file__).parents[2]
@@ -162,21 +163,6 @@ def test_the_answer_says_how_many_sets_were_killed(small_job: Job, tmp_path: Pat
 
 
 # --- The same, however it was computed ----------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "file", ["tests/small.toml", pytest.param("jobs/quick.toml", marks=pytest.mark.slow)]
-)
-def test_pools_and_numbers_of_workers_give_the_same_bytes(
-    file: str, finished: Callable[..., Path], tmp_path: Path, ray_cluster: None
-) -> None:
-    job = load_job(ROOT / file)
-    serial = hashes(finished('execution.pool="serial"', job=job.path.read_text()))
-    for pool, workers in (("threads", 3), ("ray", 1), ("ray", 2)):
-        results = tmp_path / f"{pool}{workers}"
-        pfdist.run(job, results, pool=pool, workers=workers, figures=False)
-        assert hashes(results) == serial
-    assert len(serial) > 6
 
 
 # The survivors are polished on more and more draws, of which a session before did the first.
@@ -376,7 +362,6 @@ def test_figures_are_drawn_again_when_the_run_has_grown(small_job: Job, tmp_path
     assert figure.exists()
 
 
-@pytest.mark.usefixtures("every_format")
 def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -400,8 +385,11 @@ def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
     for table, files in parts(job).items():
         assert len(list((run.path / "tables" / table).iterdir())) == sum(files)
         assert files >= paper[table]
-    # tables, figures and what the run is: all there is
-    assert len([path for path in run.path.rglob("*") if path.is_file()]) < 60
+    # tables, figures in three formats and what the run is: all there is
+    files = [path for path in run.path.rglob("*") if path.is_file()]
+    drawn = [path for path in files if path.suffix == ".svg"]
+    assert len(drawn) > 3
+    assert len(files) + (len(FORMATS) - 1) * len(drawn) < 60
 
 
 @pytest.mark.crash

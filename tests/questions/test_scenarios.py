@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from oracles.walks import (
     HORIZON,
@@ -201,7 +202,7 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
     ("engine", "scales"),
     [
         ("kalman", SCALES),
-        ("", [1.0] * 3),
+        pytest.param("", [1.0] * 3, marks=pytest.mark.slow),
     ],
 )
 def test_a_summary_compares_the_belief_of_a_search_with_the_error_of_the_worst(
@@ -237,7 +238,8 @@ def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Pa
         assert rows["bound"][number] == pytest.approx(exact, rel=1e-9)
 
 
-@pytest.mark.parametrize("told", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("told", [True, False])
 def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_path: Path) -> None:
     """A Kalman filter by hand knows the mean error with a measurement, and without it."""
     asked = problem(filter="told" if told else "nominal", particles=100)
@@ -252,6 +254,17 @@ def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_pat
         assert abs(rows["removed"][out] - (other - cost)) < 4 * rows["removed_error"][out]
 
 
+def test_why_gives_the_exact_worth_of_each_measurement_to_the_mean(tmp_path: Path) -> None:
+    asked, times = problem(engine="kalman"), [0, 4, 8, 11]
+    sets: Any = {"mine": times, "late": [9, 10, 11, 12]}
+    run = pfdist.compare(asked, times=sets, results=tmp_path / "run", draws=48, figures=False)
+    rows = pfdist.why(run, figures=False).worth.query("name == 'mine'").set_index("t")
+    without = [[t for t in times if t != out] for out in times]
+    cost, *others = combined(costs([times, *without], told=True), "mean")
+    assert rows["removed"].loc[times].tolist() == pytest.approx([each - cost for each in others])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", [pytest.param("mean", marks=pytest.mark.slow), "worst"])
 def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
     criterion: str, tmp_path: Path
@@ -383,7 +396,7 @@ def test_weights_become_shares() -> None:
     assert section.each == (Scenario(0.25, {"k": 1.0}), Scenario(0.75, {"k": 2.0}))
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("section", "says"),
     [
         ({"parameters": [1.0]}, "must be a list with the parameters of each scenario"),

@@ -1,6 +1,7 @@
 """Batched models in whole runs: a user's file with a helper, every pool, every question."""
 
 import re
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -33,7 +34,7 @@ model = BatchedModel(
     measurement=lambda x, t, v, p: x**2 / 20 + v,
     log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0] ** 2 / 20) ** 2,
     quantity_of_interest=lambda x, t, p: x,
-    initial_noise=("normal",), process_noise=("normal",), measurement_noise=("normal",),
+    initial_noise=("normal",), process_noise=("normal",), measurement_noise=("normal",), {more}
 )
 """
 JOB = """
@@ -58,11 +59,13 @@ draws = 4
 DECLARED = "ignore:model growth is declared:pfdist.errors.EngineWarning"
 
 
-def written(folder: Path, version: str = "1", line: str = "pass") -> Path:
+def written(
+    folder: Path, version: str = "1", line: str = "pass", more: str = "together=500"
+) -> Path:
     """A job whose model stands in a file with a helper beside it."""
     folder.mkdir(exist_ok=True)
     (folder / "helper.py").write_text(HELPER, encoding="utf-8")
-    text = MODEL.format(version=version, line=line)
+    text = MODEL.format(version=version, line=line, more=more)
     (folder / "simulator.py").write_text(text, encoding="utf-8")
     (folder / "job.toml").write_text(JOB, encoding="utf-8")
     return folder / "job.toml"
@@ -79,7 +82,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 @pytest.mark.filterwarnings(DECLARED)
 @pytest.mark.parametrize(
-    ("pool", "workers"), [("threads", 2), ("processes", 2), pytest.param("ray", 1)]
+    ("pool", "workers"),
+    [
+        ("processes", 1),
+        pytest.param("threads", 2, marks=pytest.mark.slow),
+        pytest.param("ray", 1, marks=pytest.mark.slow),
+    ],
 )
 def test_every_pool_gives_the_same_bytes(
     finished: Run, pool: str, workers: int, tmp_path: Path, request: pytest.FixtureRequest
@@ -94,17 +102,24 @@ def test_every_pool_gives_the_same_bytes(
 
 @pytest.mark.filterwarnings(DECLARED)
 def test_its_questions_are_answered(finished: Run) -> None:
-    job = finished.path.parent / "job.toml"
     folder = finished.path
-    bound = pfdist.bound(job, draws=480, results=folder, figures=False, report=False)
-    assert all(0.0 <= gap.gap_at_most <= 1.0 for gap in bound.gaps)
-    why = pfdist.why(job, results=folder, draws=50, figures=False)
-    assert why.profile["error"].notna().all()
     assert len(pfdist.open_run(folder).table("online")) == 4
     page = pfdist.report(folder)
     assert "declared as version 1, helper.py " in Path(page).read_text(encoding="utf-8")
     with pytest.raises(ModelError, match="a run does not contain the functions of a batched model"):
         pfdist.why(folder, draws=50, figures=False)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(DECLARED)
+def test_its_gap_and_the_worth_of_its_measurements_are_computed(
+    finished: Run, tmp_path: Path
+) -> None:
+    job, folder = finished.path.parent / "job.toml", shutil.copytree(finished.path, tmp_path / "a")
+    bound = pfdist.bound(job, draws=480, results=folder, figures=False, report=False)
+    assert all(0.0 <= gap.gap_at_most <= 1.0 for gap in bound.gaps)
+    why = pfdist.why(job, results=folder, draws=50, figures=False)
+    assert why.profile["error"].notna().all()
 
 
 @pytest.mark.filterwarnings(DECLARED)
@@ -153,7 +168,8 @@ def test_a_simulator_that_crashes_is_a_failed_task(tmp_path: Path) -> None:
 def test_check_model_names_the_faster_engine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, says: str
 ) -> None:
-    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.5)  # no larger numbers are tried
+    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.1)  # no larger numbers are tried
+    monkeypatch.setattr(checks_of_models, "_DRAWS", 50)
     job = written(tmp_path / "here", line=line)
     name = f"{job.with_name('simulator.py')}:model"
     checks = {each.name: each for each in check_loaded(partial(pfdist.load_model, name), 8, 40)}
@@ -170,7 +186,7 @@ def test_check_model_asks_for_smaller_arrays_of_a_slow_simulator(
         "pfdist.questions.model_checks.seconds_a_step",
         lambda evaluator, *_: 1e-6 * (getattr(evaluator.model, "together", 1) / 1e4) ** power,
     )
-    name = f"{written(tmp_path / 'here', line='pass').with_name('simulator.py')}:model"
+    name = f"{written(tmp_path / 'here', more='').with_name('simulator.py')}:model"
     checks = {each.name: each for each in check_loaded(partial(pfdist.load_model, name), 8, 40)}
     assert ("together" in checks) == is_asked
     if is_asked:
@@ -186,7 +202,8 @@ def test_it_is_the_filter_of_the_same_formulas(finished: Run, tmp_path: Path) ->
     formulas = formulas.replace("5 * w", "(5 * w[0],)").replace("/ 20 + v,", "/ 20 + v[0],")
     formulas = formulas.replace("x[0]**2 / 20 + v[0],", "(x[0]**2 / 20 + v[0],),")
     job = written(tmp_path / "here")
-    job.with_name("simulator.py").write_text(formulas.format(line="pass"), encoding="utf-8")
+    text = formulas.format(line="pass", more="")
+    job.with_name("simulator.py").write_text(text, encoding="utf-8")
     run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
     for name in ("mse_regular", "mse_random"):
         found, expected = (each.table("comparison")[name] for each in (finished, run))

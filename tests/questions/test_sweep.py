@@ -12,6 +12,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
@@ -112,6 +113,7 @@ def test_every_point_has_the_bytes_of_its_own_run(
     assert hashes(sweep.path / "seed=7") == hashes(last)
 
 
+@pytest.mark.slow
 def test_an_evaluation_that_several_points_need_is_seldom_computed_twice(
     swept: Sweeping, finished: Finished, tmp_path: Path, filtered: list[int]
 ) -> None:
@@ -129,8 +131,12 @@ def test_an_evaluation_that_several_points_need_is_seldom_computed_twice(
     ("first", "changes", "searches"),
     [
         ("finished", [], 1),
-        ("stopped after the search", ['search=[{method="relaxation"}]'], 1),
-        ("of another processor", [], 2),  # whose last digits may differ
+        pytest.param(
+            *("stopped after the search", ['search=[{method="relaxation"}]'], 1),
+            marks=pytest.mark.slow,
+        ),
+        # Its last digits may differ.
+        pytest.param("of another processor", [], 2, marks=pytest.mark.slow),
     ],
 )
 def test_points_that_are_added_take_what_another_has_computed_if_its_bytes_are_sure(
@@ -345,8 +351,8 @@ def test_a_folder_of_another_run_fails_its_point_alone(
     assert pfdist.open_run(folder / "seed=2").state == "finished"
 
 
-@pytest.mark.parametrize("start", [pfdist.sweep, foreseen])
-@pytest.mark.parametrize(
+@in_turn("start", [pfdist.sweep, foreseen])
+@in_turn(
     ("over", "options", "words"),
     [
         ({"filter.particles": [9, 0]}, {}, "the point particles=0 of the sweep: filter.particles "),
@@ -394,7 +400,7 @@ def test_a_sweep_has_the_table_of_its_points_and_one_figure(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its folder is no run: commands about a run name one of its points."""
-    over = {"problem.measurement_budget": [3, 4], **SEEDS}
+    over = {"problem.measurement_budget": [3, 4]}
     folder = tmp_path / "sweep"
     sweep = pfdist.sweep(small_job, over, results=folder, changes=EXACT, report=False)
     frame, (file,) = sweep.table(), sweep.files
@@ -406,7 +412,9 @@ def test_a_sweep_has_the_table_of_its_points_and_one_figure(
     assert main(["plot", str(folder)]) == 0
     assert {*map(Path, capsys.readouterr().out.splitlines())} == {*sweep.figures}
     assert sweep.figures[0].read_bytes() == drawn
-    more = partial(pfdist.sweep, small_job, {"seed": [3]}, results=folder, changes=EXACT)
+    more = partial(
+        pfdist.sweep, small_job, {"problem.measurement_budget": [5]}, results=folder, changes=EXACT
+    )
     assert len(more(report=False).runs) == 1
     assert len(pd.read_csv(file)) == len(pfdist.table(folder)) > len(frame)
     assert sweep.figures[0].read_bytes() != drawn

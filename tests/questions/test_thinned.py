@@ -51,7 +51,7 @@ def test_p_values_of_a_right_model_are_uniform_over_replicates(
     So the share below 1 % is binomial, here at most 4 standard errors too large. With one key for
     all replicates, ties are broken at each instant as if there were one replicate.
     """
-    found = surprises(simulate(COIN, HORIZON, range(60), 3).y, monkeypatch)
+    found = surprises(simulate(COIN, HORIZON, range(40), 3).y, monkeypatch)
     for values in (*found.T, found.ravel()):
         assert stats.kstest(values, "uniform").pvalue > 0.001
     assert np.mean(found < 0.01) < 0.01 + 4 * np.sqrt(0.01 * 0.99 / found.size)

@@ -13,12 +13,12 @@ def test_the_true_ratio_of_the_benchmark_is_that_of_many_draws() -> None:
     from benchmarks import backtest  # no part of the package, so the wheel's tests have none
 
     model, cases = backtest.lake(), backtest.cases()
-    y = simulate(model, backtest.HORIZON, range(20_000), 3).y[:, :, 0]
+    y = simulate(model, backtest.HORIZON, range(6000), 3).y[:, :, 0]
     products, moments = y[:, :, None] * y[:, None, ::7], backtest.second_moments(model)
     error = products.std(axis=0, ddof=1) / np.sqrt(len(y))
     assert np.all(np.abs(products.mean(axis=0) - moments[:, ::7]) < 5 * error)
     for name, case in cases.items():
-        true, found = backtest.mean_errors(case.moments), backtest.errors(case.measured(4000, 5))
+        true, found = backtest.mean_errors(case.moments), backtest.errors(case.measured(1000, 5))
         for times, each in found.items():
             error = each.std(ddof=1) / np.sqrt(each.size)
             assert abs(each.mean() - true[times]) < 4.5 * error, (name, times)

@@ -139,7 +139,7 @@ def test_limits_hold_together_as_often_as_they_say(sets: int, numbers: int) -> N
     names = ["regular_2", "relaxation_2", "exchange_2"]
     names = names if numbers == 1 else [f"relaxation_{number}" for number in range(2, 6)]
     table = _table(dict.fromkeys(names, 7.0 + NOISE))
-    groups = np.random.default_rng(1).normal(5.0, 1.0, (1000, numbers, GROUPS))
+    groups = np.random.default_rng(1).normal(5.0, 1.0, (400, numbers, GROUPS))
     errors = groups.std(axis=2, ddof=1) / math.sqrt(GROUPS)
     covered = 0
     for bounds in np.stack([groups.mean(axis=2), errors], axis=2):
@@ -150,7 +150,7 @@ def test_limits_hold_together_as_often_as_they_say(sets: int, numbers: int) -> N
             for name in (names if numbers == 1 else names[number : number + 1])
         }
         covered += bool((with_bounds(table, proofs)["bound_low"] < 5.0).all())
-    assert abs(covered / 1000 - CONFIDENCE) < 4 * math.sqrt(0.95 * 0.05 / 1000)
+    assert abs(covered / 400 - CONFIDENCE) < 4 * math.sqrt(0.95 * 0.05 / 400)
 
 
 def test_an_exact_bound_is_a_limit_and_a_withdrawn_bound_is_none(table: pd.DataFrame) -> None:
@@ -191,7 +191,7 @@ def test_a_target_that_is_an_estimate_brings_its_error_into_the_proof() -> None:
     The bound's error is that of 20 groups of draws, the target's is twice as large. Without it, the
     test would find a difference as often as a normal variate exceeds 1.73 / sqrt(5): 22 %.
     """
-    table, rng, tries = _table({"relaxation_2": 9.0 + NOISE}), np.random.default_rng(1), 200
+    table, rng, tries = _table({"relaxation_2": 9.0 + NOISE}), np.random.default_rng(1), 120
     groups = rng.normal(5.0, 1.0, (tries, GROUPS))
     errors = groups.std(axis=1, ddof=1) / math.sqrt(GROUPS)
     targets = rng.normal(5.0, 2 / math.sqrt(GROUPS), tries)

@@ -35,7 +35,7 @@ NOMINAL = "scenarios.parameters=[{step_sd=0.5}, {step_sd=1.0}]", "scenarios.filt
         (),
         (WEIGHTS, "comparison.control=true"),
         (WALK, *NOMINAL),
-        (WALK, "filter.engine=numpy", "comparison.draws=40"),
+        pytest.param((WALK, "filter.engine=numpy", "comparison.draws=40"), marks=pytest.mark.slow),
         (WALK, "filter.engine=kalman", WEIGHTS),
     ],
     ids=["plain", "weights and control", "scenarios", "numpy", "exact"],

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from oracles.in_turn import in_turn
 from pfdist.results.promise import (
     KEPT,
     NOT_DECIDED,
@@ -95,7 +96,7 @@ def test_the_interval_is_at_least_as_wide_as_the_model_foresees_for_half_of_the_
     assert found.interval == pytest.approx((found.ratio - half, found.ratio + half))
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("change", "verdict"),
     [
         ({}, KEPT),

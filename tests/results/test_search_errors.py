@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist.results.sets import cause_of_excess, largest_of
 
 CHOSE = "its draws chose the set"
@@ -14,7 +15,7 @@ UNEXPLAINED = "unexplained: {} standard errors; `pfdist verify results/x` checks
 VARIANCE = {"particles": 100, "estimator": "filter_variance"}
 
 
-@pytest.mark.parametrize(
+@in_turn(
     ("estimated", "own", "cause"),
     [
         (4.7, VARIANCE, CHOSE),  # three standard errors: draws may do that

@@ -103,7 +103,7 @@ def test_surprises_are_p_values_of_the_measurements_of_the_plan(y: Any) -> None:
 
 def test_a_right_model_covers_nine_of_ten_values_and_real_errors_are_as_foreseen() -> None:
     systems = simulate(lake(), HORIZON, range(40), 98).y
-    results = [errors_of_replicates(work(each, draws=150)) for each in systems]
+    results = [errors_of_replicates(work(each, draws=60)) for each in systems]
     means_agree(np.array([each.covered for each in results]).T, 0.9)
     expected = exact(systems[0], work(systems[0], draws=1).judged)[1]
     means_agree(np.array([each.real for each in results]).T, expected)
@@ -234,11 +234,11 @@ def test_scenarios_have_their_shares_of_the_simulated_systems(y: Any) -> None:
 
 
 def test_learned_parameters_are_unknown_in_each_simulated_system() -> None:
-    given = {"horizon": 8, "measurement_budget": 2, "particles": 200, "engine": "compiled"}
+    given = {"horizon": 8, "measurement_budget": 2, "particles": 100, "engine": "compiled"}
     learned = {"parameters": {"drift": {"normal": [0.0, 1.0]}}, "filter": "learned"}
     y, sets = simulate(WALK, 8, range(1), 3).y[0], ((2, 6),)
     known, unknown = (
-        errors_of_replicates(work(y, WALK, sets=sets, draws=480, **given, **more))
+        errors_of_replicates(work(y, WALK, sets=sets, draws=240, **given, **more))
         for more in ({}, {"scenarios": learned})
     )
     assert unknown.foreseen.mean() > 1.5 * known.foreseen.mean()

@@ -10,6 +10,7 @@ import pytest
 
 import pfdist
 from oracles.every_set import every_set
+from oracles.in_turn import in_turn
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, ModelError, RunMismatchError
@@ -119,8 +120,8 @@ REFUSED = [  # changes of the job, and what the error says
 ]
 
 
-@pytest.mark.parametrize("engine", ["auto", "numpy"])
-@pytest.mark.parametrize(("changes", "message"), REFUSED)
+@in_turn("engine", ["auto", "numpy"])
+@in_turn(("changes", "message"), REFUSED)
 def test_what_does_not_fit_together_is_refused_with_the_key_of_the_job(
     changes: list[str], message: str, engine: str, tmp_path: Path
 ) -> None:

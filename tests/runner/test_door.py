@@ -41,7 +41,7 @@ def fails(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     return let
 
 
-@pytest.mark.parametrize("number", [1, 7])
+@pytest.mark.parametrize("number", [pytest.param(1, marks=pytest.mark.slow), 7])
 def test_points_beside_a_point_that_fails_compute_what_it_has_not(
     number: int,
     finished: Callable[..., Path],

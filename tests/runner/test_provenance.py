@@ -60,7 +60,8 @@ def test_every_version_that_computed_for_a_run_stands_in_run_json(
     path = tmp_path / "run"
     first = pfdist.run(small_job, path, figures=False)
     before = provenance(first.path)
-    monkeypatch.setattr(provenance_module, "version", lambda name: f"9.{name}")
+    others = {name: f"9.{name}" for name in provenance_module._libraries()}
+    monkeypatch.setattr(provenance_module, "_libraries", lambda: others)
     for draws in (10, 20):
         more = small_job.comparison.draws + draws
         pfdist.run(small_job.with_changes([f"comparison.draws={more}"]), path, figures=False)

@@ -83,7 +83,7 @@ def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
         pfdist.plan(small_job, tmp_path / "again", bound_draws=0, figures=False)
 
 
-@pytest.mark.parametrize("phase", ["", ".polish"])
+@pytest.mark.parametrize("phase", [pytest.param("", marks=pytest.mark.slow), ".polish"])
 def test_a_default_search_that_was_cut_short_ends_with_the_same_bytes(
     phase: str, small_job: Job, tmp_path: Path, cut_short: Callable[..., None]
 ) -> None:

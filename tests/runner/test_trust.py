@@ -18,7 +18,9 @@ GOOD, BELIEVED = (1, 3, 6, 9), (0, 1, 3, 9)
 CHANGES = ["comparison.draws=500", "execution.pool=serial"]
 
 
-@pytest.mark.parametrize("method", [DEFAULT_METHOD, "survivors"])
+@pytest.mark.parametrize(
+    "method", [DEFAULT_METHOD, pytest.param("survivors", marks=pytest.mark.slow)]
+)
 def test_a_search_ends_near_a_good_set_though_the_variance_prefers_another(
     method: str, tmp_path: Path
 ) -> None:

@@ -74,7 +74,16 @@ def test_a_proof_that_needs_more_memory_is_refused_with_what_helps() -> None:
 
 
 @pytest.mark.parametrize("cells", [1, 15_000])
-@pytest.mark.parametrize("name", ["random walk", "sharp now and then", "constant velocity"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "sharp now and then",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("random walk", "constant velocity")
+        ),
+    ],
+)
 def test_from_few_windows_a_search_finds_nearly_the_best_times(
     name: str, cells: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,7 +124,16 @@ def test_money_is_counted_in_as_many_units_as_a_programme_may_have() -> None:
         assert programme.mse.shape == (relaxation.total + 1,)
 
 
-@pytest.mark.parametrize("name", ["random walk", "sharp now and then", "unstable"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "random walk",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("sharp now and then", "unstable")
+        ),
+    ],
+)
 def test_with_coarse_units_a_search_still_finds_sets_that_can_be_paid_for(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from oracles.systems import SYSTEMS
+from oracles.in_turn import in_turn
 from oracles.windows import (
     FEASIBLE,
     HORIZON,
@@ -15,6 +15,7 @@ from oracles.windows import (
     counted_errors,
     longest_end,
     relaxed_errors,
+    with_each,
 )
 from pfdist import StateSpaceModel
 from pfdist.filters.kalman import expected_mse
@@ -25,7 +26,7 @@ ROUNDING = 1e-12
 
 
 @cases
-@pytest.mark.parametrize("most", [1, 3, 100])
+@in_turn("most", [1, 3, 100])
 def test_each_set_is_the_best_through_windows_that_none_before_it_has_passed(
     case: Case, most: int
 ) -> None:
@@ -84,8 +85,7 @@ def test_what_several_sets_lack_is_given_at_once() -> None:
     assert windows == {(NOTHING, 0), (NOTHING, 1), (0, 4), (1, 4), (4, 6)}
 
 
-@pytest.mark.parametrize("name", FEASIBLE)
-@pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
+@with_each(FEASIBLE)
 def test_windows_that_grow_along_the_best_set_prove_the_optimum(
     model: StateSpaceModel, name: str
 ) -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from oracles.in_turn import in_turn
 from oracles.systems import SYSTEMS
 from oracles.windows import (
     FEASIBLE,
@@ -15,6 +16,7 @@ from oracles.windows import (
     counted_errors,
     relaxed_errors,
     satisfying,
+    with_each,
 )
 from pfdist import StateSpaceModel, linear_gaussian
 from pfdist.common.clock import Clock
@@ -108,8 +110,7 @@ def test_a_restricted_relaxation_has_the_paths_through_the_windows_of_some_sets(
         assert grown.passable[grown.windows_of(times)].all()
 
 
-@systems
-@pytest.mark.parametrize("name", FEASIBLE)
+@with_each(FEASIBLE)
 def test_windows_give_bounds_that_rise_with_their_length_to_the_optimum(
     model: StateSpaceModel, name: str
 ) -> None:
@@ -140,7 +141,7 @@ def test_windows_give_bounds_that_rise_with_their_length_to_the_optimum(
 
 
 @systems
-@pytest.mark.parametrize("unit", [2, 3, 5])
+@in_turn("unit", [2, 3, 5])
 def test_prices_rounded_down_to_coarser_units_leave_a_bound(
     model: StateSpaceModel, unit: int
 ) -> None:

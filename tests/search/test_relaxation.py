@@ -21,6 +21,7 @@ from oracles.windows import (
     longest_end,
     relaxed_errors,
     satisfying,
+    with_each,
 )
 from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
@@ -32,7 +33,6 @@ from pfdist.search.relaxation import NOTHING, START, Relaxation, Window, relaxat
 
 ROUNDING = 1e-12
 systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
-constrained = pytest.mark.parametrize("name", FEASIBLE)
 
 
 # --- which window a set is in ---
@@ -116,8 +116,7 @@ def test_what_begins_with_a_forgotten_window_is_forgotten_and_no_time_alone_is()
 # --- its errors ---
 
 
-@systems
-@constrained
+@with_each(FEASIBLE)
 def test_more_windows_never_lower_the_bound(model: StateSpaceModel, name: str) -> None:
     """Longer windows, and errors that count for longer, add fewer measurements."""
     feasible = FEASIBLE[name]
@@ -142,8 +141,7 @@ def test_more_windows_never_lower_the_bound(model: StateSpaceModel, name: str) -
     assert bound == pytest.approx(optimum, rel=ROUNDING)
 
 
-@systems
-@constrained
+@with_each(FEASIBLE)
 def test_the_relaxed_error_is_at_most_the_sets_own_at_every_instant(
     model: StateSpaceModel, name: str
 ) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from oracles.searched import exactly
 from oracles.systems import SYSTEMS
+from oracles.windows import with_each
 from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
@@ -34,7 +35,14 @@ CONSTRAINED = {
     ),
 }
 Tell = Callable[[list[Candidate]], Sequence[Evaluation]]
-systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
+_FEW = ("random walk", "constant velocity", "sharp now and then")
+systems = pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(model, id=name, marks=[pytest.mark.slow] * (name not in _FEW))
+        for name, model in SYSTEMS.items()
+    ],
+)
 
 
 def _states(search: StateSpaceRelaxation, tell: Tell) -> Iterator[RelaxationState]:
@@ -73,8 +81,7 @@ def test_the_best_of_30_million_sets_is_proved(model: StateSpaceModel) -> None:
     assert _bound(state, 10) == pytest.approx(cost, rel=PROVED)
 
 
-@systems
-@pytest.mark.parametrize("name", CONSTRAINED)
+@with_each(CONSTRAINED)
 def test_it_proves_what_brute_force_finds(model: StateSpaceModel, name: str) -> None:
     feasible = CONSTRAINED[name]
     search = StateSpaceRelaxation(feasible, DRAWS)

@@ -69,8 +69,14 @@ def _optimum(feasible: Feasible, cost: Cost) -> float:
 # --- the survivor programme -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("problem", PROBLEMS)
-@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize(
+    ("system", "problem"),
+    [
+        pytest.param(system, problem, marks=[pytest.mark.slow] * (k % len(SYSTEMS) != j))
+        for k, problem in enumerate(PROBLEMS)
+        for j, system in enumerate(SYSTEMS)
+    ],
+)
 @pytest.mark.parametrize(
     "settings", [{"survivors": 2}, {"survivors": 3, "by_previous": True}], ids=["last", "previous"]
 )
@@ -141,6 +147,7 @@ def test_one_time_and_all_times(budget: int) -> None:
 # --- the corridor method --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_corridor_finds_the_optimum_from_regular_times_in_most_cases() -> None:
     excess = []
     for system in SYSTEMS.values():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.main import main
 
@@ -24,11 +25,11 @@ NAMES = [
     pytest.param("s3:", id="an address", marks=pytest.mark.slow),
     pytest.param("~root", id="a tilde", marks=pytest.mark.slow),
     pytest.param("a  b%41", id="spaces and a percent sign"),
-    pytest.param(os.fsdecode(b"a\xffb"), id="not UTF-8"),
+    pytest.param(os.fsdecode(b"a\xffb"), id="not UTF-8", marks=pytest.mark.slow),
     pytest.param("-x", id="a dash", marks=pytest.mark.slow),
     pytest.param("a\nb\x1b[2Jc", id="control characters"),
     pytest.param("[bold]:smile:[/x]", id="marks of a terminal's library", marks=pytest.mark.slow),
-    pytest.param("n" * 200, id="200 characters"),
+    pytest.param("n" * 200, id="200 characters", marks=pytest.mark.slow),
     pytest.param("*?[a]", id="wild cards", marks=pytest.mark.slow),
 ]
 
@@ -79,7 +80,7 @@ def test_figures_are_drawn_into_a_folder_of_any_name(name: str, small_job: Job, 
 @pytest.mark.parametrize(
     "name", [pytest.param("n" * 256, id="256 characters"), pytest.param("d/" * 3000, id="deep")]
 )
-@pytest.mark.parametrize("command", ["status", "verify", "plot", "why"])
+@in_turn("command", ["status", "verify", "plot", "why"])
 def test_a_name_that_no_file_can_have_is_refused_in_one_line(
     name: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
