@@ -223,7 +223,7 @@ def ranges_of_draws(first: int, end: int, most: int) -> list[tuple[int, int]]:
     The number is a power of 2 of at most `most`, and divides the first draw. A sum over a range is
     that over its first half plus that over its second. So its bits do not depend on the tasks.
 
-    >>> ranges_of(5, 24, most=8)
+    >>> ranges_of_draws(5, 24, most=8)
     [(5, 1), (6, 2), (8, 8), (16, 8)]
     """
     ranges = []

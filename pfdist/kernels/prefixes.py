@@ -68,7 +68,7 @@ def plan_prefixes(
     ``t * sensors + k``. `ends` has, for each set, the instant after the last instant whose error
     counts, by default T + 1. All of the set's times must lie before it.
 
-    >>> filter_plan, places, givers = plan(((0, 2), (1, 2), (0, 1)), 3)
+    >>> filter_plan, places, givers = plan_prefixes(((0, 2), (1, 2), (0, 1)), 3)
     >>> places, filter_plan.begins  # the order is (1, 2), (0, 2), (0, 1); (0, 1) shares (0,)
     (array([1, 0, 2]), array([0, 0, 1]))
     >>> givers[2]  # the error of (0, 1) at t = 0 is that of (0, 2)

@@ -43,7 +43,7 @@ def repeated_steps(
 
     Examples
     --------
-    >>> repeated(lambda x, k, entries: (x[0] + k,), (0,), 4)
+    >>> repeated_steps(lambda x, k, entries: (x[0] + k,), (0,), 4)
     (6,)
     """
     recording = next(

@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from pfdist.common.stopping import check
 from pfdist.common.telling import Waiting
 from pfdist.errors import ModelError, TraceError
-from pfdist.models.mistakes import error_line, is_interrupt, place_of, remedy
+from pfdist.models.mistakes import (
+    error_line,
+    is_interrupt,
+    place_of,
+    place_of_function,
+    remedy,
+)
 from pfdist.models.parameters import Parameter, named_parameters
 from pfdist.models.program import Array, Program, evaluate_program, merged
 from pfdist.models.symbols import Recording, RefusedError, Symbol
@@ -411,7 +417,7 @@ def _check_same(formula: Formula, first: Program, second: Program, t: int | None
         raise TraceError(
             f"model {formula.model}: {formula.name} must compute the same whenever it is called, "
             f"got two different programs{at}: a formula takes randomness from the noise it is "
-            f"given, and changes nothing outside"
+            f"given, and changes nothing outside{place_of_function(formula.function)}"
         )
 
 

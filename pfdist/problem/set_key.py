@@ -48,9 +48,9 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     The set of a single search is the plan. Sets of several searches keep their names.
 
     >>> job = {"search": [{"name": "genetic"}]}
-    >>> labels_of(["regular", "genetic", "mine"], job)
+    >>> labels_of_sets(["regular", "genetic", "mine"], job)
     {'regular': 'evenly spaced', 'genetic': 'plan', 'mine': 'mine'}
-    >>> labels_of(["regular_05", "genetic_05"], {**job, "budget": {}})
+    >>> labels_of_sets(["regular_05", "genetic_05"], {**job, "budget": {}})
     {'regular_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
     """
     keys = {column: set_key_of(column, job) for column in columns}

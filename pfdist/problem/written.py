@@ -33,7 +33,7 @@ def instants_written(written: Any, clock: Clock, name: str = "measurement_times"
     `MeasurementTimesError`, which begins with `name`, for any other text, or for a time that is not
     on the clock.
 
-    >>> instants_of([1, "2.5:4"], Clock.regular(6, 0.5, "h"))
+    >>> instants_written([1, "2.5:4"], Clock.regular(6, 0.5, "h"))
     [2, 5, 6, 7, 8]
     """
     written = as_text(written)

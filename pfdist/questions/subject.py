@@ -280,7 +280,7 @@ def as_good_text(row: Row) -> str:
 def ranges_of_times(numbers: Sequence[int]) -> str:
     """Numbers in ascending order as text.
 
-    >>> ranges_of([37]), ranges_of([36, 37, 38]), ranges_of([36, 37, 40])
+    >>> ranges_of_times([37]), ranges_of_times([36, 37, 38]), ranges_of_times([36, 37, 40])
     ('37', '36 to 38', '36, 37, 40')
     """
     if len(numbers) > 1 and numbers[-1] - numbers[0] == len(numbers) - 1:

@@ -85,7 +85,7 @@ def bundles(
 
     >>> from pfdist.filters.work import Estimation
     >>> ten = Estimation(particles=10)  # and 10 instants: 100 particle-steps a draw
-    >>> works = [Work(((0, 3),), (9,), (1,), 1, (0, draws), ten) for draws in (5, 2)]
+    >>> works = [FilterWork(((0, 3),), (9,), (1,), 1, (0, draws), ten) for draws in (5, 2)]
     >>> for bundle in bundles(works, lambda remaining: 400):
     ...     print([work.draws for work in bundle.works], bundle.steps)
     [(0, 4)] 400

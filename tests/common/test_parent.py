@@ -23,7 +23,7 @@ ENDED = (
 PROGRAM = """
 import ctypes, os, signal, sys, threading, time
 from pfdist.common import stopping
-from pfdist.common.parent import report
+from pfdist.common.parent import report_code
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGCHLD, signal.{chld})
 stopping.listen(forks=True)
@@ -32,7 +32,7 @@ try:
 except KeyboardInterrupt:
     code = stopping.exit_code()
     time.sleep(0.5)  # a second signal would end it here
-    sys.exit(report(code))
+    sys.exit(report_code(code))
 """
 WAITS = "stopping.check(); print(os.getpid(), flush=True); stopping.sleep(60.0)"
 
@@ -65,16 +65,16 @@ def test_an_end_without_a_report_is_one_line_and_75(lines: str, how: str, chld: 
 
 
 def test_a_reported_exit_code_stays_whatever_ends_the_process_afterwards() -> None:
-    assert done("report(0); os.abort()") == (0, "")
-    assert done("report(2); os._exit(1)") == (2, "")
-    assert done("report(0); report(3); sys.exit(report(3))") == (3, "")
+    assert done("report_code(0); os.abort()") == (0, "")
+    assert done("report_code(2); os._exit(1)") == (2, "")
+    assert done("report_code(0); report_code(3); sys.exit(report_code(3))") == (3, "")
 
 
 def test_no_destructor_of_c_runs_after_a_report() -> None:
     """Threads of C++ that their destructor finds would end the process with SIGABRT."""
     destroys = "import atexit; atexit.register(print, 'last'); c = ctypes.CDLL(None); "
     destroys += "c.on_exit(c.psignal, b'a destructor'); "  # it would write this
-    with started(destroys + "sys.exit(report(0))") as process:
+    with started(destroys + "sys.exit(report_code(0))") as process:
         assert process.communicate(timeout=60) == ("last\n", "")
     assert process.returncode == 0
 

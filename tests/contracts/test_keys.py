@@ -34,7 +34,7 @@ UNITS = {
     "filters/plain.py step": "draw: draws t",
     "filters/scenarios.py scenarios_of_draws": "block of draws: begins",
     "filters/work.py filter_streams": "draws: stream",
-    "questions/evaluate.py prepare": "draws: fresh",
+    "questions/evaluate.py prepare_evaluation": "draws: fresh",
     "questions/filter_measurements.py filter_measurements": "nothing, it is one system:",
     # Replicates with the same parameters have numbers. Groups of them share the numbers, which
     # changes neither the mean of the log evidence nor clearly its error.
@@ -53,7 +53,7 @@ UNITS = {
     "runner/block_sums.py grown": "draws:",
     "runner/build.py _with_long_gap": "nothing, it is one choice:",
     "runner/comparison_phase.py _work": "draws: name",
-    "runner/comparison_phase.py repeated": "draws: again",
+    "runner/comparison_phase.py first_draws_again": "draws: again",
     "runner/comparison_phase.py _by_set": "draws: table",
     "runner/door.py _cuts": "hash:",
     "runner/driver.py online_work": "draws: planner",

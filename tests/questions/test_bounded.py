@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.batched import batched
 from oracles.three_sensors import HORIZON, ThreeSensors
 from pfdist import Problem, StateSpaceModel, load_model, ode, sde
 from pfdist.common.measurement_times import regular
@@ -22,25 +23,24 @@ from pfdist.questions.model_checks import Check, check_loaded
 WALK = load_model("random_walk")
 
 
-def slow(burnt: int, engine: str = "numpy") -> StateSpaceModel:
+def slow(burnt: int, engine: str = "batched") -> StateSpaceModel:
     """A walk of which a step takes time: in NumPy about 10 ns for each burnt sine."""
 
     def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
         a = x[0]
         for _ in range(burnt):
             a = a + 1e-9 * np.sin(a)
-        if engine == "numpy":
-            a = a * np.piecewise(a, [a > 0], [1.0, 1.0])  # Numba has no piecewise
         return (a + w[0],)
 
-    return replace(WALK, name="slow", transition=transition, linear_gaussian=False)
+    model = replace(WALK, name="slow", transition=transition, linear_gaussian=False)
+    return batched(model, together=500) if engine == "batched" else model
 
 
 def checked(model: StateSpaceModel, horizon: int, particles: int) -> dict[str, Check]:
     return {check.name: check for check in check_loaded(lambda: model, horizon, particles)}
 
 
-@pytest.mark.parametrize("engine", ["numpy", pytest.param("compiled", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("engine", ["batched", pytest.param("compiled", marks=pytest.mark.slow)])
 def test_a_slow_model_has_fewer_draws_and_its_checks_say_so(
     monkeypatch: pytest.MonkeyPatch, engine: str
 ) -> None:

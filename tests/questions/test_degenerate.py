@@ -96,6 +96,7 @@ def test_from_1_percent_on_degenerate_draws_are_said_first(
 ) -> None:
     run = pfdist.open_run(finished())
     monkeypatch.setattr(stored_run, "errors_of", _flagged(share))
+    monkeypatch.setattr("pfdist.results.sets.summary_of", lambda run: None)
     said = f"{round(share * 250)} of 250 draws are degenerate: the filter leaves out measurements"
     assert (said in _first(answer_of(run))) == is_first
     assert (said in answer_in_a_line(run).partition(". ")[0]) == is_first
