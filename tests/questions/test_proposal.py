@@ -164,6 +164,7 @@ def test_a_guided_filter_by_hand_is_judged_as_auto_judges(
         assert all("'auto' takes 'plain': 200 plain particles" in text for text in texts)
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_guided_run_is_tight(tmp_path: Path) -> None:
     """Beside the truth, guided particles leave more variance than plain ones."""
     gaps = []
