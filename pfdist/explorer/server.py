@@ -57,7 +57,7 @@ def server_of(session: ExplorerSession, token: str, port: int) -> uvicorn.Server
 
     Parameters
     ----------
-    session : Session
+    session : ExplorerSession
     token : str
         The first part of every path.
     port : int

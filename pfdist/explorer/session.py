@@ -1,9 +1,9 @@
 """One exploration: a problem whose measurement times a user changes by hand, and the answers.
 
 A user who moves times looks at many sets on the same draws, and keeps the best of them. So these
-draws flatter the set, and no error on them is a proof. `Session.judge` compares a set with the
-plan, if there is one, else with the evenly spaced times, on draws that are new at each judgement,
-and all intervals hold together.
+draws flatter the set, and no error on them is a proof. `ExplorerSession.judge` compares a set with
+the plan, if there is one, else with the evenly spaced times, on draws that are new at each
+judgement, and all intervals hold together.
 
 References
 ----------
@@ -357,7 +357,7 @@ def reply(session: ExplorerSession, message: Any) -> dict[str, Any]:
 
     Parameters
     ----------
-    session : Session
+    session : ExplorerSession
     message : object
         A mapping, or its JSON, with ``ask``, "state", "answer", "judge" or "take", and ``id``,
         which the answer repeats; ``times`` and ``draws``, ``name`` and ``times``, or ``sets``.

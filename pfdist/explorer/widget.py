@@ -26,7 +26,7 @@ def explore(problem_or_run: JobSource | Run) -> Any:
     Returns
     -------
     anywidget.AnyWidget
-        Its attribute ``session`` answers by `pfdist.explorer.session.Session.answer`, too.
+        Its attribute ``session`` answers by `pfdist.explorer.session.ExplorerSession.answer`, too.
 
     Raises
     ------

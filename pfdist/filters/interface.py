@@ -32,7 +32,7 @@ from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.settings import check_filter_settings, check_start
-from pfdist.filters.work import Estimation, filter_streams
+from pfdist.filters.work import Estimation, filter_streams, sum_of_draws
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR, ErrorWeights, Estimator
 from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
@@ -178,7 +178,8 @@ def sums_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array
     sums = list[Array]()
     for some, filters in each_set:
         with np.errstate(all="ignore"):
-            errors = weighed(_errors(filters, some, estimator), some.instant_weights).sum(axis=0)
+            each_draw = weighed(_errors(filters, some, estimator), some.instant_weights)
+            errors = sum_of_draws(each_draw)
         row = np.zeros(draws.z.shape[1])
         row[: errors.size] = errors
         is_known = np.isfinite(errors).all() and not np.isnan([f.mse for f in filters]).any()

@@ -59,8 +59,8 @@ def filter_checked_draws(
 ) -> Filtered:
     """Filter draws as `filter_draws` does, with arguments that the caller has checked.
 
-    The times are sorted instants of the draws. `check_filter` has accepted the settings for this
-    model and the draws' model.
+    The times are sorted instants of the draws. `check_filter_settings` has accepted the
+    settings for this model and the draws' model.
     """
     planned = _planned(draws, (measurement_times,)).plan
     if not trajectories:
@@ -101,7 +101,7 @@ def filter_checked_sets(
     A prefix that two sets share is filtered once, which is faster than filtering the sets one by
     one and gives the same bits. `ends` are the last instants whose errors count; their sum is
     divided by the number of all instants. The times are sorted instants of the draws.
-    `check_filter` has accepted the settings for this model and the draws' model.
+    `check_filter_settings` has accepted the settings for this model and the draws' model.
     """
     planned, columns, _ = _planned(draws, sets, ends)
     mse, degenerate = _filter(model, draws, planned, stream, settings)

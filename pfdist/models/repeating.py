@@ -1,7 +1,7 @@
 """Loops in formulas: steps, each of which starts from the values of the step before.
 
-A loop of Python is recorded step by step, and a long program compiles slowly. `repeated` records
-one step, and machine code repeats it.
+A loop of Python is recorded step by step, and a long program compiles slowly. `repeated_steps`
+records one step, and machine code repeats it.
 """
 
 from collections.abc import Callable, Sequence

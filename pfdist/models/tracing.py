@@ -389,7 +389,7 @@ def _recorded_at(formula: Formula, mode: str, t: int) -> Program:
         if mode == MODES[-1] and not is_interrupt(error):
             groups = _groups(formula).items()
             single = {
-                name: tuple(values[0] for values in compsinglents) for name, compsinglents in groups
+                name: tuple(values[0] for values in components) for name, components in groups
             }
             fails = not isinstance(error, RefusedError) and not formula.with_numbers(single, t)
             raise untraceable(formula.model, formula.name, error, t, fails=fails) from error

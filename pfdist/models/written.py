@@ -126,7 +126,7 @@ def models_of(content: bytes) -> tuple[StateSpaceModel, StateSpaceModel]:
     Raises
     ------
     ValueError
-        `text_of` does not write such a text, or the text is too large.
+        `text_of_models` does not write such a text, or the text is too large.
     """
     lists = content.count(b"[")
     _need(lists <= MOST_LISTS, f"at most {MOST_LISTS:,} lists are read, got {lists:,}")

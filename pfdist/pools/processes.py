@@ -113,9 +113,10 @@ class _Processes:
         self._started, started = _SPAWN.Pipe(duplex=False)
         ended, self._alive = _SPAWN.Pipe(duplex=False)  # closes with the pool, or with this process
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])
-        self._executor = ProcessPoolExecutor(count, _SPAWN, _begin, (started, ended))
-        # Python unblocks SIGINT and SIGTERM when it starts its tracker of semaphores.
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        try:
+            self._executor = ProcessPoolExecutor(count, _SPAWN, _begin, (started, ended))
+        finally:  # Python unblocks SIGINT and SIGTERM when it starts its tracker of semaphores
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         self._ids = set[int]()
 
     def submit(self, *given: Any) -> "Future[Answer]":

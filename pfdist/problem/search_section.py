@@ -1,16 +1,29 @@
 """A section [[search]] of a job file: the method, its settings, and how it evaluates sets."""
 
+import re
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from pfdist.common.section import JobSection
+from pfdist.errors import shown
 from pfdist.kernels.schemes import Resampling
 
 AUTO: Final = "auto"
 _FEWEST_PARTICLES, _SHARE = 100, 5  # a search uses one fifth of the job's particles, at least 100
 
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
+
+def is_name(text: str) -> str:
+    """A name of a search or a set, which is also one of columns and files."""
+    if not re.fullmatch("[a-z][a-z0-9_]*", text):
+        raise ValueError(
+            "names of searches and sets must be lower-case letters, digits and underscores, a "
+            f"letter first, got {shown(text)}"
+        )
+    return text
+
+
+Name = Annotated[str, Field(max_length=40), AfterValidator(is_name)]
 Degenerate = Literal["continue", "kill"]
 Count = Annotated[int, Field(ge=1, lt=2**63)]
 Even = Annotated[int, Field(ge=2, lt=2**63, multiple_of=2)]

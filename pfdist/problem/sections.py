@@ -14,7 +14,7 @@ from pfdist.filters.engines import AUTO, EngineName
 from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
-from pfdist.problem.search_section import Degenerate
+from pfdist.problem.search_section import Degenerate, is_name
 
 DEFAULT_METHOD: Final = "relaxation"  # of a search; the name of its set, too
 REFERENCE: Final = "reference"  # name of a reference that the job gives, in tables and figures
@@ -55,7 +55,7 @@ Parameter = Annotated[
 ]
 """A number, or a number for each instant."""
 Text = Annotated[str, Field(max_length=_LONGEST_TEXT, pattern=r"^[^\x00]*$")]
-_SetName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=LONGEST_SET_NAME)]
+_SetName = Annotated[str, Field(max_length=LONGEST_SET_NAME), AfterValidator(is_name)]
 _SetTimes = Annotated[Literal["regular"] | MomentsAndRanges, BeforeValidator(_listed_times)]
 
 

@@ -177,7 +177,7 @@ def compute(
 
     Parameters
     ----------
-    session : Session
+    session : RunSession
     run : Run
     settings : BoundSettings or None
         Settings of the lower bound; None for no bound.

@@ -33,7 +33,7 @@ class RelativeErrors:
     ----------
     real : array of float64, (R,)
     foreseen : array of float64, (R, D)
-        RelativeErrors of each simulated system; NaN if they are not finite.
+        Errors of each simulated system; NaN if they are not finite.
     """
 
     real: Array

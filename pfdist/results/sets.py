@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import NormalDist
@@ -75,8 +76,9 @@ def sets_of(run: StoredRun) -> pd.DataFrame:
 
 def publish_sets(run: StoredRun) -> None:
     """Keep the table of sets in a file, unless it is there; the caller holds the run's lock."""
-    if summary_of(run) is None:
-        keep_summary(run, sets_of(run))
+    with contextlib.suppress(Exception):  # without it, a list takes longer
+        if summary_of(run) is None:
+            keep_summary(run, sets_of(run))
 
 
 def rows_of_sets(run: StoredRun) -> list[Row]:
@@ -253,13 +255,11 @@ def _search_errors(run: StoredRun, search: str, result: Results, evaluations: in
     return {
         "search_excess": result["search_mse"] / mse - 1.0 if comparable else math.nan,
         "search_settings": ", ".join(f"{key} = {value}" for key, value in own.items()),
-        "search_cause": cause_of_excess(result, own, str(run.path), evaluations),
+        "search_cause": cause_of_excess(result, own, evaluations),
     }
 
 
-def cause_of_excess(
-    result: Mapping[str, Any], own: Mapping[str, Any], run: str, evaluations: int = 1
-) -> str:
+def cause_of_excess(result: Mapping[str, Any], own: Mapping[str, Any], evaluations: int = 1) -> str:
     """Why a search's estimate differs from the error on fresh draws.
 
     A search chooses the set with the smallest of many estimates, so the estimate is too low. The
@@ -271,8 +271,6 @@ def cause_of_excess(
         With search_mse, search_standard_error, expected_mse and standard_error.
     own : mapping
         Settings in which the search estimates otherwise than the comparison.
-    run : str
-        The run's folder.
     evaluations : int
         Number of evaluations from which the search chose.
     """
@@ -287,7 +285,7 @@ def cause_of_excess(
     if _is_biased(own):
         return _UNDERESTIMATES
     size = f"{abs(apart) / error:.1f} standard errors" if error else "both are exact"
-    return f"unexplained: {size}; `pfdist verify {run}` checks the files"
+    return f"unexplained: {size}; `pfdist verify` checks the files"
 
 
 def largest_of(count: int) -> float:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pfdist.common.gone import without_gone
 from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError, PfdistWarning, StoreError
+from pfdist.filters.engines import AUTO
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
@@ -122,7 +123,10 @@ def read_recorded(
         The folder holds no run, or a file cannot be read or is damaged.
     """
     run, job = read_run(path)
-    if made_from is not None:
+    if made_from is not None and AUTO not in (
+        made_from.filter.particles,
+        made_from.filter.proposal,
+    ):
         return run, made_from.identity()
     job, ignored = without_gone(job)
     if ignored:

@@ -6,25 +6,26 @@ the file counts for nothing.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
+from functools import partial
+from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pfdist.errors import StoreError
 from pfdist.results.columns import COLUMNS, Row
 from pfdist.results.stored_run import StoredRun, evaluations_of
 from pfdist.store import QUESTIONS, WHY_PHASE, record_pages, write_file
-from pfdist.store.files import read_if_hashed
+from pfdist.store.files import check_replaceable, read_if_hashed
 from pfdist.store.folder import SUMMARY
 from pfdist.store.listing import read_listing
-from pfdist.store.tables import write_table
+from pfdist.store.tables import holds_table, write_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
+_NAME = b"sets of a run"
 _MADE_OF, _EVALUATIONS, _SECONDS = b"made_of", b"evaluations", b"worker_seconds"
 
 
@@ -73,14 +74,17 @@ def keep_summary(run: StoredRun, sets: pd.DataFrame) -> None:
         return
     table = pa.Table.from_pandas(sets, preserve_index=False).replace_schema_metadata(
         {
+            b"table": _NAME,
             _MADE_OF: made_of,
             _EVALUATIONS: str(evaluations_of(run)),
             _SECONDS: str(-1.0 if seconds is None else seconds),
         }
     )
-    with contextlib.suppress(StoreError):  # without it, a list takes longer
-        write_file(run.path / SUMMARY, lambda path: write_table(table, path))
-        record_pages(run.path, [run.path / SUMMARY], locked=True)
+    path = run.path / SUMMARY
+    check_replaceable(path, partial(holds_table, name=_NAME))
+    record_pages(run.path, [], locked=True, without=SUMMARY)  # so a kill leaves no wrong hash
+    write_file(path, lambda temporary: write_table(table, temporary))
+    record_pages(run.path, [path], locked=True)
 
 
 def worker_seconds_of(run: StoredRun) -> float | None:
@@ -89,9 +93,10 @@ def worker_seconds_of(run: StoredRun) -> float | None:
 
 
 def _fingerprint(run: StoredRun) -> bytes:
-    """A hash of the tables from which sets are described; empty if a phase is not finished."""
+    """A hash of the tables from which this version describes sets; empty if a phase goes on."""
     listing = read_listing(run.path)
     if listing is None or run._store.has_parts(without=QUESTIONS):
         return b""
     files = (file for file in sorted(listing.files) if f"/{WHY_PHASE}-" not in file)
-    return hashlib.sha256("\n".join(files).encode()).hexdigest().encode()
+    text = "\n".join((version("pfdist"), *files))
+    return hashlib.sha256(text.encode()).hexdigest().encode()

@@ -19,8 +19,8 @@ The steps of a batch, in this order, and the cost of a kill at each:
    file, which the next start removes. The timings of the tasks follow in a separate file: a kill
    between the two costs these timings.
 5. When nothing of the batch is missing, the driver resumes. Tables that it publishes with
-   `Session.later` are written after the next commit, when the workers have their next tasks. A kill
-   before costs nothing: the driver finds all rows committed, and publishes them again.
+   `RunSession.later` are written after the next commit, when the workers have their next tasks. A
+   kill before costs nothing: the driver finds all rows committed, and publishes them again.
 
 A task that fails runs again after all others, as often as the job allows. Then the driver gets a
 `TaskError`, and commits what it has. So every driver may raise `TaskError` (a task failed),

@@ -71,6 +71,7 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
                     argument="results",
                 )
             _check_same(path, built, identity, 0)
+            key = run_key(path) or recorded_key(path) or key  # its job has keys that are gone
         store = store_of(built, path, key)
         store.recover()
         committed = _committed(store)

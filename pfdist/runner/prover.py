@@ -110,14 +110,16 @@ class Prover:
     def prove(self, session: RunSession, run: Run) -> Generator[WorkBatch, None, Look]:
         """Prove bounds for the sets of a finished run, and write the table ``bound``."""
         # The sums are published before the table of the bound, which marks the proof as done. A
-        # kill in between errors no filter: the next proof finds all sums by their ids.
-        built = self._built
+        # kill in between errors no filter: the next proof finds all sums by their ids. If it is
+        # stopped, the sums stay parts, because those of single draws are not published.
+        built, tables = self._built, ["draws", "timings"]
         try:
             looks = yield from self._looks(session, run)
+            tables = ["error_sums", *tables]
         finally:  # also if the driver is closed early: rows that still wait are committed
             session.built = self._built = built
             session.commit()
-            for table in ("error_sums", "draws", "timings"):
+            for table in tables:
                 for phase in session.store.phases_of(table, BOUND_PHASE):
                     session.store.settle(table, phase)
         session.store.renew("bound", BOUND_PHASE, self._rows(looks, run.draws_compared))

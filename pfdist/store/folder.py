@@ -100,7 +100,7 @@ def check_entries(folder: Path) -> None:
     """
     below = [f"{place}/{table}" for place in ("tables", "parts") for table in TABLES]
     for is_right, what, names in (
-        (stat.S_ISREG, "file", (*ABOUT, FILES, REPORT, SUMMARY)),
+        (stat.S_ISREG, "file", (*ABOUT, FILES, REPORT)),
         (stat.S_ISDIR, "folder", ("tables", "parts", FIGURES_FOLDER, *below)),
     ):
         for name in names:

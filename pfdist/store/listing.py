@@ -21,6 +21,7 @@ two steps costs:
 import contextlib
 import hashlib
 import json
+import os
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
@@ -71,8 +72,14 @@ def read_listing(folder: Path) -> Listing | None:
 
 def _version(path: Path) -> tuple[int, ...]:
     """Numbers that differ between two versions of a file that is replaced as a whole."""
-    about = path.stat()
-    return about.st_ino, about.st_mtime_ns, about.st_ctime_ns, about.st_size
+    handle = os.open(
+        path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
+    )  # else NFS may know an old one
+    try:
+        about = os.fstat(handle)
+    finally:
+        os.close(handle)
+    return about.st_dev, about.st_ino, about.st_mtime_ns, about.st_ctime_ns, about.st_size
 
 
 def _read(path: Path) -> Listing | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.about import check_models, check_version_of, read_run
-from pfdist.store.folder import REPORT, check_entries
+from pfdist.store.folder import REPORT, SUMMARY, check_entries
 from pfdist.store.listing import read_listing
 from pfdist.store.lock import check_not_held
 from pfdist.store.parquet import Store
@@ -43,7 +43,8 @@ def verify_run(path: Path) -> Iterator[str]:
             differs = page.exists() and files.digest(page) != sha256
         if differs:
             command = "report" if name == REPORT else "plot"
-            yield f"{page} has changed: `pfdist {command} {path}` makes it again"
+            remedy = f"`pfdist {command} {path}` makes it again"
+            yield f"{page} has changed: {'remove it' if name == SUMMARY else remedy}"
 
 
 def _wrong_rows(store: Store) -> Iterator[str]:

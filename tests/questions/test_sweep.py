@@ -443,3 +443,15 @@ def test_an_error_of_the_table_or_the_figure_is_a_line_and_the_sweep_stands(
     assert sweep.files == (tmp_path / "other" / "points.csv",)
     assert sweep.figures == ()
     assert "ZeroDivisionError: a mistake (`pfdist plot " in said[-1]
+
+
+def test_a_point_has_the_particles_and_the_proposal_that_were_found(
+    swept: Sweeping, sweep_file: Path
+) -> None:
+    """A report of a point needs them."""
+    (run, *_) = swept(
+        {"seed": [1]}, changes=["filter.particles=auto", "filter.proposal=auto"], report=True
+    ).runs.values()
+    assert run.job == pfdist.open_run(run.path).job
+    assert isinstance(run.job["filter"]["particles"], int)
+    assert (run.path / "report.html").exists()

@@ -200,3 +200,16 @@ def test_an_operation_of_a_newer_version_is_named_where_the_model_is_needed(
     line = _line(["evaluate", str(run), "--times", "0,3"], capsys)
     assert "model.json is undamaged, but pfdist " in line
     assert "unknown operation 'zeta'" in line
+
+
+def test_a_run_of_keys_that_are_gone_is_continued_by_its_own_job(run: Path) -> None:
+    """Its key is that of the job as it was, with ``filter.dtype``, and so are its tables."""
+    (run / "figures").mkdir(exist_ok=True)
+    files = sorted((run / "tables").rglob("*.parquet"))
+    same = pfdist.run(run / "job.toml", run, figures=False)
+    assert same.state == "finished"
+    assert sorted((run / "tables").rglob("*.parquet")) == files
+    more = pfdist.run(run / "job.toml", run, changes=["comparison.draws=80"], figures=False)
+    assert (more.state, more.draws_compared) == ("finished", 80)
+    again = pfdist.run(run / "job.toml", run, figures=False)
+    assert again.table("sets")["draws"].tolist() == [80] * len(again.names)

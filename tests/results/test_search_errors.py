@@ -11,7 +11,7 @@ from pfdist.results.sets import cause_of_excess, largest_of
 CHOSE = "its draws chose the set"
 UNDERESTIMATES = "the search's filter underestimates its error"
 ERRS_MORE = "the search's filter has a larger error than the job's"
-UNEXPLAINED = "unexplained: {} standard errors; `pfdist verify results/x` checks the files"
+UNEXPLAINED = "unexplained: {} standard errors; `pfdist verify` checks the files"
 VARIANCE = {"particles": 100, "estimator": "filter_variance"}
 
 
@@ -38,7 +38,7 @@ def test_the_cause_of_a_wrong_estimate_is_the_filter_where_draws_do_not_explain_
         "expected_mse": 5.0,
         "standard_error": 0.08,  # of the difference: 0.1
     }
-    assert cause_of_excess(result, own, "results/x", 1000) == cause
+    assert cause_of_excess(result, own, 1000) == cause
 
 
 def test_the_smallest_of_many_evaluations_lies_below_the_limit_as_rarely_as_stated(
@@ -55,5 +55,5 @@ def test_the_smallest_of_many_evaluations_lies_below_the_limit_as_rarely_as_stat
 def test_an_estimate_without_standard_error_is_not_called_exact() -> None:
     """A search by particles may see the same error in all of its draws."""
     result = {"search_mse": 5.0, "search_standard_error": 0.0, "expected_mse": 5.0}
-    assert cause_of_excess(result | {"standard_error": 0.08}, {}, "results/x") == CHOSE
-    assert cause_of_excess(result | {"standard_error": 0.0}, {}, "results/x") == "exact"
+    assert cause_of_excess(result | {"standard_error": 0.08}, {}) == CHOSE
+    assert cause_of_excess(result | {"standard_error": 0.0}, {}) == "exact"

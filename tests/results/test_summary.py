@@ -9,7 +9,7 @@ import pytest
 
 import pfdist
 from pfdist.results.runs_table import runs_table
-from pfdist.results.sets import rows_of_sets
+from pfdist.results.sets import publish_sets, rows_of_sets
 from pfdist.results.summary import summary_of
 from pfdist.store.folder import SUMMARY
 from pfdist.store.listing import change_listing, read_listing
@@ -60,3 +60,16 @@ def test_a_damaged_summary_is_not_read(run: pfdist.Run) -> None:
     (run.path / SUMMARY).write_bytes(content[:-9] + b"x" + content[-8:])
     assert summary_of(run) is None
     assert [SUMMARY in line for line in verify_run(run.path)] == [True]
+
+
+def test_a_file_of_the_user_is_not_replaced(finished: Finished, tmp_path: Path) -> None:
+    own = tmp_path / "run"
+    shutil.copytree(finished(), own)
+    (own / SUMMARY).unlink()
+    pfdist.open_run(own).table("comparison").to_parquet(own / SUMMARY)
+    content = (own / SUMMARY).read_bytes()
+    publish_sets(pfdist.open_run(own))
+    assert (own / SUMMARY).read_bytes() == content
+    (own / SUMMARY).unlink()
+    publish_sets(pfdist.open_run(own))
+    assert summary_of(pfdist.open_run(own)) is not None
