@@ -95,8 +95,16 @@ def _loopback(folder: Path) -> tuple[float, Path, bool | None]:
         def kill_a_node() -> None:
             kill(cluster.all[1])
 
-        changed = ("--set", LONG, *here)
-        _until_ready("run", JOB, long, *changed, environment=cluster.environment, then=kill_a_node)
+        _until_ready(
+            "run",
+            JOB,
+            long,
+            "--set",
+            LONG,
+            *here,
+            environment=cluster.environment,
+            then=kill_a_node,
+        )
     _until_ready("run", JOB, folder / "whole", "--set", LONG, "--pool", "threads")
     return seconds, run, _tables(long) == _tables(folder / "whole")
 
@@ -113,18 +121,36 @@ def _submitted(folder: Path) -> tuple[float, Path, bool | None]:
 
 
 def _slurm_nodes(folder: Path) -> tuple[float, Path, bool | None]:
-    words = ("run", "quick.toml", "--verbose", "--results", "results/quick")
     with _slurm(folder) as cluster:
-        seconds = _until_done(cluster, folder, "nodes.sbatch", *words, options=("--nodes=2",))
+        seconds = _until_done(
+            cluster,
+            folder,
+            "nodes.sbatch",
+            "run",
+            "quick.toml",
+            "--verbose",
+            "--results",
+            "results/quick",
+            options=("--nodes=2",),
+        )
     return seconds, folder / "results" / "quick", None
 
 
 def _slurm_array(folder: Path) -> tuple[float, Path, bool | None]:
     """A sweep over two seeds in two tasks; the bytes are those of the job's own seed."""
     (folder / "seeds.toml").write_text('job = "quick.toml"\n[over]\nseed = [2020, 1]\n')
-    words = ("sweep", "seeds.toml", "--verbose", "--results", "results/seeds")
     with _slurm(folder) as cluster:
-        seconds = _until_done(cluster, folder, "array.sbatch", *words, options=("--array=1-2",))
+        seconds = _until_done(
+            cluster,
+            folder,
+            "array.sbatch",
+            "sweep",
+            "seeds.toml",
+            "--verbose",
+            "--results",
+            "results/seeds",
+            options=("--array=1-2",),
+        )
     jobs = (folder / "results" / "seeds").glob("*/job.toml")
     own = next(job for job in jobs if "seed = 2020\n" in job.read_text())
     return seconds, own.parent, None
@@ -143,8 +169,14 @@ def _until_done(
 ) -> float:
     """Seconds from submission until the workers of a batch job are ready; it has ended then."""
     start, out = perf_counter(), folder / "out.txt"
-    few = ("--cpus-per-task=2", "--output=out.txt", *options)
-    job = cluster.submit(folder, *few, folder / "jobs" / script, *words)
+    job = cluster.submit(
+        folder,
+        "--cpus-per-task=2",
+        "--output=out.txt",
+        *options,
+        folder / "jobs" / script,
+        *words,
+    )
     while not (out.exists() and _READY in out.read_text()):
         _check(perf_counter() - start < _PATIENCE, f"{script} has not started")
         sleep(0.02)
@@ -161,8 +193,16 @@ def _until_ready(
     environment: Mapping[str, str] | None = None,
     then: Callable[[], None] | None = None,
 ) -> float:
-    flags = ("--verbose", "--no-report")
-    words = [*_PFDIST, command, str(job), "--results", str(run), *flags, *options]
+    words = [
+        *_PFDIST,
+        command,
+        str(job),
+        "--results",
+        str(run),
+        "--verbose",
+        "--no-report",
+        *options,
+    ]
     return _until_said(words, environment or {}, then)
 
 

@@ -36,8 +36,14 @@ def filter_draws(
 ) -> NDArray[np.float64]:
     """Filter draws block by block; see `benchmarks.peer_filters`."""
     key = jax.random.key(seed)
-    truth = jnp.asarray(y, jnp.float32), jnp.asarray(z, jnp.float32)
-    mse = _filter_draws(key, *truth, jnp.asarray(measured), particles, resampling)
+    mse = _filter_draws(
+        key,
+        jnp.asarray(y, jnp.float32),
+        jnp.asarray(z, jnp.float32),
+        jnp.asarray(measured),
+        particles,
+        resampling,
+    )
     return np.asarray(mse, np.float64)
 
 

@@ -307,8 +307,9 @@ class _Formulas:
     def distance(self, x: Any, p: Any) -> Any:
         """The squared distance of the means of two filters; see `pfdist.filters.interface`."""
         count, total = len(self.is_angle), 0.0
-        parts = x[:count], x[count : 2 * count], x[2 * count :], self.is_angle
-        for mean, variance, first, is_angle in zip(*parts, strict=True):
+        for mean, variance, first, is_angle in zip(
+            x[:count], x[count : 2 * count], x[2 * count :], self.is_angle, strict=True
+        ):
             angular = (1.0 - variance) * angular_error(first, mean) if is_angle else 0.0
             total = total + (angular if is_angle else (first - mean) ** 2)
         return total
