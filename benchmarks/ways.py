@@ -121,36 +121,18 @@ def _submitted(folder: Path) -> tuple[float, Path, bool | None]:
 
 
 def _slurm_nodes(folder: Path) -> tuple[float, Path, bool | None]:
+    words = ("run", "quick.toml", "--verbose", "--results", "results/quick")
     with _slurm(folder) as cluster:
-        seconds = _until_done(
-            cluster,
-            folder,
-            "nodes.sbatch",
-            "run",
-            "quick.toml",
-            "--verbose",
-            "--results",
-            "results/quick",
-            options=("--nodes=2",),
-        )
+        seconds = _until_done(cluster, folder, "nodes.sbatch", *words, options=("--nodes=2",))
     return seconds, folder / "results" / "quick", None
 
 
 def _slurm_array(folder: Path) -> tuple[float, Path, bool | None]:
     """A sweep over two seeds in two tasks; the bytes are those of the job's own seed."""
     (folder / "seeds.toml").write_text('job = "quick.toml"\n[over]\nseed = [2020, 1]\n')
+    words = ("sweep", "seeds.toml", "--verbose", "--results", "results/seeds")
     with _slurm(folder) as cluster:
-        seconds = _until_done(
-            cluster,
-            folder,
-            "array.sbatch",
-            "sweep",
-            "seeds.toml",
-            "--verbose",
-            "--results",
-            "results/seeds",
-            options=("--array=1-2",),
-        )
+        seconds = _until_done(cluster, folder, "array.sbatch", *words, options=("--array=1-2",))
     jobs = (folder / "results" / "seeds").glob("*/job.toml")
     own = next(job for job in jobs if "seed = 2020\n" in job.read_text())
     return seconds, own.parent, None

@@ -63,7 +63,7 @@ def _filter_blocks(
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
     x = {"x": states}
     z, source = "quantity_of_interest", partial(_source, model)
-    deviations = ("errors", own.errors) if by_error else (z, own.deviations)
+    name, deviations = ("errors", own.errors) if by_error else (z, own.deviations)
     sources = dict[Any, Source | Callback | None](
         {
             rows.INITIAL: _own(model, "initial", instants),
@@ -72,7 +72,7 @@ def _filter_blocks(
                 quantities + 2 * angles, z, own.quantity, {**x, "t": 0}, instants
             ),
             rows.DEVIATIONS: source(
-                quantities, *deviations, {**x, "y": quantities, "t": 0}, instants
+                quantities, name, deviations, {**x, "y": quantities, "t": 0}, instants
             ),
             rows.ESTIMATE: source(
                 quantities, "the mean", own.estimate, {"x": quantities + 2 * angles}, once
