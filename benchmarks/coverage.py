@@ -81,8 +81,14 @@ def measure(quick: bool, say: Say) -> Tables:
     rows, repeats = [], 20 if quick else REPEATS
     for model in [*map(load_model, SHIPPED), *HEAVY][-2 if quick else 0 :]:
         evaluator = Evaluator(model, HORIZON)
-        given = [*SETS.values()], 1, 2, (0, repeats * DRAWS), Estimation(PARTICLES)
-        work = evaluator.work(*given, controlled=True)
+        work = evaluator.work(
+            [*SETS.values()],
+            1,
+            2,
+            (0, repeats * DRAWS),
+            Estimation(PARTICLES),
+            controlled=True,
+        )
         results = [
             evaluator.filtered(work.part(block)) for block in cut(range(work.draws[1]), 5000)
         ]

@@ -209,8 +209,8 @@ def _theirs(peer: Peer) -> Filter:
     measured[list(regular(HORIZON, BUDGET))] = True
 
     def filter_theirs(draws: Draws, resampling: str, seed: int) -> NDArray[np.float64]:
-        truth = draws.y[:, :, 0], draws.z[:, :, 0]
-        mse: NDArray[np.float64] = function(*truth, measured, PARTICLES, resampling, seed)
+        y, z = draws.y[:, :, 0], draws.z[:, :, 0]
+        mse: NDArray[np.float64] = function(y, z, measured, PARTICLES, resampling, seed)
         return mse
 
     return filter_theirs

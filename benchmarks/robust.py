@@ -165,8 +165,15 @@ def summary(tables: Tables) -> str:
             tables["robust"].itertuples(index=False)
         )
     ]
-    errors, losses = ("mean error", "largest error"), ("largest loss, %", "loss of the mean, %")
-    table = markdown(("system", "planned for", *errors, *losses), rows)
+    head = (
+        "system",
+        "planned for",
+        "mean error",
+        "largest error",
+        "largest loss, %",
+        "loss of the mean, %",
+    )
+    table = markdown(head, rows)
     return (
         f"Four plans for {SCENARIOS} scenarios, on the same {DRAWS:,} draws. Loss: by how much an "
         f"error lies above that of the best set compared.\n\n{table}"

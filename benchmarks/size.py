@@ -45,10 +45,13 @@ def cases(quick: bool) -> list[Case]:
     """Give all cases, the small ones first."""
     draws = [100, 200] if quick else [100_000, 1_000_000, 10_000_000]
     horizons = [20] if quick else [60, 200, 600, 2000]
-    short = ("problem.horizon=15", "problem.measurement_budget=6", "filter.particles=50")
     compared = [
-        _case("draws", count, "compare", *short, f"comparison.draws={count}") for count in draws
-    ]
+        _case(
+            "draws", count, "compare", "problem.horizon=15", "problem.measurement_budget=6",
+            "filter.particles=50", f"comparison.draws={count}",
+        )
+        for count in draws
+    ]  # fmt: skip
     planned = [
         _case(
             "horizon", horizon, "plan", f"problem.horizon={horizon}",

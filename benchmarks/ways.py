@@ -95,8 +95,16 @@ def _loopback(folder: Path) -> tuple[float, Path, bool | None]:
         def kill_a_node() -> None:
             kill(cluster.all[1])
 
-        changed = ("--set", LONG, *here)
-        _until_ready("run", JOB, long, *changed, environment=cluster.environment, then=kill_a_node)
+        _until_ready(
+            "run",
+            JOB,
+            long,
+            "--set",
+            LONG,
+            *here,
+            environment=cluster.environment,
+            then=kill_a_node,
+        )
     _until_ready("run", JOB, folder / "whole", "--set", LONG, "--pool", "threads")
     return seconds, run, _tables(long) == _tables(folder / "whole")
 
@@ -143,8 +151,14 @@ def _until_done(
 ) -> float:
     """Seconds from submission until the workers of a batch job are ready; it has ended then."""
     start, out = perf_counter(), folder / "out.txt"
-    few = ("--cpus-per-task=2", "--output=out.txt", *options)
-    job = cluster.submit(folder, *few, folder / "jobs" / script, *words)
+    job = cluster.submit(
+        folder,
+        "--cpus-per-task=2",
+        "--output=out.txt",
+        *options,
+        folder / "jobs" / script,
+        *words,
+    )
     while not (out.exists() and _READY in out.read_text()):
         _check(perf_counter() - start < _PATIENCE, f"{script} has not started")
         sleep(0.02)
@@ -161,8 +175,16 @@ def _until_ready(
     environment: Mapping[str, str] | None = None,
     then: Callable[[], None] | None = None,
 ) -> float:
-    flags = ("--verbose", "--no-report")
-    words = [*_PFDIST, command, str(job), "--results", str(run), *flags, *options]
+    words = [
+        *_PFDIST,
+        command,
+        str(job),
+        "--results",
+        str(run),
+        "--verbose",
+        "--no-report",
+        *options,
+    ]
     return _until_said(words, environment or {}, then)
 
 

@@ -31,8 +31,14 @@ def filter_draws(
     seed: int,
 ) -> NDArray[np.float64]:
     """Filter draws block by block; see `benchmarks.peer_filters`."""
-    truth = jnp.asarray(y, jnp.float32), jnp.asarray(z, jnp.float32)
-    mse = _filter_draws(jax.random.key(seed), *truth, jnp.asarray(measured), particles, resampling)
+    mse = _filter_draws(
+        jax.random.key(seed),
+        jnp.asarray(y, jnp.float32),
+        jnp.asarray(z, jnp.float32),
+        jnp.asarray(measured),
+        particles,
+        resampling,
+    )
     return np.asarray(mse, np.float64)
 
 
@@ -67,8 +73,13 @@ def _filter_draws(
         def step(before: Any, now: Any) -> Any:
             inputs, z_t, was_measured, key = now
             after = resampling_filter.filter_prepare(inputs, key=key)
-            combine = resampling_filter.filter_combine, other_filter.filter_combine
-            after = jax.lax.cond(was_measured, *combine, before, after)
+            after = jax.lax.cond(
+                was_measured,
+                resampling_filter.filter_combine,
+                other_filter.filter_combine,
+                before,
+                after,
+            )
             return after, error(after, z_t)
 
         later = jax.tree.map(lambda values: values[1:], inputs)

@@ -36,8 +36,14 @@ def filter_draws(
 ) -> NDArray[np.float64]:
     """Filter draws block by block; see `benchmarks.peer_filters`."""
     key = jax.random.key(seed)
-    truth = jnp.asarray(y, jnp.float32), jnp.asarray(z, jnp.float32)
-    mse = _filter_draws(key, *truth, jnp.asarray(measured), particles, resampling)
+    mse = _filter_draws(
+        key,
+        jnp.asarray(y, jnp.float32),
+        jnp.asarray(z, jnp.float32),
+        jnp.asarray(measured),
+        particles,
+        resampling,
+    )
     return np.asarray(mse, np.float64)
 
 
@@ -74,8 +80,14 @@ def _filter_draws(
             x += jax.random.normal(key_noise, (particles,))
             return observe(x, t, y_t, z_t, measured_t, key_resampling)
 
-        later = jnp.arange(1, y.size, dtype=jnp.float32), y[1:], z[1:], measured[1:]
-        _, rest = lax.scan(step, x, (*later, jax.random.split(key_rest, y.size - 1)))
+        later = (
+            jnp.arange(1, y.size, dtype=jnp.float32),
+            y[1:],
+            z[1:],
+            measured[1:],
+            jax.random.split(key_rest, y.size - 1),
+        )
+        _, rest = lax.scan(step, x, later)
         return (first + rest.sum()) / y.size
 
     keys = jax.random.split(key, len(y))

@@ -278,8 +278,8 @@ class Clock:
         If two of them would be the same instant, the later one moves to the next. A single time is
         the instant nearest to the middle.
         """
-        first_and_last = self.times[0], self.times[-1]
-        wanted = np.linspace(*first_and_last, number) if number > 1 else [np.mean(first_and_last)]
+        begin, end = self.times[0], self.times[-1]
+        wanted = np.linspace(begin, end, number) if number > 1 else [np.mean((begin, end))]
         chosen = list[int]()
         for left, time in zip(range(number - 1, -1, -1), wanted, strict=True):
             first = chosen[-1] + 1 if chosen else 0

@@ -142,8 +142,13 @@ def _count_tails(k, mean, n):
     p, a, b = mean / np.maximum(n, 1.0), k + 1.0, n - k
     q, is_above = 1.0 - p, (n + 1.0) * p <= a
     here = np.exp(log_beta_part(a, b + 1.0, p, q)) / ((n + 1.0) * p * q)
-    shapes = np.where(is_above, a, b), np.where(is_above, b, a)
-    tail = here * p * b * _beta_below(*shapes, np.where(is_above, p, q), np.where(is_above, q, p))
+    below = _beta_below(
+        np.where(is_above, a, b),
+        np.where(is_above, b, a),
+        np.where(is_above, p, q),
+        np.where(is_above, q, p),
+    )
+    tail = here * p * b * below
     return np.where(is_above, 1.0 - tail, tail), np.where(is_above, tail, 1.0 - tail), here
 
 

@@ -86,8 +86,15 @@ class FilteredSets:
         evaluator = self._evaluator
         if self.exact:
             return self._exact(times)
-        given = [times], self._stream, self._stream, (first, end), self._built.comparing
-        result = evaluator.filtered(evaluator.work(*given, trajectories=True))
+        work = evaluator.work(
+            [times],
+            self._stream,
+            self._stream,
+            (first, end),
+            self._built.comparing,
+            trajectories=True,
+        )
+        result = evaluator.filtered(work)
         apart = result.estimates[0] - result.z
         at = np.where(evaluator.model.is_angle, 1.0 - np.cos(apart), apart**2)
         return SetErrors(result.mse[:, 0], result.degenerate[:, 0], at)
@@ -100,8 +107,10 @@ class FilteredSets:
         """The evaluations of sets on the first draws, of which nothing is kept."""
         if self.exact:
             return [self.evaluation(times, self._exact(times)) for times in sets]
-        given = sets, self._stream, self._stream, (0, draws), self._built.comparing
-        result = self._evaluator.filtered(self._evaluator.work(*given))
+        work = self._evaluator.work(
+            sets, self._stream, self._stream, (0, draws), self._built.comparing
+        )
+        result = self._evaluator.filtered(work)
         found = zip(result.mse.T, result.degenerate.T, strict=True)
         return [
             self.evaluation(times, SetErrors(*each, np.empty(0)))

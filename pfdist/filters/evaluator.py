@@ -395,8 +395,9 @@ class Evaluator:
         It is the sum of the errors up to each set's end, divided by the number of instants. The
         second array, (D, S), marks degenerate draws. Raises `ModelError` if a formula failed.
         """
-        given = draws, sets, ends, stream, self.settings(estimation)
-        mse, degenerate = self.computed_by.filters.filter_checked_sets(self.believed, *given)
+        mse, degenerate = self.computed_by.filters.filter_checked_sets(
+            self.believed, draws, sets, ends, stream, self.settings(estimation)
+        )
         return mse, degenerate
 
     def _of_sets(
@@ -412,8 +413,9 @@ class Evaluator:
         if not over_time:
             mse, degenerate = self.mse_of_sets(draws, sets, ends, stream, estimation)
             return mse, degenerate, np.empty((*mse.shape, 0))
-        given = draws, sets, ends, stream, self.settings(estimation)
-        mse, degenerate, errors = self.computed_by.filters.errors_over_time(self.believed, *given)
+        mse, degenerate, errors = self.computed_by.filters.errors_over_time(
+            self.believed, draws, sets, ends, stream, self.settings(estimation)
+        )
         return mse, degenerate, errors / self.scale
 
     def results(self, works: Iterable[FilterWork]) -> list[Result]:
@@ -466,11 +468,13 @@ class Evaluator:
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]
             ends = [work.ends[column] for column in same_noise]
-            given, over_time = (draws, sets, ends, stream), work.over_time > 0
-            found = self._of_sets(*given, work.estimation, over_time)
+            over_time = work.over_time > 0
+            found = self._of_sets(draws, sets, ends, stream, work.estimation, over_time)
             values[:, same_noise], degenerate[:, same_noise], errors[:, same_noise] = found
             if work.controlled:  # by the same noise, so that both errors have much in common
-                mse, fails, at = self._of_sets(*given, control_of(work.estimation), over_time)
+                mse, fails, at = self._of_sets(
+                    draws, sets, ends, stream, control_of(work.estimation), over_time
+                )
                 control[:, same_noise] = np.where(np.isfinite(mse), mse, 0.0)
                 errors[:, same_noise] -= np.where(np.isfinite(at), at, 0.0)
                 degenerate[:, same_noise] |= fails

@@ -148,8 +148,9 @@ def surprise_of_particles(
     for component in measured:
         values = np.broadcast_to(np.asarray(simulated[component], np.float64), (number,))
         values = values[np.isfinite(values)]
-        key = stream, draw, cloud.t, TRUTH_MEASUREMENT, len(kinds) + int(component)
-        (tie,) = variates("uniform", 1, *key)
+        (tie,) = variates(
+            "uniform", 1, stream, draw, cloud.t, TRUTH_MEASUREMENT, len(kinds) + int(component)
+        )
         below, equal = np.sum(values < y[component]), np.sum(values == y[component])
         rank = float((below + tie * (equal + 1)) / (values.size + 1))
         smallest = min(smallest, 2 * rank, 2 * (1 - rank))

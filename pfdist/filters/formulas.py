@@ -63,7 +63,7 @@ def _filter_blocks(
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
     x = {"x": states}
     z, source = "quantity_of_interest", partial(_source, model)
-    deviations = ("errors", own.errors) if by_error else (z, own.deviations)
+    name, deviations = ("errors", own.errors) if by_error else (z, own.deviations)
     sources = dict[Any, Source | Callback | None](
         {
             rows.INITIAL: _own(model, "initial", instants),
@@ -72,7 +72,7 @@ def _filter_blocks(
                 quantities + 2 * angles, z, own.quantity, {**x, "t": 0}, instants
             ),
             rows.DEVIATIONS: source(
-                quantities, *deviations, {**x, "y": quantities, "t": 0}, instants
+                quantities, name, deviations, {**x, "y": quantities, "t": 0}, instants
             ),
             rows.ESTIMATE: source(
                 quantities, "the mean", own.estimate, {"x": quantities + 2 * angles}, once
@@ -307,8 +307,9 @@ class _Formulas:
     def distance(self, x: Any, p: Any) -> Any:
         """The squared distance of the means of two filters; see `pfdist.filters.interface`."""
         count, total = len(self.is_angle), 0.0
-        parts = x[:count], x[count : 2 * count], x[2 * count :], self.is_angle
-        for mean, variance, first, is_angle in zip(*parts, strict=True):
+        for mean, variance, first, is_angle in zip(
+            x[:count], x[count : 2 * count], x[2 * count :], self.is_angle, strict=True
+        ):
             angular = (1.0 - variance) * angular_error(first, mean) if is_angle else 0.0
             total = total + (angular if is_angle else (first - mean) ** 2)
         return total

@@ -79,8 +79,16 @@ def filter_checked_draws(
     for array in (estimate, variance, wanted.cloud):
         array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
     weights = wanted.weight if settings.carries else None
-    given = estimate, variance, tuple(wanted.cloud), weights, wanted.ranks, wanted.sizes
-    return Filtered(mse[:, 0], degenerate[:, 0], *given)
+    return Filtered(
+        mse[:, 0],
+        degenerate[:, 0],
+        estimate,
+        variance,
+        tuple(wanted.cloud),
+        weights,
+        wanted.ranks,
+        wanted.sizes,
+    )
 
 
 filter_draws = checking(filter_checked_draws)
@@ -269,8 +277,8 @@ def _truth_noise(draws: Draws, is_wanted: bool) -> NDArray[np.float64]:
             (model.process_noise, TRUTH_PROCESS) if k else (model.initial_noise, TRUTH_INITIAL)
         )
         for c, kind in enumerate(kinds):
-            key = draws.stream, index, t - 1 if k else 0, role, c
-            noise[:, k, c] = variates(kind, 1, *key)[:, 0]
+            values = variates(kind, 1, draws.stream, index, t - 1 if k else 0, role, c)
+            noise[:, k, c] = values[:, 0]
     return noise
 
 

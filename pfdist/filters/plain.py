@@ -95,8 +95,8 @@ def filter_checked_draws(
     if not trajectories:
         return Filtered(mse, degenerate)
     carried = weight if settings.carries else None
-    moments = estimate, variance, tuple(last), carried
-    return Filtered(mse, degenerate, *moments, np.moveaxis(ranks, 1, 0), sizes)
+    ranks = np.moveaxis(ranks, 1, 0)
+    return Filtered(mse, degenerate, estimate, variance, tuple(last), carried, ranks, sizes)
 
 
 def _filter(

@@ -180,8 +180,6 @@ def call_block(blocks, which, out, slots, noise, given, size):
 
 @intrinsic
 def _call(context, address, out, slots, noise, given, shared, memory, size):
-    arguments = address, out, slots, noise, given, shared, memory, size
-
     def generate(context, builder, signature, values):
         numbers = []
         for kind, value in zip(signature.args, values, strict=True):
@@ -195,4 +193,4 @@ def _call(context, address, out, slots, noise, given, shared, memory, size):
         builder.call(function, given)
         return context.get_dummy_value()
 
-    return types.none(*arguments), generate
+    return types.none(address, out, slots, noise, given, shared, memory, size), generate

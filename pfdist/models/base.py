@@ -285,8 +285,8 @@ class StateSpaceModel:
     def parts(self) -> tuple[SensorPart, ...]:
         """The sensors in their order; without sensors, the model itself as one part."""
         if not self.sensors:
-            own = slice(0, self.components[1]), slice(0, len(self.measurement_noise))
-            return (SensorPart("", self, *own),)
+            every_y, every_v = slice(0, self.components[1]), slice(0, len(self.measurement_noise))
+            return (SensorPart("", self, every_y, every_v),)
         parts, y, v = list[SensorPart](), 0, 0
         for name, sensor in self.sensors.items():
             model = dataclasses.replace(

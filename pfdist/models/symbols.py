@@ -487,9 +487,8 @@ def _power(base: Any, exponent: Any) -> Any:
 
 def choose(condition: Any, if_true: Any, if_false: Any) -> Any:
     """The first value where a condition holds, and the second elsewhere."""
-    values = condition, if_true, if_false
-    if any(_plain(each) is None for each in values):
-        return elementwise(choose, *values)
+    if any(_plain(each) is None for each in (condition, if_true, if_false)):
+        return elementwise(choose, condition, if_true, if_false)
     if not isinstance(condition, Symbol):
         return if_true if condition else if_false
     a, b = as_float(_plain(if_true)), as_float(_plain(if_false))

@@ -47,8 +47,8 @@ def _errors(table: pd.DataFrame, sets: Mapping[str, str], ax: Axes) -> None:
         alike: dict[str, Any] = {"color": colour, "mew": thin(2.0)}
         ax.plot(rows["foreseen"], rows["real"], shape, ms=marker(0.8), mec="none", alpha=0.6,
                 label=short, **alike)  # fmt: skip
-        means = rows["foreseen"].mean(), rows["real"].mean()
-        ax.plot(*means, shape, ms=marker(2.2), mfc="white", **alike)
+        foreseen, real = rows["foreseen"].mean(), rows["real"].mean()
+        ax.plot(foreseen, real, shape, ms=marker(2.2), mfc="white", **alike)
     for column, set_scale in (("foreseen", ax.set_xscale), ("real", ax.set_yscale)):
         if table[column].max() > _WIDE * table[column].min() > 0:
             set_scale("log")

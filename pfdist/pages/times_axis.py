@@ -223,5 +223,5 @@ def _shade(ax: Axes, forbidden: set[float], clock: Clock) -> None:
     instants = np.flatnonzero([time in forbidden for time in clock.times])
     for stretch in np.split(instants, np.flatnonzero(np.diff(instants) > 1) + 1):
         if stretch.size:
-            ends = edges[stretch[0]], edges[stretch[-1] + 1]
-            ax.axvspan(*ends, color=GREY, alpha=0.25, lw=0, zorder=-1, label="forbidden")
+            begin, end = edges[stretch[0]], edges[stretch[-1] + 1]
+            ax.axvspan(begin, end, color=GREY, alpha=0.25, lw=0, zorder=-1, label="forbidden")

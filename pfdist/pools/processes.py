@@ -92,12 +92,13 @@ class ProcessPool:
                 silence.check(silence_limit(in_flight.values()), "any process")
 
     def _submit(self, task: Task) -> "Future[Answer]":
-        given = (*self._pickled(task.function), task.work, patience(task.seconds))
+        key, content = self._pickled(task.function)
+        most = patience(task.seconds)
         try:
-            return self._processes.submit(*given)
+            return self._processes.submit(key, content, task.work, most)
         except BrokenProcessPool:  # since the last answer
             self._start_again()
-            return self._processes.submit(*given)
+            return self._processes.submit(key, content, task.work, most)
 
     def _start_again(self) -> None:
         if not self._processes.ids():

@@ -78,8 +78,9 @@ class RayPool:
                 task = next(todo, _END)
                 if not isinstance(task, Task):
                     break
-                given = *self._stored(task.function), pickle.dumps(task.work)
-                call = remote.remote(*given, patience(task.seconds)).future()
+                key, content = self._stored(task.function)
+                work, most = pickle.dumps(task.work), patience(task.seconds)
+                call = remote.remote(key, content, work, most).future()
                 in_flight[call] = Sent(task, time.monotonic())
                 call.add_done_callback(answers.put)
             if not in_flight:

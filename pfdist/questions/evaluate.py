@@ -160,8 +160,15 @@ def _evaluated(
     else:
         evaluation = Settings.from_job(built.job)
         draws, pieces = evaluation.draws, list[Result]()
-        given = times, stream, stream, (0, draws), evaluation.estimation
-        work = evaluator.work(*given, ids=tuple(sets), over_time=int(profile))
+        work = evaluator.work(
+            times,
+            stream,
+            stream,
+            (0, draws),
+            evaluation.estimation,
+            ids=tuple(sets),
+            over_time=int(profile),
+        )
         scenarios = evaluator.scenarios_of(stream, range(draws))
         with following(None, silent) as (show, _):
             for piece in evaluator.pieces(work, MOST_SECONDS):

@@ -371,5 +371,5 @@ def _start(
 def _evidence(part: _Part) -> float:
     if not part.particles:
         return float(exact_log_evidence(part.model, part.y).sum())
-    given = part.model, part.y, part.particles, part.stream, part.first
-    return float(log_evidence(*given).sum())
+    found = log_evidence(part.model, part.y, part.particles, part.stream, part.first)
+    return float(found.sum())

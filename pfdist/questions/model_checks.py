@@ -366,10 +366,10 @@ def _filtered(
     yield Check("an evaluation", "ok", an_evaluation)
     model = evaluator.model
     if isinstance(model, BatchedModel) and evaluator.believed == model:
-        given = times, estimation, seconds_of_a_step
-        yield Check("engines", *_engines(evaluator, model.as_formulas, *given))
+        found = _engines(evaluator, model.as_formulas, times, estimation, seconds_of_a_step)
+        yield Check("engines", *found)
         if not model.coupled and model.together > work.estimation.particles:
-            yield from _together(evaluator, model, *given)
+            yield from _together(evaluator, model, times, estimation, seconds_of_a_step)
 
 
 def _together(

@@ -227,11 +227,13 @@ class Planner:
                 raise MeasurementTimesError(
                     f"times that are left must be at least {least}, got {got}"
                 )
-        given, clouds = (self._now, wanted, draws, self._built.comparing, self._draw), list[Any]()
+        clouds = list[Any]()
         if self._seen and isinstance(self._now.prior, Cloud):
             filters = range(min(_CLOUDS, draws))
             clouds = [again(self._filter.unmeasured, self._seen, number) for number in filters]
-        evaluations = self._replanner.expected(*given, clouds)
+        evaluations = self._replanner.expected(
+            self._now, wanted, draws, self._built.comparing, self._draw, clouds
+        )
         return [
             replace(each, measurement_times=tuple(self.clock.written_of(plan)))
             for each, plan in zip(evaluations, wanted, strict=True)

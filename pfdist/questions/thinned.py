@@ -171,7 +171,7 @@ def judged_errors(
     angles = next(iter(evaluators.values())).model.is_angle
     variances = _variances(np.concatenate([each.judged for each in matched]), angles)
     for each in matched:
-        parts = "backtest", built.job.seed, each.replicate.name
+        seed, name = built.job.seed, each.replicate.name
         work = ReplicateWork(
             evaluators[each.replicate.key],
             each.replicate.y,
@@ -179,7 +179,10 @@ def judged_errors(
             variances,
             each.sets,
             DRAWS,
-            (stream_of(*parts), stream_of(*parts, "filter")),
+            (
+                stream_of("backtest", seed, name),
+                stream_of("backtest", seed, name, "filter"),
+            ),
             built.comparing,
             is_predicted,
         )

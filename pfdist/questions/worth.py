@@ -95,9 +95,15 @@ def _work(
 ) -> FilterWork:
     """The work of filtering some sets; all work about a set has the same draws and noise."""
     built, seed = session.built, session.built.job.seed
-    streams = stream_of("why", seed, "filter", name), stream_of("why", seed, "draws")
     others |= {"controlled": built.job.is_controlled}
-    return built.evaluator.work(sets, *streams, (0, draws), built.comparing, **others)
+    return built.evaluator.work(
+        sets,
+        stream_of("why", seed, "filter", name),
+        stream_of("why", seed, "draws"),
+        (0, draws),
+        built.comparing,
+        **others,
+    )
 
 
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:

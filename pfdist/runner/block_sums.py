@@ -95,9 +95,16 @@ class BlockSums:
         self.id = evaluator.id_of(estimation, sets, instants, noise, name)
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
         self._evaluator, self._counted = evaluator, counted
-        given = sets, noise, draws, (0, 0), estimation
         work = evaluator.work(
-            *given, ends=ends, since=since, ids=(self.id,), knows_truth=knows_truth
+            sets,
+            noise,
+            draws,
+            (0, 0),
+            estimation,
+            ends=ends,
+            since=since,
+            ids=(self.id,),
+            knows_truth=knows_truth,
         )
         self._work = kind(**vars(work))
 

@@ -180,8 +180,15 @@ def _work(built: Built, sets: Mapping[str, Times]) -> FilterWork:
     last = built.job.problem.clock.possible - 1
     checked = [validated(times, last, name) for name, times in sets.items()]
     streams = tuple(stream_of(purpose, seed, "filter", name) for name in sets)
-    given = checked, 0, stream_of(purpose, seed, "draws"), (0, 0), built.comparing
-    return built.evaluator.work(*given, filter_streams=streams, ids=tuple(sets))
+    return built.evaluator.work(
+        checked,
+        0,
+        stream_of(purpose, seed, "draws"),
+        (0, 0),
+        built.comparing,
+        filter_streams=streams,
+        ids=tuple(sets),
+    )
 
 
 def _publish(store: Store, draws: int, most: int) -> None:

@@ -101,11 +101,13 @@ class _Tried:
             even, plan = built.evaluator.expected_mse([times, self._plan]).tolist()
             return Estimate(even - plan)
         seed, purpose = built.job.seed, built.study.purpose
-        streams = (
+        work = built.evaluator.work(
+            [times],
             stream_of(purpose, seed, "filter", f"evenly spaced {number}"),
             stream_of(purpose, seed, "draws"),
+            (0, self._draws),
+            built.comparing,
         )
-        work = built.evaluator.work([times], *streams, (0, self._draws), built.comparing)
         even = np.empty(self._draws)
 
         def learn(piece: FilterWork, result: Result) -> None:

@@ -128,8 +128,15 @@ def _per_draw(
     evaluator.compile(estimation)  # before the first task, whose time is limited
     key = stream_key(noise, draws_stream)
     ids = {name: evaluator.id_of(estimation, times, horizon, key) for name, times in sets.items()}
-    given = [*sets.values()], noise, draws_stream, (0, draws), estimation
-    work = evaluator.work(*given, ids=tuple(ids.values()), knows_truth=knows_truth)
+    work = evaluator.work(
+        [*sets.values()],
+        noise,
+        draws_stream,
+        (0, draws),
+        estimation,
+        ids=tuple(ids.values()),
+        knows_truth=knows_truth,
+    )
     errors = {id_: np.full(draws, math.nan) for id_ in work.ids}
     start, done = reporter.progress.done, 0
 

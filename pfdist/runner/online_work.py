@@ -54,10 +54,15 @@ class OnlineWork(FilterWork):
 
     def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
         times = self.chosen(evaluator, draw)
-        streams = self.filter_streams[0], self.draws_stream
-        draws, shown = (draw, draw + 1), draw < self.shown
-        filtered = evaluator.work([times], *streams, draws, self.estimation, trajectories=shown)
-        return replace(evaluator.filtered(filtered), measurement_times=(times,))
+        work = evaluator.work(
+            [times],
+            self.filter_streams[0],
+            self.draws_stream,
+            (draw, draw + 1),
+            self.estimation,
+            trajectories=draw < self.shown,
+        )
+        return replace(evaluator.filtered(work), measurement_times=(times,))
 
     def chosen(self, evaluator: Evaluator, draw: int) -> Times:
         """The chosen times of one draw; a degenerate draw keeps its last plan."""

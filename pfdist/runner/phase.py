@@ -236,12 +236,20 @@ def run_phase(
         requests = [phase.request(each, generation) for each in copies if each.since is None]
         windows = [each for each in copies if each.since is not None]
         finalists = optimiser.finalists(state)
-        about, before = (generation, optimiser.generations), reporter.progress.evaluations
-        record = _Generation(reporter, *about, copies, (start, share), before, not finalists)
+        record = _Generation(
+            reporter,
+            generation,
+            optimiser.generations,
+            copies,
+            (start, share),
+            reporter.progress.evaluations,
+            not finalists,
+        )
         if windows:  # the errors of each instant, on the same blocks of draws
             blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
-            given = session, phase.sums, blocks, phase.purpose
-            by_errors, _ = yield from evaluated_by_errors(windows, *given)
+            by_errors, _ = yield from evaluated_by_errors(
+                windows, session, phase.sums, blocks, phase.purpose
+            )
             for candidate, evaluation in zip(windows, by_errors, strict=True):
                 record(candidate, evaluation)
             record.show()
@@ -370,5 +378,6 @@ def _works(phase: Phase, requests: Iterable[EvaluationRequest]) -> Iterator[Filt
     for (stream, estimation, draws), group in together.items():
         sets = [request.candidate.measurement_times for request in group]
         ends, ids = zip(*((request.end, request.id) for request in group), strict=True)
-        given = sets, stream, stream, draws, estimation
-        yield phase.built.evaluator.work(*given, ends=ends, ids=ids)
+        yield phase.built.evaluator.work(
+            sets, stream, stream, draws, estimation, ends=ends, ids=ids
+        )

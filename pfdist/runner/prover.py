@@ -279,8 +279,11 @@ class Prover:
             start=self.relaxation,
             most_grown=self.settings.most_windows,
         )
-        most = self._most_steps, self.settings.most_cells
-        return (yield from grown(session, optimiser, self._growing, *most))
+        return (
+            yield from grown(
+                session, optimiser, self._growing, self._most_steps, self.settings.most_cells
+            )
+        )
 
     @cached_property
     def _most_steps(self) -> float:

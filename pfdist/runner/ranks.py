@@ -58,8 +58,8 @@ class RankWork(FilterWork):
             ).ranks
             for t in sorted({time // self.sensors for time in times}):
                 for c in range(below.shape[2]):
-                    key = stream, np.array(draws.index), t, TRUTH_RANK, c
-                    uniform = variates("uniform", 1, *key)[:, 0]
+                    index = np.array(draws.index)
+                    uniform = variates("uniform", 1, stream, index, t, TRUTH_RANK, c)[:, 0]
                     centred.append(below[:, t, c] + uniform * equal[:, t, c] - 0.5)
         u = np.stack(centred, axis=1)  # so the bits of a mean do not depend on the draws beside it
         return np.stack([u.mean(axis=1), (u**2 - 1 / 12).mean(axis=1)], axis=1)

@@ -77,8 +77,13 @@ class Corridor(Survivors):
         self, middle: Times, number: int = 0, whole: tuple[Evaluation, ...] = ()
     ) -> SurvivorState:
         """The state at the beginning of a round, with a corridor around a set."""
-        limits = len(self.feasible.allowed), float(self._moved)
-        return SurvivorState(*limits, whole=whole, middle=middle, round=number)
+        return SurvivorState(
+            len(self.feasible.allowed),
+            float(self._moved),
+            whole=whole,
+            middle=middle,
+            round=number,
+        )
 
     def _next(self, state: SurvivorState, times: Times) -> Iterator[int]:
         """Yield the times in the corridor that may follow a prefix."""
