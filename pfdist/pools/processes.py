@@ -93,12 +93,14 @@ class ProcessPool:
 
     def _submit(self, task: Task) -> "Future[Answer]":
         key, content = self._pickled(task.function)
-        most = patience(task.seconds)
         try:
-            return self._processes.submit(key, content, task.work, most)
-        except BrokenProcessPool:  # since the last answer
-            self._start_again()
-            return self._processes.submit(key, content, task.work, most)
+            return self._processes.submit(key, content, task.work, patience(task.seconds))
+        except (
+            BrokenProcessPool
+        ) as error:  # since the last answer: this task is lost with the others
+            lost = Future[Answer]()
+            lost.set_exception(error)
+            return lost
 
     def _start_again(self) -> None:
         if not self._processes.ids():

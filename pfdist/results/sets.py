@@ -61,6 +61,12 @@ def sets_of(run: StoredRun) -> pd.DataFrame:
 
     if (known := summary_of(run)) is not None:
         return _typed(pd.DataFrame([*map(vars, known.sets)], columns=[*COLUMNS]))
+    return _computed(run)
+
+
+def _computed(run: StoredRun) -> pd.DataFrame:
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
     rows = {row["name"]: row for row in _given(run)}
     statistics = statistics_of(run) if "comparison" in run.tables else None
     if statistics is not None:
@@ -79,6 +85,12 @@ def publish_sets(run: StoredRun) -> None:
     with contextlib.suppress(Exception):  # without it, a list takes longer
         if summary_of(run) is None:
             keep_summary(run, sets_of(run))
+
+
+def is_wrong_summary(run: StoredRun) -> bool:
+    """Whether the file of the table of sets says something else than the tables."""
+    known = summary_of(run)
+    return known is not None and known.sets != rows_of(_computed(run))
 
 
 def rows_of_sets(run: StoredRun) -> list[Row]:

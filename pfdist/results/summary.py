@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from functools import partial
 from importlib.metadata import version
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -20,12 +20,16 @@ from pfdist.store import QUESTIONS, WHY_PHASE, record_pages, write_file
 from pfdist.store.files import check_replaceable, read_if_hashed
 from pfdist.store.folder import SUMMARY
 from pfdist.store.listing import read_listing
-from pfdist.store.tables import holds_table, write_table
+from pfdist.store.tables import column_chunks, holds_table, write_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _NAME = b"sets of a run"
+_MOST_BYTES, _MOST_VALUES = 10_000_000, 1_000_000
+_TYPES: dict[str, Any] = {
+    "float64": float | None, "int64": int, "Int64": int | None, "bool": bool, "object": object,
+}  # fmt: skip
 _MADE_OF, _EVALUATIONS, _SECONDS = b"made_of", b"evaluations", b"worker_seconds"
 
 
@@ -49,21 +53,33 @@ class Summary(NamedTuple):
 
 def summary_of(run: StoredRun) -> Summary | None:
     """The summary of a run as its tables are now; None if there is none."""
-    listing = read_listing(run.path)
+    listing, path = read_listing(run.path), run.path / SUMMARY
     if listing is None or SUMMARY not in listing.pages:
         return None
     try:
-        content = read_if_hashed(run.path / SUMMARY, listing.pages[SUMMARY])
-    except OSError:
+        content = read_if_hashed(path, listing.pages[SUMMARY], _MOST_BYTES)
+        return None if content is None else _unpacked(content, _fingerprint(run))
+    except Exception:  # whatever is wrong with the file, the tables are there
         return None
-    if content is None or not (made_of := _fingerprint(run)):
+
+
+def _unpacked(content: bytes, made_of: bytes) -> Summary | None:
+    about = pq.read_metadata(pa.BufferReader(content))
+    metadata = about.schema.to_arrow_schema().metadata
+    values = sum(chunk.num_values for chunk in column_chunks(about))
+    if not made_of or metadata[_MADE_OF] != made_of or values > _MOST_VALUES:
         return None
     table = pq.read_table(pa.BufferReader(content), use_threads=False)
-    metadata = table.schema.metadata
-    if metadata[_MADE_OF] != made_of or table.column_names != [*COLUMNS]:
+    rows = [Row(**row) for row in table.to_pylist()]
+    names = {row.name for row in rows}
+    are_right = all(
+        isinstance(getattr(row, name), _TYPES[column.dtype])
+        for row in rows
+        for name, column in COLUMNS.items()
+    )
+    if not (are_right and rows and all(row.reference in {None, *names} for row in rows)):
         return None
     seconds = float(metadata[_SECONDS])
-    rows = [Row(**row) for row in table.to_pylist()]
     return Summary(rows, int(metadata[_EVALUATIONS]), seconds if seconds >= 0.0 else None)
 
 

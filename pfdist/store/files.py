@@ -8,6 +8,7 @@ new name never leads to an empty file, because its content was flushed before.
 import contextlib
 import errno
 import hashlib
+import math
 import os
 import re
 import socket
@@ -119,16 +120,19 @@ def _not_plain(path: Path) -> StoreError:
     return StoreError(f"{path} must be a plain file, got a link, a pipe or a folder: remove it")
 
 
-def read_if_hashed(path: Path, wanted: str) -> bytes | None:
+def read_if_hashed(path: Path, wanted: str, most: float = math.inf) -> bytes | None:
     """Content of a file if its hash begins like this and it is a plain file; else None.
 
-    Nothing is kept in memory before the hash is compared. Raises as `open_plain`.
+    A file of more than `most` bytes counts as another. Nothing is kept in memory before the hash is
+    compared. Raises as `open_plain`.
     """
     try:
         handle = open_plain(path)
     except StoreError:
         return None
     with open(handle, "rb") as file:
+        if os.fstat(handle).st_size > most:
+            return None
         if not hashlib.file_digest(file, "sha256").hexdigest().startswith(wanted):
             return None
         file.seek(0)

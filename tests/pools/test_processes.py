@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -108,3 +109,23 @@ def test_signals_stay_blocked_in_a_process_that_starts_others() -> None:
     """Else a signal ends the driver at once, and the rows that wait for a commit are lost."""
     with _started(BLOCKED) as process:
         assert process.communicate(timeout=60)[0] == "True\n"
+
+
+def test_a_process_that_dies_between_two_answers_costs_no_task() -> None:
+    """Whether the pool hears of it by an answer or when it hands out the next task."""
+    with ProcessPool(2) as pool:
+        values = list[int]()
+
+        def tasks() -> Iterator[Task]:
+            for number in range(12):
+                if number in (5, 9):
+                    own = pool._processes
+                    for process in own.ids():
+                        os.kill(process, signal.SIGKILL)
+                    until(lambda own=own: own._executor._broken)
+                yield Task(str(number), lambda work: work**2, number)
+
+        for outcome in pool.run(tasks()):
+            assert outcome.error is None
+            values.append(outcome.value)
+        assert sorted(values) == [number**2 for number in range(12)]

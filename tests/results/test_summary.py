@@ -5,14 +5,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 
 import pfdist
+from pfdist.cli.own import verify
+from pfdist.errors import StoreError
 from pfdist.results.runs_table import runs_table
-from pfdist.results.sets import publish_sets, rows_of_sets
+from pfdist.results.sets import is_wrong_summary, publish_sets, rows_of_sets
 from pfdist.results.summary import summary_of
 from pfdist.store.folder import SUMMARY
-from pfdist.store.listing import change_listing, read_listing
+from pfdist.store.listing import change_listing, read_listing, record_pages
 from pfdist.store.verify import verify_run
 
 Finished = Callable[..., Path]
@@ -73,3 +78,51 @@ def test_a_file_of_the_user_is_not_replaced(finished: Finished, tmp_path: Path) 
     (own / SUMMARY).unlink()
     publish_sets(pfdist.open_run(own))
     assert summary_of(pfdist.open_run(own)) is not None
+
+
+def _many(table: pa.Table) -> pa.Table:
+    return pa.concat_tables([table] * 100_000)
+
+
+def _of_wrong_type(table: pa.Table) -> pa.Table:
+    place = table.column_names.index("expected_mse")
+    return table.set_column(place, "expected_mse", table["expected_mse"].cast(pa.string()))
+
+
+def _without(key: bytes) -> Callable[[pa.Table], pa.Table]:
+    return lambda table: table.replace_schema_metadata(
+        {name: value for name, value in table.schema.metadata.items() if name != key}
+    )
+
+
+def _of_another(table: pa.Table) -> pa.Table:
+    place = table.column_names.index("expected_mse")
+    return table.set_column(place, "expected_mse", pc.multiply(table["expected_mse"], 2.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [_many, _of_wrong_type, _without(b"made_of"), _without(b"worker_seconds"), lambda t: t[:0]],
+)
+def test_a_forged_summary_costs_nothing_and_is_not_read(
+    change: Callable[[pa.Table], pa.Table], finished: Finished, tmp_path: Path
+) -> None:
+    """The hash in files.json is repaired, as whoever sends a folder may do."""
+    forged = _forged(change, finished, tmp_path)
+    assert summary_of(forged) is None
+    assert forged.table("sets")["expected_mse"].notna().all()
+
+
+def test_verify_compares_a_summary_with_the_tables(finished: Finished, tmp_path: Path) -> None:
+    assert not is_wrong_summary(pfdist.open_run(finished()))
+    forged = _forged(_of_another, finished, tmp_path)
+    assert summary_of(forged) is not None
+    with pytest.raises(StoreError, match="something else than the tables: remove it"):
+        list(verify(str(forged.path)))
+
+
+def _forged(change: Callable[[pa.Table], pa.Table], finished: Finished, folder: Path) -> pfdist.Run:
+    path = shutil.copytree(finished(), folder / "run") / SUMMARY
+    pq.write_table(change(pq.read_table(path)), path)
+    record_pages(path.parent, [path])
+    return pfdist.open_run(path.parent)
