@@ -4,9 +4,9 @@ import re
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from pfdist.common.section import JobSection
-from pfdist.errors import shown
 from pfdist.kernels.schemes import Resampling
 
 AUTO: Final = "auto"
@@ -16,10 +16,8 @@ _FEWEST_PARTICLES, _SHARE = 100, 5  # a search uses one fifth of the job's parti
 def is_name(text: str) -> str:
     """A name of a search or a set, which is also one of columns and files."""
     if not re.fullmatch("[a-z][a-z0-9_]*", text):
-        raise ValueError(
-            "names of searches and sets must be lower-case letters, digits and underscores, a "
-            f"letter first, got {shown(text)}"
-        )
+        rule = "lower-case letters, digits and underscores, a letter first"
+        raise PydanticCustomError("name", rule)
     return text
 
 

@@ -171,7 +171,7 @@ def judged_errors(
     angles = next(iter(evaluators.values())).model.is_angle
     variances = _variances(np.concatenate([each.judged for each in matched]), angles)
     for each in matched:
-        seed, name = built.job.seed, each.replicate.name
+        seed = built.job.seed
         work = ReplicateWork(
             evaluators[each.replicate.key],
             each.replicate.y,
@@ -180,8 +180,8 @@ def judged_errors(
             each.sets,
             DRAWS,
             (
-                stream_of("backtest", seed, name),
-                stream_of("backtest", seed, name, "filter"),
+                stream_of("backtest", seed, each.replicate.name),
+                stream_of("backtest", seed, each.replicate.name, "filter"),
             ),
             built.comparing,
             is_predicted,

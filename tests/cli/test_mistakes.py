@@ -121,7 +121,7 @@ FILES = {
     "a name of a model": (_named("a/" * 3000 + "b.py:m"), "at most 4096 characters"),
     "NUL in a search's name": (
         _changed('method = "random"', 'method = "random"\nname = "a\\u0000b"'),
-        "name: String should match",
+        "name must be lower-case letters",
     ),
     "population 10^18": (
         _changed("population = 6", f"population = {10**18}"),

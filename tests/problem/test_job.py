@@ -110,7 +110,7 @@ MISTAKES = [
     ("filter.particles=0", r"filter\.particles must be at least 1 or 'auto', got 0 "),
     ("filter.particles=0.5", r"filter\.particles must be an integer or 'auto', got 0\.5 "),
     ("search.genetic.population=7", r"\.population must .* multiple of 2, got 7 "),
-    ("search.random.name=My", r"names of searches .* must be lower-case .*, got 'My' "),
+    ("search.random.name=My", r"search\.random\.name must be lower-case .*, got 'My' "),
     (
         "execution.pool=thread",
         r"pool: got .* mean 'threads'\? Allowed: .*'ray', 'processes', 'serial' or 'threads'",

@@ -317,7 +317,7 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     ("times", "message"),
     [
         ({"a": [0]}, "compare needs at least two sets of times, got a: "),
-        ({"A": [0], "b": [1]}, r"comparison\.sets\.A: String should match .* got 'A'"),
+        ({"A": [0], "b": [1]}, r"comparison\.sets\.A must be lower-case letters.* got 'A'"),
         ({"regular": [0], "b": [1]}, "names of times must not be 'regular', .* got 'regular'"),
         ({"a": [13], "b": [1]}, r"must lie in 0\.\.12, got 13 \(times of a\)"),
         ([[0], [1]], "times must name sets, as .* got "),
