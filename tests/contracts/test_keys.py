@@ -71,7 +71,7 @@ UNITS = {
     "runner/planning.py _Outlook.of_sets": "draws: self.stream",
     "runner/prover.py Prover._weigh_scenarios": "draws:",
     "runner/prover.py Prover._streams": "draws:",
-    "runner/ranks.py RankWork._statistics": "draw: draws.index t c",
+    "runner/ranks.py RankWork._statistics": "draw: index t c",
 }
 
 
