@@ -80,8 +80,8 @@ def bundles(
     """Bundles of works, which are cut between their draws.
 
     `size` gives the particle-steps of the next bundle from those that remain. A bundle has about
-    this size, but at least one draw, or those of one array. `expected` gives the seconds of
-    particle-steps: sums over a block are cut into single draws if the whole block would take long.
+    this size, but at least one draw. `expected` gives the seconds of particle-steps: sums over a
+    block are cut into single draws if the whole block would take long.
 
     >>> from pfdist.filters.work import Estimation
     >>> ten = Estimation(particles=10)  # and 10 instants: 100 particle-steps a draw
@@ -100,7 +100,7 @@ def bundles(
         most = MOST_ROWS // len(work.measurement_times) * a_draw
         while first < last:
             room = room if bundle else min(size(remaining), most)
-            end = min(last, first + max(work.together, room // a_draw))
+            end = min(last, first + max(1, room // a_draw))
             if work.summed:
                 is_long = expected((last - first) * a_draw) > LONGEST_SECONDS
                 is_cut = last - first < BLOCK or (is_long and work.together == 1)

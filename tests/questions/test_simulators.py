@@ -145,7 +145,7 @@ def test_a_run_is_not_resumed_with_another_identity(finished: Run, tmp_path: Pat
 )
 def test_a_function_that_is_wrong_is_one_line(tmp_path: Path, line: str, says: str) -> None:
     with pytest.raises(ModelError, match=says) as refused:
-        pfdist.run(written(tmp_path / "here", line=line), tmp_path / "run", figures=False)
+        pfdist.run(written(tmp_path / "here", line=line, more=""), tmp_path / "run", figures=False)
     assert "\n" not in str(refused.value)
     assert "simulator.py:6" in str(refused.value) or "must" in str(refused.value)
 
@@ -155,7 +155,7 @@ def test_a_function_that_is_wrong_is_one_line(tmp_path: Path, line: str, says: s
 def test_a_simulator_that_crashes_is_a_failed_task(tmp_path: Path) -> None:
     line = "import os; w.shape[1] < 1000 or os.abort()"
     with pytest.raises(pfdist.PfdistError, match="its worker ended"):
-        pfdist.run(written(tmp_path / "here", line=line), tmp_path / "run", figures=False)
+        pfdist.run(written(tmp_path / "here", line=line, more=""), tmp_path / "run", figures=False)
 
 
 @pytest.mark.parametrize(

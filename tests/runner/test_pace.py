@@ -84,8 +84,6 @@ def test_blocks_of_sums_are_cut_if_they_take_long_and_an_array_has_one_draw(toge
     quick, slow = sizes(0.9 * LONGEST_SECONDS), sizes(1.1 * LONGEST_SECONDS)
     assert quick == [BLOCK, BLOCK, *[1] * 60]
     assert slow == (quick if together > 1 else [1] * (2 * BLOCK + 60))
-    only = bundles([replace(work(1, 0, 60), together=together)], lambda remaining: 1)
-    assert max(bundle.steps for bundle in only) == together
 
 
 @pytest.mark.parametrize("workers", [1, 2, 64])
