@@ -134,6 +134,7 @@ class WorkBatch:
             draws[draw] = result
             if len(draws) < BLOCK:
                 return
+            del self._open[work.ids, block]
             sums = sum_of_draws(draws[draw].sums for draw in range(*block))
             work, result = work.part(block), replace(result, sums=sums)
             self.keep(work, result)
