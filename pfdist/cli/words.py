@@ -14,11 +14,11 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 from cyclopts import Parameter, Token
 
 from pfdist.cli.commands import COMMANDS
-from pfdist.common.calendar import names_dates
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import finite_number, whole_number, whole_numbers
 from pfdist.errors import JobError, shown
 from pfdist.pools.kinds import AUTO, POOLS
+from pfdist.problem.calendar import names_dates
 from pfdist.problem.points import values_by_key
 
 T = TypeVar("T")

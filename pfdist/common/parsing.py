@@ -18,7 +18,6 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any
 
-from pfdist.common.calendar import as_text
 from pfdist.errors import shown, shown_text
 
 MOST_BYTES = 16_000_000  # of a file: a job that names every time takes less than a million
@@ -69,6 +68,11 @@ def with_texts(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: with_texts(each) for key, each in value.items()}
     return type(value)(map(with_texts, value)) if type(value) in (list, tuple) else as_text(value)
+
+
+def as_text(value: Any) -> Any:
+    """What Python, pandas or TOML read from text of ISO 8601, as this text; others as they are."""
+    return value.isoformat() if hasattr(value, "isoformat") else value
 
 
 def parse_json(text: str | bytes) -> Any:

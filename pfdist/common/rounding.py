@@ -23,6 +23,15 @@ def rounded(value: float | None, digits: int = _DIGITS) -> str:
     return _text(value, _exponent(value) - digits + 1) if value else "0"
 
 
+def unrounded(value: float | str) -> str:
+    """A number with up to ten digits; a text as it is.
+
+    >>> unrounded(12), unrounded(0.5), unrounded(3.0), unrounded("12 ct")
+    ('12', '0.5', '3', '12 ct')
+    """
+    return value if isinstance(value, str) else f"{value:.10g}"
+
+
 def with_error(value: float | None, error: float | None) -> str:
     """A value ± its standard error as text, both to the second significant digit of the error.
 

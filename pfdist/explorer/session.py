@@ -18,11 +18,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
-from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parsing import parse_json
 from pfdist.common.percent import percent
-from pfdist.common.rounding import with_error
+from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, StoreError, reason_of
 from pfdist.explorer.filtered import Change, FilteredSets
@@ -109,8 +108,8 @@ class ExplorerSession:
             "model": self.job.model.name,
             "run": str(self._source or self.run.path) if self.run else "",
             "times": [float(each) for each in clock.times],
-            "labels": [formatted_time(clock.time(t)) for t in range(clock.horizon + 1)],
-            "unit": "" if clock.calendar else clock.unit,  # dates have none
+            "labels": [*map(clock.text, clock.times)],
+            "unit": "" if clock.dates else clock.unit,  # dates have none
             "sensors": clock.sensors or ("",),
             "forbidden": sets.forbidden,
             "required": sets.required,
@@ -135,7 +134,7 @@ class ExplorerSession:
         table = self.run.table("sampling_windows")
         rows = table[table["name"] == self.best.name].to_dict("records")
         windows = {}
-        for each in windows_of(rows, STRICT):
+        for each in windows_of(rows, STRICT, self._clock):
             (measurement,) = self._clock.measurements([each.measurement])
             windows[str(measurement)] = [*self._clock.instants(each.inside)]
         return windows
@@ -289,7 +288,7 @@ class ExplorerSession:
             {
                 "name": each.name,
                 "times": each.times,
-                "written": formatted_times(clock.written_of(each.times), clock.unit),
+                "written": clock.listed(clock.written_of(each.times)),
                 "draws": each.change.draws,
                 "gain": each.change.gain,
                 "interval": each.change.interval(confidence),
@@ -321,7 +320,7 @@ class ExplorerSession:
         """The command that compares named sets with the evenly spaced times and the plan."""
         self.job_text(sets)  # checks the names
         written = {
-            name: ",".join(map(formatted_time, self._clock.written_of(self._checked(times))))
+            name: ",".join(map(unrounded, self._clock.written_of(self._checked(times))))
             for name, times in (({PLAN: self.plan} if self.plan else {}) | {**sets}).items()
         }
         place = self._source or (self.run.path if self.run else self.job.path)

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
-from pfdist.common.formatted_times import formatted_times
 from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
-from pfdist.common.rounding import with_error
+from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.shown import Shown
 
 if TYPE_CHECKING:
@@ -166,7 +165,7 @@ class Evaluation(Shown):
         count = len(self.measurement_times)
         on = "exact" if self.exact is not None else f"on {self.draws:,} draws"
         title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
-        rows = [("measured at t", formatted_times(self.measurement_times))]
+        rows = [("measured at t", ", ".join(map(unrounded, self.measurement_times)))]
         if self.degenerate_draws:
             rows.append(("degenerate", self.degenerate_text))
         if warning := self.heavy_tail:

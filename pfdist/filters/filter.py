@@ -40,8 +40,12 @@ from pfdist.filters.filter_estimate import (
     weights_given,
 )
 from pfdist.filters.kalman import matrices_of
-from pfdist.filters.measurements import checked_instant, checked_measurement
-from pfdist.filters.one_filter import OneFilter, formatted_instant
+from pfdist.filters.one_filter import (
+    OneFilter,
+    checked_instant,
+    checked_measurement,
+    formatted_instant,
+)
 from pfdist.filters.settings import check_filter_settings
 from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation

@@ -3,14 +3,13 @@
 It gives the same bits as a filter with the same keys that receives all measurements at once.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.errors import MeasurementsError, shown
@@ -28,7 +27,7 @@ def formatted_instant(model: StateSpaceModel, t: int) -> str:
     """The time of an instant as text: p.time[t] for a model on a clock, else the number t."""
     on_clock = all(name in model.parameters for name in CLOCK)
     times = model.parameters["time"] if on_clock else ()
-    return formatted_time(times[t]) if isinstance(times, tuple) and t < len(times) else str(t)
+    return f"{times[t]:.10g}" if isinstance(times, tuple) and t < len(times) else str(t)
 
 
 Array = NDArray[np.float64]
@@ -203,3 +202,65 @@ def made(model: StateSpaceModel, t: int, y: Array) -> Times:
         return (t,)
     parts = enumerate(model.parts)
     return tuple(t * len(model.parts) + k for k, part in parts if not np.isnan(y[part.y]).all())
+
+
+# --- what a user gives ----------------------------------------------------------------------------
+
+
+def checked_instant(t: Any, start: int, horizon: int) -> int:
+    """A checked instant as an int.
+
+    Raises `MeasurementsError` if it is not a whole number, or lies outside start..horizon.
+    """
+    number = isinstance(t, int | float | np.integer | np.floating) and not isinstance(t, bool)
+    if not number or t != t // 1:
+        raise MeasurementsError(f"t must be an integer, got {shown(plain(t))}")
+    if not start <= t <= horizon:
+        raise MeasurementsError(f"t must lie in {start}..{horizon}, got {shown(int(t))}")
+    return int(t)
+
+
+def checked_measurement(
+    y: float | Sequence[float] | Array, model: StateSpaceModel, t: str, names: Sequence[str] = ()
+) -> Array | None:
+    """A checked measurement as an array (m,); None if every component is missing.
+
+    `t` and `names` are the time and the components in error messages. Raises `MeasurementsError` if
+    the number of components is wrong, if one is not a finite number, or if one is missing and the
+    model does not declare `missing_components`.
+    """
+    components = model.components[1]
+    try:
+        values = np.atleast_1d(np.array(y, np.float64))
+    except (TypeError, ValueError, OverflowError):
+        values = np.empty(0)
+    if y is None or values.shape != (components,):
+        raise MeasurementsError(
+            f"a measurement must have as many numbers as y of the model {model.name}, "
+            f"{components}, got {shown(y)} at t = {t}"
+        )
+    names = names or [f"y[{component}]" for component in range(components)]
+    infinite = np.flatnonzero(np.isinf(values))
+    if infinite.size:
+        raise MeasurementsError(
+            f"a measurement must be finite, or NaN where a component is missing, got "
+            f"{names[infinite[0]]} = {values[infinite[0]]} at t = {t}"
+        )
+    missing = np.flatnonzero(np.isnan(values))
+    if missing.size == components:
+        return None
+    # A sensor that lacks all of its components did not measure.
+    idle = [part.y for part in model.parts if np.isnan(values[part.y]).all()]
+    partly = [k for k in missing.tolist() if not any(y.start <= k < y.stop for y in idle)]
+    if partly and not model.missing_components:
+        raise MeasurementsError(
+            f"all components of y must be measured or none, got {names[partly[0]]} missing at "
+            f"t = {t}: the model {model.name} does not declare missing_components=True, that is, "
+            "that its log_likelihood takes NaN"
+        )
+    return values
+
+
+def plain(value: Any) -> Any:
+    """A number of NumPy as Python writes it."""
+    return value.item() if isinstance(value, np.generic) else value

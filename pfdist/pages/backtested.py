@@ -1,6 +1,7 @@
 """Figures of a backtest: real against foreseen errors, and some replicates in full."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from pfdist.common.component_names import Component
 from pfdist.pages.figure import Plot, save_plot
 from pfdist.pages.panel import label_instants, legend_above, marker, thin, verbatim
 from pfdist.pages.style import BLUE, GREY, OCHRE, RED
+from pfdist.problem.clock import Clock
 from pfdist.store.files import begins_with, check_replaceable
 
 _TITLE = "pfdist: backtest"
@@ -61,7 +63,7 @@ def _errors(table: pd.DataFrame, sets: Mapping[str, str], ax: Axes) -> None:
     legend_above(ax)
 
 
-def in_full(shown: Sequence[Any], quantity: Component, unit: str) -> Plot:
+def in_full(shown: Sequence[Any], quantity: Component, clock: Clock) -> Plot:
     """Plot of some replicates: the measurements, and the prediction with the plan.
 
     Parameters
@@ -69,8 +71,8 @@ def in_full(shown: Sequence[Any], quantity: Component, unit: str) -> Plot:
     shown : sequence of ShownReplicate
     quantity : Component
         The first component of what is judged.
-    unit : str
-        Unit of the time.
+    clock : Clock
+        That of the job.
     """
 
     def draw(panels: Sequence[Axes]) -> None:
@@ -78,7 +80,7 @@ def in_full(shown: Sequence[Any], quantity: Component, unit: str) -> Plot:
             _prediction(each, ax)
             ax.set_ylabel(verbatim(quantity.label or "y"))
         legend_above(panels[0])
-        label_instants(panels[-1], unit, whole=False)
+        label_instants(panels[-1], replace(clock, counts=False))
 
     title = "Replicates from one with little gain to one with much; a band holds 90 % by the model."
     return Plot(0.9 + 1.25 * len(shown), draw, panels=len(shown), title=title)

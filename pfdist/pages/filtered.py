@@ -7,12 +7,12 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pfdist.common.formatted_times import by_sensor, time_and_sensor
 from pfdist.pages.figure import Plot, save_plot
 from pfdist.pages.panel import (
     MOST_COMPONENTS,
     axes_for,
     chosen,
+    clock_of,
     label_quantity,
     label_times,
     legend_above,
@@ -133,8 +133,8 @@ def belief(
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0)
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean; bands: 50 and 90 %")
     label_quantity(ax, quantities, component)
-    unit = table.attrs.get("time_unit", "")
-    sensors = [*by_sensor([*measured, *missing, *to_come], unit)]
+    clock = clock_of(table)
+    sensors = [*clock.by_sensor([*measured, *missing, *to_come])]
     bottom, top = ax.get_ylim()
     ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers
     levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}
@@ -144,7 +144,7 @@ def belief(
         (missing, "x", RED, "planned, not measured"),
         (to_come, "o", GREY, "planned, to come"),
     ):
-        pairs = [time_and_sensor(t, unit) for t in each]
+        pairs = [*map(clock.time_and_sensor, each)]
         at, sensors_of = zip(*pairs, strict=True) if pairs else ((), ())
         if at:
             ax.plot(

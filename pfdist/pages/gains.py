@@ -8,7 +8,6 @@ import pandas as pd
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from pfdist.common.formatted_times import by_sensor
 from pfdist.errors import JobError
 from pfdist.pages.figure import Plot, Tables, figure, one_number
 from pfdist.pages.panel import (
@@ -16,6 +15,7 @@ from pfdist.pages.panel import (
     axes_for,
     check_kind,
     chosen,
+    clock_of,
     label_quantity,
     label_times,
     legend_above,
@@ -339,7 +339,7 @@ def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str
     for (name, times), estimate, shape in zip(sets.items(), estimates, _SHAPES, strict=True):
         colour, dashes, label = (styles[name][key] for key in ("color", "ls", "label"))
         ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=label)
-        for sensor, measured in by_sensor(times, trajectory.attrs.get("time_unit", "")).items():
+        for sensor, measured in clock_of(trajectory).by_sensor(times).items():
             row += 1
             level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
             ax.plot(

@@ -7,13 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pfdist.common.clock import Time
-from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.pages.figure import Plot, Tables, figure
 from pfdist.pages.panel import (
     BAND,
     axes_for,
     chosen,
+    clock_of,
     cut_outliers,
     height_of_rows,
     label_error,
@@ -29,6 +28,7 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY, RED, SENSORS
+from pfdist.problem.clock import Time
 from pfdist.problem.set_key import phrase_of
 from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, sentences, windows_of
 
@@ -106,9 +106,9 @@ def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     """Sampling windows: instants to which each measurement alone can move at a small loss."""
     table = tables.run.table("sampling_windows")
     rows, which = table[table["name"] == name], phrase_of(tables.run.labels[name])
-    said = sentences(rows.to_dict("records"), table.attrs.get("time_unit", ""))
+    said = sentences(rows.to_dict("records"), clock_of(table))
     return Plot(
-        _height(len(windows_of(rows.to_dict("records"), WIDE))),
+        _height(len(windows_of(rows.to_dict("records"), WIDE, clock_of(table)))),
         lambda panels: sampling_windows(rows, name, ax=panels[0]),  # a set may measure nothing
         title=f"Sampling windows of {which}. {said[0] if said else 'Nothing can move.'}",
     )
@@ -153,15 +153,15 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     rows = every.sort_values(["t", "moved_to"])
     if rows.empty:
         return write_instead(axes_for(ax), "there is no measurement that can be moved")
-    columns = [column for column in ("t", "date", "sensor") if column in rows]
+    columns, clock = [column for column in ("t", "sensor") if column in rows], clock_of(rows)
     moved = rows.groupby(columns)["moved_to"].agg(["min", "max"]).reset_index()
     times, places = moved["t"].tolist(), range(len(moved))
-    names = [formatted_time(measurement_of(row)) for row in moved.to_dict("records")]
+    names = [clock.text(clock.of_row(row)) for row in moved.to_dict("records")]
     ax = axes_for(ax, _height(len(times)))
     ax.hlines(places, moved["min"], moved["max"], color=GREY, lw=thin(0.6), zorder=1)
     length = _LENGTH * step_of(rows["moved_to"])
     for order, (percent, height) in enumerate(_BARS, start=2):
-        for place, window in enumerate(windows_of(rows.to_dict("records"), percent)):
+        for place, window in enumerate(windows_of(rows.to_dict("records"), percent, clock)):
             y = (place - height / 2, height)
             sure, left_open = _spans(window.inside, length), _spans(window.open, length)
             ax.broken_barh(sure, y, color=RED, lw=0, zorder=order)

@@ -10,8 +10,6 @@ from matplotlib.colors import ListedColormap, to_rgba
 from matplotlib.typing import RGBAColorType
 from numpy.typing import NDArray
 
-from pfdist.common.clock import Clock
-from pfdist.common.formatted_times import by_sensor
 from pfdist.pages.figure import Plot, Tables, figure, has_online
 from pfdist.pages.gains import (
     gain,
@@ -33,6 +31,7 @@ from pfdist.pages.panel import (
     styles_of,
     verbatim,
 )
+from pfdist.problem.clock import Clock
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, relative_gain
 from pfdist.results.online import OnlineDraws, online_draws
@@ -92,7 +91,7 @@ def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     ax.set_yticks([0, 50, 100])
     ax.set_xlim(clock.times[0] - 0.75 * step, clock.times[-1] + 0.75 * step)
     ax.set_ylabel("draws measured [%]")
-    label_instants(ax, clock.unit, whole=clock.counts)
+    label_instants(ax, clock)
     legend_above(ax)
     return ax
 
@@ -137,7 +136,7 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     ax.set_xlim(first - step / 4, last + step / 4)
     ax.set_ylabel(f"{rows:,} draws, sorted by times")
     ax.set_yticks([])
-    label_instants(ax, clock.unit, whole=clock.counts)
+    label_instants(ax, clock)
     return ax
 
 
@@ -173,7 +172,7 @@ def _styles(draws: OnlineDraws) -> dict[str, dict[str, Any]]:
 
 def _mark(ax: Axes, draws: OnlineDraws, label: str | None = None) -> None:
     """Mark the planned times at the upper edge, with a label in the legend if there is one."""
-    planned = by_sensor(draws.planned_times, draws.clock.unit)
+    planned = draws.clock.by_sensor(draws.planned_times)
     times = [t + beside for name, beside in _beside(draws.clock) for t in planned.get(name, [])]
     ax.plot(
         times, [1.0] * len(times), "v", transform=ax.get_xaxis_transform(), clip_on=False,

@@ -16,11 +16,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import Formatter, Locator, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.common.calendar import Calendar, calendar_of
 from pfdist.common.component_names import Component, named_component
 from pfdist.common.measurement_times import REGULAR
 from pfdist.errors import JobError, shown
 from pfdist.pages.style import GREY, set_style
+from pfdist.problem.calendar import Calendar, calendar_of
+from pfdist.problem.clock import Clock
 from pfdist.problem.set_key import PLAN
 from pfdist.results import Run
 from pfdist.results.run import TABLES
@@ -190,9 +191,17 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
         ax.text(1.02, height, name, c=color, va="center", transform=ax.transAxes, size="small")
 
 
-def label_instants(ax: Axes, unit: str = "", *, whole: bool = True) -> None:
-    """Label the horizontal axis as time, with the unit of the clock; ticks are whole if `whole`."""
+def clock_of(table: pd.DataFrame) -> Clock:
+    """The clock of the times in the column t of a table; its unit is an attribute of the table."""
+    unit = table.attrs.get("time_unit", "")
     calendar = calendar_of(unit)
+    times, counts = tuple(np.unique(table["t"]).tolist()), table["t"].dtype.kind != "f"
+    return Clock(times, calendar.unit if calendar else unit, counts=counts, calendar=calendar)
+
+
+def label_instants(ax: Axes, clock: Clock) -> None:
+    """Label the horizontal axis as time, with the unit of the clock or dates."""
+    calendar, unit = clock.calendar, clock.unit
     if calendar is not None:
         ticks = _DateTicks(calendar)
         ax.xaxis.set_major_locator(ticks)
@@ -201,7 +210,7 @@ def label_instants(ax: Axes, unit: str = "", *, whole: bool = True) -> None:
         ax.set_xlabel(f"date ({verbatim(str(zone))})" if zone else "date")
         return
     ax.set_xlabel(f"time $t$ [{verbatim(unit)}]" if unit else "instant $t$")
-    ax.xaxis.set_major_locator(MaxNLocator(integer=whole, steps=[1, 2, 5, 10]))
+    ax.xaxis.set_major_locator(MaxNLocator(integer=clock.counts, steps=[1, 2, 5, 10]))
 
 
 class _DateTicks(Locator):
@@ -240,7 +249,7 @@ class _DateLabels(Formatter):
 
 def label_times(ax: Axes, table: pd.DataFrame) -> None:
     """Label the horizontal axis as the column t of a table: instants, or times on a clock."""
-    label_instants(ax, table.attrs.get("time_unit", ""), whole=table["t"].dtype.kind != "f")
+    label_instants(ax, clock_of(table))
 
 
 def label_quantity(

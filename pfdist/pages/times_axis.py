@@ -8,8 +8,6 @@ import pandas as pd
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 
-from pfdist.common.clock import Clock
-from pfdist.common.formatted_times import by_sensor, formatted_time
 from pfdist.errors import shown
 from pfdist.pages.figure import Plot, Tables, figure
 from pfdist.pages.panel import (
@@ -28,6 +26,7 @@ from pfdist.pages.panel import (
 )
 from pfdist.pages.style import GREY, set_style
 from pfdist.pages.why import error_profile
+from pfdist.problem.clock import Clock
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
 from pfdist.results.over_time import RANGE_SUMS, difference_over_time
@@ -43,8 +42,8 @@ _LEADING = 1.25  # distance of two names over the size of their font
 def times_figure(tables: Tables) -> Plot:
     """Expected error over time of two sets, and the measurement times of every set."""
     run, sets = tables.run, tables.run.sets
-    unit = problem_of(run).clock.unit
-    rows = times_inches(sum(len(by_sensor(at, unit)) for at in sets.values()))
+    clock = problem_of(run).clock
+    rows = times_inches(sum(len(clock.by_sensor(at)) for at in sets.values()))
     if len(sets) < 2 or RANGE_SUMS not in run.tables:
         numbers = sorted({len(times) for times in sets.values()})
         each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
@@ -92,7 +91,7 @@ def _title(run: Run, profile: pd.DataFrame, best: str, reference: str) -> str:
             for name in (reference, best)
         )
         ends = dict.fromkeys([at_times[first], at_times[end - 1]])
-        at = " to ".join(formatted_time(t, problem_of(run).clock.unit) for t in ends)
+        at = " to ".join(map(problem_of(run).clock.text, ends))
         parts.append(f"{word} most at t = {at} (from {before} to {now}{unit})")
     smaller, larger = (int(np.sum(side * lower > BAND * error)) for side in (1, -1))
     draws = int(profile["draws"].max())
@@ -148,8 +147,12 @@ def times(
     for name, at in sets.items():
         check_kind(at, (Sequence, np.ndarray), f"sets[{shown(name)}]")
     labels = run.labels if is_of_run else {name: name for name in sets}
-    unit = clock.unit if clock else ""
-    rows = [row for name, at in sets.items() for row in _rows_of(name, at, labels[name], unit)]
+    writer = clock or Clock.counting(0)
+    rows = [
+        (name, f"{labels[name]}, {sensor}" if sensor else labels[name], at)
+        for name, measurements in sets.items()
+        for sensor, at in writer.by_sensor(measurements).items()
+    ]
     if clock is None:
         given = {t for _, _, at in rows for t in at} or {0}
         clock = _clock_of(given | barred, max(given) if horizon is None else horizon)
@@ -180,7 +183,7 @@ def times(
     if step > 1:
         ax.set_ylabel(f"{len(rows)} sets, 1 of {step} is named")
     ax.tick_params(axis="y", length=0)
-    label_instants(ax, clock.unit, whole=clock.counts)
+    label_instants(ax, clock)
     legend_above(ax, ax.patches[:1])
     return ax
 
@@ -188,16 +191,6 @@ def times(
 def times_inches(sets: int) -> float:
     """Height of the figure `times`, in which each of up to 40 sets has its name."""
     return height_of_rows(min(sets, _MOST_NAMED), _ROW)
-
-
-def _rows_of(
-    name: str, measurements: Iterable[float | str], label: str, unit: str
-) -> list[tuple[str, str, list[float]]]:
-    """Name, label and times of each row of a set: one row, or one for each of its sensors."""
-    return [
-        (name, f"{label}, {sensor}" if sensor else label, at)
-        for sensor, at in by_sensor(measurements, unit).items()
-    ]
 
 
 def _forbidden_times(run: Run) -> list[float]:

@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pfdist.common.formatted_times import formatted_time, measurement_of, time_of
 from pfdist.pages.figure import Plot, Tables, figure
 from pfdist.pages.measurements import worth
 from pfdist.pages.panel import (
     BAND,
     axes_for,
     check_kind,
+    clock_of,
     cut_outliers,
     label_error,
     label_times,
@@ -61,10 +61,11 @@ def why_figure(tables: Tables, name: str) -> Plot:
 def _title(measurements: pd.DataFrame, mean: float, label: str) -> str:
     """Say which measurement is worth most, and which least."""
     rows = measurements.dropna(subset="removed").sort_values("removed").to_dict("records")
+    clock = clock_of(measurements)
     if not rows:
         return f"There is no measurement of {phrase_of(label)}."
     least, most = (
-        f"t = {formatted_time(measurement_of(row))} ({100 * row['removed'] / mean:.3g} %)"
+        f"t = {clock.text(clock.of_row(row))} ({100 * row['removed'] / mean:.3g} %)"
         for row in (rows[0], rows[-1])
     )
     return (
@@ -98,7 +99,7 @@ def filters_figure(tables: Tables) -> Plot:
             stack(panels)
 
     least = sizes.iloc[sizes["effective_sample_size"].argmin()]
-    at = formatted_time(time_of(least.to_dict()))
+    at = clock_of(profile).text(least["t"])
     title = (
         f"The effective sample size is least at t = {at} with "
         f"{phrase_of(run.labels[least['name']])}: on average "

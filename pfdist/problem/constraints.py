@@ -14,10 +14,9 @@ from functools import cached_property
 from itertools import pairwise
 from math import gcd, lcm
 
-from pfdist.common.clock import Clock
-from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementTimesError
+from pfdist.problem.clock import Clock
 from pfdist.problem.spacing import Spacing
 
 Money = int | Decimal
@@ -244,7 +243,7 @@ class Constraints:
 
     def formatted(self, time: int) -> str:
         """A time as the user reads it."""
-        return str(time) if self.clock is None else formatted_time(self.clock.written(time))
+        return str(time) if self.clock is None else self.clock.text(self.clock.written(time))
 
     def capacity(self, times: Iterable[int]) -> int:
         """The largest number of compatible times that contain these and the required times."""

@@ -15,8 +15,8 @@ from pydantic import ValidationError
 
 from pfdist.common import parts
 from pfdist.common.arguments import listed_argument, texts_argument
-from pfdist.common.calendar import as_text
 from pfdist.common.nearest import allowed_names, did_you_mean
+from pfdist.common.parsing import as_text
 from pfdist.common.section import JobSection, explained, keys_of_section
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, ModelError, shown

@@ -21,12 +21,11 @@ from pydantic import (
     model_validator,
 )
 
-from pfdist.common.calendar import SECONDS, Calendar, calendar_of, groups
-from pfdist.common.clock import Clock, Time, plain_time
-from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
 from pfdist.common.section import JobSection, Listed
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.problem.calendar import SECONDS, Calendar, calendar_of, groups
+from pfdist.problem.clock import Clock, Time, plain_time
 from pfdist.problem.constraints import Limit, Money, money
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.sections import Moment, MomentsAndRanges, is_list_of
@@ -101,7 +100,7 @@ class ClockSection(JobSection):
         start, are_whole = self.calendar, all(float(t).is_integer() for t in times.times)
         is_midnight = "T" not in self.start and " " not in self.start and not self.timezone
         by_days = is_midnight and are_whole and start.unit in ("d", "w")
-        clock = replace(times, unit=str(replace(start, by_days=by_days)))
+        clock = replace(times, unit=start.unit, calendar=replace(start, by_days=by_days))
         try:
             years = [clock.dates[t].year for t in (0, -1)]
         except OverflowError:
@@ -424,14 +423,14 @@ class ProblemSection(JobSection):
                     f"{len(given)}"
                 )
             return tuple(map(money, given))
-        first, last = (formatted_time(clock.time(t)) for t in (0, clock.horizon))
+        first, last = map(clock.text, (clock.times[0], clock.times[-1]))
         ends = f"{first}..{last}"
         for key, price in given.items():
             for t in instants_written(key, clock, name):
                 is_instant = 0 <= t <= clock.horizon
                 if t in prices or not is_instant:
                     what = "twice" if t in prices else f"for a horizon of {clock.horizon}"
-                    time = formatted_time(clock.time(t)) if is_instant else t
+                    time = clock.text(clock.times[t]) if is_instant else t
                     raise MeasurementTimesError(
                         f"{name} must name every time in {ends} once, got {time} {what}"
                     )
@@ -440,7 +439,7 @@ class ProblemSection(JobSection):
         if lacking:
             raise MeasurementTimesError(
                 f"{name} must name every time in {ends} once, got none for "
-                f"{formatted_time(clock.time(lacking[0]))}"
+                f"{clock.text(clock.times[lacking[0]])}"
             )
         return tuple(prices[t] for t in range(clock.horizon + 1))
 

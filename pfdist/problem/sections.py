@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from pfdist.common.clock import Time, plain_time
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import JobSection, Listed
 from pfdist.errors import shown
@@ -14,6 +13,7 @@ from pfdist.filters.engines import AUTO, EngineName
 from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
+from pfdist.problem.clock import Time, plain_time
 from pfdist.problem.search_section import Degenerate, is_name
 
 DEFAULT_METHOD: Final = "relaxation"  # of a search; the name of its set, too

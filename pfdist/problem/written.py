@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from pfdist.common.arguments import listed_argument
-from pfdist.common.calendar import as_text, groups, names_dates
-from pfdist.common.clock import Clock, Time
 from pfdist.common.measurement_times import Times, validated
-from pfdist.common.parsing import finite_number, ranges, whole_numbers
+from pfdist.common.parsing import as_text, finite_number, ranges, whole_numbers
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.problem.calendar import groups, names_dates
+from pfdist.problem.clock import Clock, Time
 
 RANGES = "'20:30', '0:60:3' or '20-30'"
 """Examples of ranges, for errors and help."""

@@ -6,9 +6,8 @@ from datetime import datetime
 from shlex import quote
 from typing import Any
 
-from pfdist.common.calendar import calendar_of, unit_of_spans
-from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Code, Facts, Section, Text
+from pfdist.common.rounding import unrounded
 from pfdist.filters.engines import is_exact
 from pfdist.problem.job import job_toml
 from pfdist.problem.problem_section import ProblemSection
@@ -58,10 +57,7 @@ def question(subject: Subject) -> str:
     """The question of a run in a sentence."""
     job, problem = subject.run.job, problem_of(subject.run)
     z = ", ".join(each.name for each in subject.quantities if each.name) or "the estimate"
-    first, last = (
-        formatted_times([time], problem.clock.unit)
-        for time in problem.clock.times[:: problem.clock.horizon]
-    )
+    first, last = map(problem.clock.formatted, (0, problem.clock.horizon))
     between = f"between t = {first} and {last}"
     if "budget" in job:
         return f"How many measurements {between} are enough to estimate {z}?"
@@ -95,14 +91,15 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "instants", _instants(subject)
     yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
+    dated, unit = bool(subject.clock.dates), subject.clock.unit
     for key, name in _TIMES.items():
         if problem.get(key):
-            yield name, formatted_spelling(problem[key], subject.unit)
+            yield name, _spelled(problem[key], unit, dated=dated)
     if problem.get("minimum_spacing"):
-        spacing = formatted_spelling(problem["minimum_spacing"], unit_of_spans(subject.unit))
+        spacing = _spelled(problem["minimum_spacing"], unit)
         yield "distance of measurements, at least", spacing
     for name, keys in problem.get("sensors", {}).items():
-        text = "; ".join(f"{key} {formatted_spelling(value, '')}" for key, value in keys.items())
+        text = "; ".join(f"{key} {_spelled(value, '')}" for key, value in keys.items())
         yield f"sensor {name}", text or "no price"
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
@@ -139,14 +136,13 @@ def _measurements(job: Mapping[str, Any]) -> str:
 
 def _instants(subject: Subject) -> str:
     clock = problem_of(subject.run).clock
-    last = formatted_times(clock.times[-1:], clock.unit)
-    ends = f"t = {formatted_time(clock.time(0))} to {last}"
+    ends = f"t = {clock.text(clock.times[0])} to {clock.formatted(clock.horizon)}"
     if clock.calendar and clock.calendar.start.tzinfo:
         ends += f" ({clock.calendar.start.tzinfo})"
     if clock.counts:
         return ends
     if clock.is_even:
-        step = formatted_times([clock.times[1] - clock.times[0]], unit_of_spans(clock.unit))
+        step = f"{unrounded(clock.times[1] - clock.times[0])} {clock.unit}".rstrip()
         return f"{ends}, in steps of {step}"
     return f"{len(clock.times)} instants, {ends}"
 
@@ -164,10 +160,10 @@ def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tu
     yield "weights of instants in the MSE", text
 
 
-def formatted_spelling(value: Any, unit: str) -> str:
-    """Times as the job spells them, with the unit."""
+def _spelled(value: Any, unit: str, *, dated: bool = False) -> str:
+    """Times as the job spells them, with the unit; or dates."""
     entries = value if isinstance(value, list | tuple) else [value]
-    if calendar_of(unit):
+    if dated:
         return ", ".join(map(str, entries))
     text = ", ".join(str(entry).replace(":", " to ", 1).replace(":", " by ") for entry in entries)
     return f"{text} {unit}" if unit else text

@@ -13,7 +13,6 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import Field
 
-from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
 from pfdist.common.parts import Page
 from pfdist.common.section import Number, Whole, checked
@@ -24,8 +23,9 @@ from pfdist.errors import (
     MeasurementsError,
     PfdistWarning,
 )
-from pfdist.filters.replicates import Replicate, read_replicates
+from pfdist.problem.clock import Clock, Time
 from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.replicates import Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.evaluate import OneSet, instants_evaluated
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -105,7 +105,8 @@ class Backtest(Shown):
     shown : tuple of ShownReplicate
     quantities : tuple of Component
         The components of what is judged.
-    time_unit : str
+    clock : Clock
+        That of the job.
     """
 
     data: Path
@@ -124,7 +125,7 @@ class Backtest(Shown):
     files: tuple[Path, ...]
     shown: tuple[ShownReplicate, ...]
     quantities: tuple[Component, ...]
-    time_unit: str = ""
+    clock: Clock
 
     @property
     def wrong(self) -> list[str]:
@@ -307,7 +308,7 @@ def backtest(
         within=within,
         files=files,
         quantities=model.named("y") if matched[0].is_predicted else model.named("z"),
-        time_unit=clock.unit,
+        clock=clock,
     )
     if files:
         from pfdist.questions.backtest_page import report_of  # noqa: PLC0415  as in Backtest

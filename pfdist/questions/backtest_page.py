@@ -4,10 +4,8 @@ import math
 from collections.abc import Iterator
 
 import pfdist
-from pfdist.common.calendar import unit_of_spans
-from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
-from pfdist.common.rounding import rounded, with_interval
+from pfdist.common.rounding import rounded, unrounded, with_interval
 from pfdist.filters.filter_estimate import few_particles
 from pfdist.questions.backtest import CENTRED, FROM_START, PLAN, Backtest
 from pfdist.questions.subject import change_of, number_of
@@ -48,7 +46,7 @@ def report_of(answer: Backtest) -> Page:
     from pfdist.questions.pictures import picture  # noqa: PLC0415
 
     errors = by_replicate(answer.table, answer.sets)
-    full = in_full(answer.shown, answer.quantities[0], answer.time_unit)
+    full = in_full(answer.shown, answer.quantities[0], answer.clock)
     sections = [
         Section("The answer", [Text(_headline(answer), prominent=True), _gains(answer),
                                Text(_MEANING), *_verdicts(answer)]),
@@ -154,8 +152,8 @@ def _sets(answer: Backtest) -> Table:
 def _facts(answer: Backtest) -> list[tuple[str, str]]:
     first = answer.promises[FROM_START], answer.promises[CENTRED]
     lags = " and ".join(rounded(each.correlation, 2) for each in first)
-    plan = formatted_times(answer.plan, answer.time_unit) or "one for each replicate"
-    within = f"{formatted_time(answer.within)} {unit_of_spans(answer.time_unit)}".rstrip()
+    plan = answer.clock.listed(answer.plan) or "one for each replicate"
+    within = f"{unrounded(answer.within)} {answer.clock.unit}".rstrip()
     facts = [
         ("plan", f"t = {plan}" if answer.plan else plan),
         ("judged", f"{number_of(answer.judged, 'value')} of "

@@ -100,7 +100,7 @@ def _of_number(subject: Subject, number: int) -> str:
     row = _row(subject, FOUND, number)
     typical = subject.typical_errors(row)
     error = f" (typical error {typical})" if typical else ""
-    return f": t = {subject.listed(row.measurement_times)}{error}"
+    return f": t = {subject.clock.listed(row.measurement_times)}{error}"
 
 
 def _reached(kind: str, reached: Mapping[str, Any], target: float, where: str) -> str:

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Unpack
 
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.errors import JobError, shown
+from pfdist.problem.clock import Clock
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
@@ -174,7 +174,7 @@ class SetsToCompare:
     def _check_clock(self, run: Run) -> None:
         own, first = problem_of(run).clock, self._clock
         must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
-        if (own.counts, own.unit, own.sensors) != (first.counts, first.unit, first.sensors):
+        if _kind(own) != _kind(first):
             raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
             if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
@@ -208,8 +208,12 @@ def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
     return None if weights is None or len({*weights}) == 1 else weights
 
 
+def _kind(clock: Clock) -> tuple[Any, ...]:
+    return clock.counts, clock.unit, clock.calendar, clock.sensors
+
+
 def _counted(clock: Clock) -> str:
-    text = f"has a clock in {clock.unit}" if clock.unit else "has a clock without a unit"
+    text = f"has a clock in {clock.time_unit}" if clock.unit else "has a clock without a unit"
     text = "counts instants" if clock.counts else text
     return text + f" and has the sensors {', '.join(clock.sensors)}" * bool(clock.sensors)
 

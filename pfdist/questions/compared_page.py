@@ -79,7 +79,7 @@ def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:
         listed = f"{', '.join(among[:-1])} and {among[-1]}"
         said = f"The best of {len(ranks)} sets do not differ clearly ({joint}): {listed}"
     else:
-        said += f", t = {subject.listed(own.measurement_times)}"
+        said += f", t = {subject.clock.listed(own.measurement_times)}"
     typical = subject.typical_errors(own, subject.rows[second.name])
     typical = f" The typical error is {typical}." if typical else ""
     higher = f"The expected MSE of {phrases[second.name]}, the second, is {change_of(gain, ends)}."

@@ -9,18 +9,16 @@ from typing import Any, overload
 
 import numpy as np
 
-from pfdist.common.calendar import calendar_of
-from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
-from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
-from pfdist.common.rounding import rounded, with_error
+from pfdist.common.rounding import rounded, unrounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import Result, joined
 from pfdist.models import squared_error
+from pfdist.problem.clock import Time
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.written import validated_instants
@@ -401,6 +399,7 @@ def _over_time(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     if not tables:
         return []
     first = next(iter(tables.values()))
+    time = "date" if "date" in first else "t"
     unit, weights = first.attrs.get("time_unit", ""), first["weight"]
     columns = [
         [mse_cell(*at) for at in each[[*_OVER_TIME]].itertuples(index=False)]
@@ -412,10 +411,10 @@ def _over_time(evaluations: Mapping[str, Evaluation]) -> list[Table]:
         head.insert(0, "weight")
         caption += "; their weighted mean is the expected MSE"
     rows = [
-        [Cell(formatted_time(t, unit), t), *cells]
-        for t, *cells in zip(first["t"], *columns, strict=True)
+        [Cell(unrounded(at), t), *cells]
+        for at, t, *cells in zip(first[time], first["t"], *columns, strict=True)
     ]
-    head.insert(0, "date" if calendar_of(unit) else f"t [{unit}]" if unit else "t")
+    head.insert(0, f"t [{unit}]" if unit and time == "t" else time)
     return [Table(caption, head, rows)]
 
 

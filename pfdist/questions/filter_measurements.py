@@ -12,9 +12,7 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
-from pfdist.common.formatted_times import formatted_time, formatted_times, time_of
 from pfdist.common.parts import (
     Block,
     Cell,
@@ -31,8 +29,9 @@ from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.filters.filter_estimate import FilterEstimate, few_particles
-from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.models.base import within_half_turn
+from pfdist.problem.clock import Clock, Time
+from pfdist.problem.measurements import Measurements, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.planned_run import (
     UserTable,
@@ -44,8 +43,9 @@ from pfdist.questions.planned_run import (
 from pfdist.questions.report import write_page
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
+from pfdist.runner.identity import columns_of
 from pfdist.runner.progress import Say, silent
-from pfdist.store import FILTERED_PERCENTS, ClockColumns, filtered_schema, frame_of
+from pfdist.store import FILTERED_PERCENTS, filtered_schema, frame_of
 from pfdist.store.folder import check_page_replaceable
 from pfdist.store.schema import components_in
 from pfdist.store.user_tables import check_table_replaceable, write_user_table
@@ -80,8 +80,8 @@ class FilteredMeasurements(Shown):
         Why there is no log evidence; empty if there is.
     files : tuple of Path
         The table, the figure, and the report if it was wanted; none for a DataFrame without `out`.
-    time_unit : str
-        The unit of the clock; empty if the job has none.
+    clock : Clock
+        That of the job.
     collapsed : int or float, optional
         The first time at which the effective sample size falls below 5, if it does. From it on, the
         estimate is that of a few particles, not the model's.
@@ -98,7 +98,7 @@ class FilteredMeasurements(Shown):
     log_evidence: float | None
     why_no_evidence: str
     files: tuple[Path, ...]
-    time_unit: str = ""
+    clock: Clock
     collapsed: Time | None = None
 
     @property
@@ -144,7 +144,7 @@ class FilteredMeasurements(Shown):
             "collapsed": self.collapsed,
             "log_evidence": self.log_evidence,
             "why_no_evidence": self.why_no_evidence,
-            **({"time_unit": self.time_unit} if self.time_unit else {}),
+            **({"time_unit": unit} if (unit := self.clock.time_unit) else {}),
             **{name: files.get(name) for name in ("table", "figure", "report")},
         }
         return finite(answer)
@@ -229,9 +229,8 @@ def filter_measurements(
     table = table_argument("measurements", measurements)
     files = files_beside(table, out, "measurements", "filtered")[: 3 if report else 2]
     plan = planned_run(job, results, changes, say, planned, prior)
-    problem = plan.built.job.problem
-    clock = problem.clock
-    columns = ClockColumns(clock.times, clock.unit, counts=not problem.has_clock)
+    clock = plan.built.job.problem.clock
+    columns = columns_of(clock)
     believed = plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
@@ -260,7 +259,7 @@ def filter_measurements(
         filtering.log_evidence,
         filtering.why_no_evidence,
         files,
-        clock.unit,
+        clock,
         None if collapsed is None else clock.time(collapsed),
     )
     if files:
@@ -311,7 +310,7 @@ def _table(
 
 
 def _report_of(answer: FilteredMeasurements) -> Page:
-    sections = [_belief(answer), _fit(answer), _instants(answer.table)]
+    sections = [_belief(answer), _fit(answer), _instants(answer.table, answer.clock)]
     run, file = answer.run.name, answer.measurements.name
     number = number_of(len(answer.measured), "measurement")
     subtitle = f"{number} of {file}, by the filter of the run {run}"
@@ -327,9 +326,7 @@ def _facts(answer: FilteredMeasurements) -> list[tuple[str, str]]:
         "planned, to come": answer.to_come,
         "measured, not planned": answer.extra,
     }
-    return [
-        (name, formatted_times(each, answer.time_unit) or "none") for name, each in times.items()
-    ]
+    return [(name, answer.clock.listed(each) or "none") for name, each in times.items()]
 
 
 def _surprise(answer: FilteredMeasurements) -> tuple[str, str, str] | None:
@@ -343,7 +340,7 @@ def _surprise(answer: FilteredMeasurements) -> tuple[str, str, str] | None:
     alone, among = (
         f"{word}{rounded(each, _P_DIGITS)}" for word, each in zip(words, values, strict=True)
     )
-    return formatted_times([t], answer.time_unit), alone, among
+    return answer.clock.listed([t]), alone, among
 
 
 def _estimate(answer: FilteredMeasurements) -> str:
@@ -356,16 +353,16 @@ def _estimate(answer: FilteredMeasurements) -> str:
         mean, low, high = (rounded(value, 3) for value in values)
         name, unit = each.name or f"z{each.suffix}", f" {each.unit}" * bool(each.unit)
         estimates.append(f"{name} = {mean}{unit} (90 % band {low} to {high})")
-    at = formatted_times([row["t"]], answer.time_unit)
+    at = answer.clock.listed([row["t"]])
     fits = "do not fit" if answer.is_improbable else "fit"
     made = number_of(len(answer.measured), "measurement")
     said = f" The {made} {fits if len(answer.measured) > 1 else fits.replace('do', 'does')}"
     return f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * bool(answer.measured)
 
 
-def few_at(t: Time | None, unit: str) -> list[str]:
+def few_at(t: Time | None, clock: Clock) -> list[str]:
     """The sentence that the estimate is that of a few particles, if a filter collapses at t."""
-    return [] if t is None else [few_particles(f"at t = {formatted_times([t], unit)}")]
+    return [] if t is None else [few_particles(f"at t = {clock.listed([t])}")]
 
 
 def _alarms(answer: FilteredMeasurements) -> list[str]:
@@ -373,7 +370,7 @@ def _alarms(answer: FilteredMeasurements) -> list[str]:
     at, p, among = _surprise(answer) or ("", "", "")
     what = f"The measurement at t = {at} is improbable, p {p} ({among} among all)"
     improbable = f"{what}: the model may be wrong about this system."
-    few = few_at(answer.collapsed, answer.time_unit)
+    few = few_at(answer.collapsed, answer.clock)
     return [*few, *[improbable] * answer.is_improbable]
 
 
@@ -408,14 +405,14 @@ def _fit(answer: FilteredMeasurements) -> Section:
     rows = table.dropna(subset="effective_sample_size")
     if len(rows):
         least = rows.iloc[rows["effective_sample_size"].argmin()]
-        at, size = formatted_times([least["t"]], answer.time_unit), least["effective_sample_size"]
+        at, size = answer.clock.listed([least["t"]]), least["effective_sample_size"]
         title = f"The effective sample size is least at t = {at}: {size:.0f}."
         plot = Plot(2.0, lambda panels: effective_sample_size(table, ax=panels[0]), title=title)
         blocks.append(picture(plot, "size", _SIZE))
     return Section("How well they fit the model", blocks)
 
 
-def _instants(table: pd.DataFrame) -> Section:
+def _instants(table: pd.DataFrame, clock: Clock) -> Section:
     quantities = components_in(table, "mean_")
     is_single = len(quantities) == 1
     names = [
@@ -423,13 +420,13 @@ def _instants(table: pd.DataFrame) -> Section:
         for k, each in enumerate(quantities)
     ]
     head = ["t", "measured", *(f"{what}{name}" for name in names for what in ("mean", "90 % band"))]
-    rows = [_row(row, quantities) for row in table.to_dict("records")]
+    rows = [_row(row, quantities, clock) for row in table.to_dict("records")]
     instants = Table("Estimate at each instant", [*head, "surprise"], rows, detail=True)
     return Section("All instants", [without_empty_columns(instants)])
 
 
-def _row(row: Mapping[Hashable, Any], quantities: Sequence[Component]) -> list[Cell]:
-    cells = [Cell(formatted_time(time_of(row)), row["t"]), Cell("yes" if row["measured"] else "no")]
+def _row(row: Mapping[Hashable, Any], quantities: Sequence[Component], clock: Clock) -> list[Cell]:
+    cells = [Cell(clock.text(row["t"]), row["t"]), Cell("yes" if row["measured"] else "no")]
     for each in quantities:
         mean, low, high = (row[f"{name}_{each.suffix}"] for name in ("mean", "q05", "q95"))
         cells.append(Cell(rounded(mean), mean))

@@ -19,12 +19,12 @@ from pfdist.common.shown import Shown
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, MeasurementsError, ModelError
 from pfdist.filters.evidence import exact_log_evidence, log_evidence
-from pfdist.filters.replicates import Replicate, read_replicates
 from pfdist.filters.work import PLAIN
 from pfdist.kernels.variates import generator
 from pfdist.models import StateSpaceModel
 from pfdist.pools.base import Pool
 from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.replicates import Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.planned_run import UserTable, table_argument

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
-from pfdist.common.formatted_times import formatted_seconds
+from pfdist.common.formatted_sizes import formatted_seconds
 from pfdist.common.measurement_times import Times, regular
 from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded

@@ -12,9 +12,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from pfdist.common.clock import Clock, Time
 from pfdist.common.estimate import Estimate
-from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Facts, Page, Section, Text
 from pfdist.common.rounding import with_error, with_interval
@@ -22,8 +20,9 @@ from pfdist.common.shown import Shown
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation, difference
-from pfdist.filters.measurements import Measurements, read_measurements
+from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.measurements import Measurements, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, few_at
 from pfdist.questions.planned_run import UserTable, planned_run, table_argument
@@ -62,8 +61,8 @@ class NextTime(Shown):
         engine needs none. `expected_before` is None if the first plan is no longer possible.
     surprise : float or None
         P-value of the most surprising among all measurements (Bonferroni), if there is one.
-    time_unit : str
-        The unit of the clock; empty if the job has none.
+    clock : Clock
+        That of the job.
     collapsed : int or float, optional
         The first time at which the effective sample size falls below 5, if it does. The plan then
         starts from a few particles.
@@ -79,7 +78,7 @@ class NextTime(Shown):
     expected: Evaluation
     expected_before: Evaluation | None
     surprise: float | None
-    time_unit: str = ""
+    clock: Clock
     collapsed: Time | None = None
 
     @property
@@ -125,21 +124,21 @@ class NextTime(Shown):
             "surprise_of_all": self.surprise,
             "is_improbable": self.is_improbable,
             "collapsed": self.collapsed,
-            **({"time_unit": self.time_unit} if self.time_unit else {}),
+            **({"time_unit": unit} if (unit := self.clock.time_unit) else {}),
         }
         return finite(answer)
 
     def _page(self) -> Page:
-        number, unit = number_of(len(self.measured), "measurement"), self.time_unit
+        number, clock = number_of(len(self.measured), "measurement"), self.clock
         facts = [("expected MSE", self._expected(self.expected))]
         if self.plan:
             following, *later = self.plan
-            own_unit = "" if later and isinstance(following, str) else unit
-            said = f"Measure next at t = {formatted_times([following], own_unit)}"
+            is_written = later and isinstance(following, str)
+            said = f"Measure next at t = {following if is_written else clock.listed([following])}"
             if later:
-                shown = formatted_times(later[:_SHOWN], unit)
+                shown = clock.listed(later[:_SHOWN])
                 said += f"; then at about {shown}{', ...' if len(later) > _SHOWN else ''}"
-            measured = formatted_times(self.measured, unit)
+            measured = clock.listed(self.measured)
             where = f"{number}{', at t = ' * bool(measured)}{measured}"
             facts = [("measured", where), *facts, *self._before()]
         elif self.left == 0:
@@ -147,14 +146,14 @@ class NextTime(Shown):
         else:
             said = f"No further measurement is possible after {number}"
         section = Section("", [Text(f"{said}.", prominent=True), Facts(facts)])
-        alarms = [*few_at(self.collapsed, unit), *[_SEE_SURPRISE] * self.is_improbable]
+        alarms = [*few_at(self.collapsed, clock), *[_SEE_SURPRISE] * self.is_improbable]
         return Page("", "", [section], alarms=alarms)
 
     def _before(self) -> list[tuple[str, str]]:
         """The plan that was made before these measurements, if it differs."""
         if self.planned_before == self.plan:
             return []
-        times = formatted_times(self.planned_before, self.time_unit)
+        times = self.clock.listed(self.planned_before)
         if not times:
             return [("planned before", "no further measurement")]
         if self.expected_before is None:
@@ -168,7 +167,7 @@ class NextTime(Shown):
 
     def _expected(self, evaluation: Evaluation) -> str:
         mse = with_error(evaluation.expected_mse, evaluation.standard_error)
-        return f"{mse} from t = {formatted_times([self.now], self.time_unit)} on"
+        return f"{mse} from t = {self.clock.listed([self.now])} on"
 
 
 def next_time(
@@ -258,7 +257,7 @@ def next_time(
         expected,
         expected_before[0] if expected_before else None,
         surprise,
-        clock.unit,
+        clock,
         planner.estimate().collapsed,
     )
     for line in result._page().alarms if say is silent else ():
@@ -302,14 +301,13 @@ def _instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
     is_number = isinstance(now, Real) and not isinstance(now, bool)
     if clock.counts and not (is_number and float(number).is_integer()):
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
-    first = clock.times[last] if last >= 0 else -1
+    first = clock.times[last]
     try:
         number = number if is_number else clock.times[clock.instant(number, "now")]
         if not first <= number <= clock.times[-1]:
-            ends = formatted_time(clock.time(last) if last >= 0 else -1), clock.time(clock.horizon)
             raise MeasurementsError(
-                f"now must lie in {ends[0]}..{formatted_time(ends[1])}, got "
-                f"{formatted_time(number, clock.unit)}",
+                f"now must lie in {clock.text(first)}..{clock.text(clock.times[-1])}, got "
+                f"{clock.text(number)}",
                 argument="now",
             )
         return int(number) if clock.counts else clock.instant(number, "now")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import pandas as pd
 from pydantic import Field
 
-from pfdist.common.clock import Time
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import Whole, checked
 from pfdist.errors import JobError, PfdistWarning
 from pfdist.filters.work import GUIDED, PLAIN
+from pfdist.problem.clock import Time
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.evaluate import UNNAMED, instants_evaluated
 from pfdist.runner.build import build

@@ -13,7 +13,7 @@ from pfdist.common.nearest import must_be
 from pfdist.errors import JobError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import Filter
-from pfdist.filters.user_prior import as_prior, read_prior
+from pfdist.filters.user_prior import as_prior
 from pfdist.problem.problem import JobSource
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.results import Run
@@ -82,7 +82,7 @@ def planned_run(
     """The finished run of a job, the set that was planned, and what filters need.
 
     The arguments are those of `pfdist.next_time`, and the errors those of `run_and_job`, of
-    `planned_set` and of `read_prior`.
+    `planned_set` and of `as_prior`.
     """
     table: Any = prior
     if isinstance(prior, str | Path):  # a model may change the working folder
@@ -91,10 +91,8 @@ def planned_run(
     name, times = planned_set(run, planned)
     model, clock = built.evaluator.believed, built.job.problem.clock
     start: Prior | None = None
-    if isinstance(table, Path):
-        start = read_prior(table, model, clock)
-    elif table is not None:
-        start = as_prior(table, model, clock)
+    if table is not None:
+        start = as_prior(table, model, clock.readers(), clock.instant_of_t)
     return PlannedRun(run, name, clock.measurements(times), built, start)
 
 

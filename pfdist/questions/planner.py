@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.common.clock import Clock, Time
-from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
+from pfdist.common.rounding import unrounded
 from pfdist.common.section import checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Cloud, Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
-from pfdist.filters.measurements import instant_on
 from pfdist.filters.one_filter import again, filter_of_truths, made, with_truths
 from pfdist.filters.user_prior import as_prior
+from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.measurements import instant_on
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.written import validated_instants
@@ -85,7 +85,11 @@ class Planner:
     ) -> None:
         built = job if isinstance(job, Built) else build(as_job(job))
         believed, clock = built.evaluator.believed, built.job.problem.clock
-        start = None if prior is None else as_prior(prior, believed, clock)
+        start = (
+            None
+            if prior is None
+            else as_prior(prior, believed, clock.readers(), clock.instant_of_t)
+        )
         planning = planning_of(built.job, built.evaluator.variance_is_error)
         stream = stream_of("online", built.job.seed, "planner")
         planned = None if times is None else validated_instants(times, clock, "times", "times")
@@ -222,8 +226,8 @@ class Planner:
         wanted = [validated_instants(plan, self.clock) for plan in plans or (self.plan(),)]
         for plan in wanted:
             if plan and plan[0] < first * self.feasible.sensors:
-                least = formatted_time(self.clock.time(first))
-                got = formatted_time(self.clock.written(plan[0]))
+                least = self.clock.text(self.clock.times[first])
+                got = self.clock.text(self.clock.written(plan[0]))
                 raise MeasurementTimesError(
                     f"times that are left must be at least {least}, got {got}"
                 )
@@ -249,10 +253,10 @@ class Planner:
         if t is not None:
             instant = instant_on(self.clock, t)
             if instant < self._now.first:
-                first = formatted_time(self.clock.time(self._now.first))
+                first = self.clock.text(self.clock.times[self._now.first])
                 raise MeasurementsError(
                     f"t must be at least {first}, the first instant that has not passed, got "
-                    f"{formatted_time(t)}"
+                    f"{unrounded(t)}"
                 )
             return instant
         if not self._plan:

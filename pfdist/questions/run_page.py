@@ -189,7 +189,7 @@ def answer(subject: Subject) -> Section | None:
 
 def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     times = row.measurement_times
-    at = f"at {'t = ' if times else 'no time'}{subject.listed(times)}."
+    at = f"at {'t = ' if times else 'no time'}{subject.clock.listed(times)}."
     if not subject.is_compared:
         estimate = with_error(row.search_mse, row.search_standard_error)
         yield Text(f"{row.label}: measure {at} The search estimated an error of {estimate}.")

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from pfdist.common.formatted_times import (
+from pfdist.common.formatted_sizes import (
     formatted_age,
     formatted_seconds,
     formatted_size,

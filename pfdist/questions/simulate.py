@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from pfdist.common.clock import Clock
 from pfdist.common.section import Whole, checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.models import StateSpaceModel
+from pfdist.problem.clock import Clock
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.runner.build import build
 from pfdist.store.schema import LABELS, labels_of
@@ -88,5 +88,5 @@ def _table(draws: Draws, model: StateSpaceModel, clock: Clock) -> pd.DataFrame:
     if labels:
         table.attrs[LABELS] = labels
     if not clock.counts:
-        table.attrs["time_unit"] = clock.unit
+        table.attrs["time_unit"] = clock.time_unit
     return table

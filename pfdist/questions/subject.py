@@ -8,13 +8,12 @@ from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
-from pfdist.common.calendar import calendar_of, unit_of_spans
 from pfdist.common.component_names import Component, named_components
-from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
-from pfdist.common.rounding import rounded, with_error, with_interval
+from pfdist.common.rounding import rounded, unrounded, with_error, with_interval
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
+from pfdist.problem.clock import Clock
 from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
@@ -147,14 +146,14 @@ class Subject:
     def _step_of_reference(self) -> str:
         """The distance of the times of the reference in words; empty unless all are equal."""
         measured = self.reference_row.measurement_times
-        measurements = [time_and_sensor(time, self.unit) for time in measured]
+        measurements = [*map(self.clock.time_and_sensor, measured)]
         instants, sensors = (time for time, _ in measurements), {each for _, each in measurements}
-        steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
+        steps = {unrounded(later - earlier) for earlier, later in pairwise(instants)}
         if len(steps) != 1 or len(sensors) > 1:
             return ""
         step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
         if problem_of(self.run).has_clock:
-            return f"every {step} {unit_of_spans(self.unit)}".rstrip() + sensor
+            return f"every {step} {self.clock.unit}".rstrip() + sensor
         return ("every instant" if step == "1" else f"every {step} instants") + sensor
 
     @cached_property
@@ -183,20 +182,15 @@ class Subject:
         return ", ".join(map("".join, zip(names, parts, strict=False)))
 
     @property
-    def unit(self) -> str:
-        """The unit of the clock; empty if the job has none."""
-        return problem_of(self.run).clock.unit
+    def clock(self) -> Clock:
+        """The clock of the job."""
+        return problem_of(self.run).clock
 
     @property
     def head_of_times(self) -> str:
         """Head of a column of times."""
-        if calendar_of(self.unit):
-            return "date"
-        return "t" + f", {self.unit}" * bool(self.unit)
-
-    def listed(self, times: Sequence[float | str]) -> str:
-        """Measurement times as text, with the unit of the clock."""
-        return formatted_times(times, self.unit)
+        unit = self.clock.unit
+        return "date" if self.clock.dates else "t" + f", {unit}" * bool(unit)
 
 
 def _typical(component: Component, is_angle: bool, error: float, before: float | None) -> str:
@@ -321,4 +315,4 @@ def all_sets(subject: Subject) -> Table:
     """A table of all sets of times, folded away."""
     columns = ("label", "measurements", "price", "measurement_times")
     rows = subject.rows.values()
-    return sets_table("All sets of times", rows, columns, unit=subject.unit, detail=True)
+    return sets_table("All sets of times", rows, columns, listed=subject.clock.listed, detail=True)

@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import rounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError, shown
-from pfdist.filters.replicates import Replicate
 from pfdist.pools.base import Pool
+from pfdist.problem.clock import Clock
+from pfdist.problem.replicates import Replicate
 from pfdist.questions.planner import first_planning
 from pfdist.runner.backtesting import (
     PlanWork,

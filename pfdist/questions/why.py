@@ -11,12 +11,12 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parts import Page
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError
+from pfdist.problem.clock import Clock
 from pfdist.problem.problem import JobSource
 from pfdist.problem.sections import Execution
 from pfdist.questions.at_work import release_the_lock

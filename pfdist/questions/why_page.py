@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from pfdist.common.formatted_times import formatted_time, measurement_of, time_and_sensor
 from pfdist.common.parts import Block, Cell, Figures, Page, Section, Table, Text
 from pfdist.common.rounding import with_error
+from pfdist.problem.clock import Clock
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import Subject, number_of
 from pfdist.results.sampling_windows import STRICT, WIDE, windows_of
@@ -58,12 +58,12 @@ def why_page(subject: Subject, frames: Frames) -> Page:
 def _extremes(subject: Subject, frames: Frames) -> str:
     """The most and the least important measurement of the plan, in sentences."""
     plan = subject.by_error[0]
-    rises = _rises(plan, frames)
+    rises = _rises(plan, frames, subject.clock)
     if not rises or not all(math.isfinite(rise) for _, rise, _ in rises):
         return "Which measurement is the most important is unknown."
     order = sorted(rises, key=lambda each: each[1])
     (most, most_rise), (least, least_rise) = (
-        (f"t = {subject.listed([t])}", rise) for t, _, rise in (order[-1], order[0])
+        (f"t = {subject.clock.listed([t])}", rise) for t, _, rise in (order[-1], order[0])
     )
     return (
         f"Most important measurement of {phrase_of(subject.rows[plan].label)}: {most} (without it, "
@@ -73,21 +73,19 @@ def _extremes(subject: Subject, frames: Frames) -> str:
 
 def _tables(subject: Subject, frames: Frames) -> Iterator[Block]:
     """A table of the measurements of each set, the plan's first: their worth and their windows."""
-    plan = subject.by_error[0]
+    plan, clock = subject.by_error[0], subject.clock
     for name in sorted(frames["worth"]["name"].unique(), key=lambda name: name != plan):
         moved = frames["sampling_windows"]
         rows = moved[moved["name"] == name].to_dict("records")
-        windows = (windows_of(rows, percent, subject.unit) for percent in (STRICT, WIDE))
-        texts = [
-            {formatted_time(each.measurement): each.text for each in level} for level in windows
-        ]
+        windows = (windows_of(rows, percent, clock) for percent in (STRICT, WIDE))
+        texts = [{each.measurement: each.text for each in level} for level in windows]
         cells = [
             [
-                Cell(formatted_time(t), time_and_sensor(t, subject.unit)[0]),
+                Cell(clock.text(t), clock.time_and_sensor(t)[0]),
                 Cell(text, rise),
-                *(Cell(each.get(formatted_time(t), "")) for each in texts),
+                *(Cell(each.get(t, "")) for each in texts),
             ]
-            for t, rise, text in _rises(name, frames)
+            for t, rise, text in _rises(name, frames, clock)
         ]
         head = (subject.head_of_times, *_HEAD)
         draws = int(frames["worth"]["draws"].max())
@@ -96,7 +94,7 @@ def _tables(subject: Subject, frames: Frames) -> Iterator[Block]:
         yield Table(caption, head, cells, detail=name != plan)
 
 
-def _rises(name: str, frames: Frames) -> list[tuple[float | str, float, str]]:
+def _rises(name: str, frames: Frames, clock: Clock) -> list[tuple[float | str, float, str]]:
     """Each measurement of a set, and by how many per cent the expected error rises without it."""
     profile, worth = (frames[part][frames[part]["name"] == name] for part in ("profile", "worth"))
     unit = (profile["error"] * profile["weight"]).sum() / len(profile) / 100  # 1 % of the MSE
@@ -104,5 +102,5 @@ def _rises(name: str, frames: Frames) -> list[tuple[float | str, float, str]]:
     for row in worth.to_dict("records"):
         rise, error = row["removed"] / unit, row["removed_error"] / unit
         rise = 0.0 if error == 0.0 and abs(rise) < _ROUNDING else rise
-        rises.append((measurement_of(row), rise, with_error(rise, error)))
+        rises.append((clock.of_row(row), rise, with_error(rise, error)))
     return rises

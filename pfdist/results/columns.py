@@ -6,17 +6,16 @@ Answers, reports, lists and tables of runs, JSON and DataFrames all show this ta
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from textwrap import shorten
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from pfdist.common.formatted_times import formatted_times
 from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
-from pfdist.common.rounding import with_error, with_interval
+from pfdist.common.rounding import unrounded, with_error, with_interval
 from pfdist.errors import relative
 from pfdist.results.moments import QUANTILES, quantile_name
 
@@ -26,6 +25,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Results = dict[str, Any]
 _MOST_LETTERS = 60  # of the times in the `repr` of a set
+
+
+def _listed(values: Iterable[float | str]) -> str:
+    return ", ".join(map(unrounded, values))
 
 
 class Row(SimpleNamespace):
@@ -38,7 +41,7 @@ class Row(SimpleNamespace):
         if not {"expected_mse", "measurement_times"} <= {*vars(self)}:
             return super().__repr__()
         mse = with_error(self.expected_mse, self.standard_error)
-        times = shorten(formatted_times(self.measurement_times), _MOST_LETTERS, placeholder=" ...")
+        times = shorten(_listed(self.measurement_times), _MOST_LETTERS, placeholder=" ...")
         return f"<{self.name}: {self.measurements} measurements, expected MSE {mse}: t = {times}>"
 
 
@@ -71,20 +74,13 @@ class Column:
     is_percent: bool = False
     has_interval: bool = False
 
-    def cell(self, row: Row, unit: str = "") -> Cell:
-        """The value of a row as pages show it; empty if it is missing.
-
-        Parameters
-        ----------
-        row : Row
-        unit : str
-            Unit of measurement times.
-        """
+    def cell(self, row: Row, listed: Callable[[list[Any]], str] = _listed) -> Cell:
+        """The value of a row as pages show it; empty if it is missing. `listed` writes lists."""
         value = getattr(row, self.name)
         if value is None:
             return Cell("")
         if isinstance(value, list):
-            return Cell(formatted_times(value, unit))
+            return Cell(listed(value))
         if self.error:
             return Cell(with_error(value, getattr(row, self.error)), value)
         if self.has_interval:
@@ -270,7 +266,12 @@ def records_of(table: pd.DataFrame) -> list[Results]:
 
 
 def sets_table(
-    caption: str, rows: Iterable[Row], columns: Sequence[str], *, unit: str = "", **how: Any
+    caption: str,
+    rows: Iterable[Row],
+    columns: Sequence[str],
+    *,
+    listed: Callable[[list[Any]], str] = _listed,
+    **how: Any,
 ) -> Table:
     """A page's table of some results of sets; columns without a value are left out.
 
@@ -280,13 +281,13 @@ def sets_table(
     rows : iterable of Row
     columns : sequence of str
         Names of columns that have a head.
-    unit : str
-        Unit of measurement times.
+    listed : callable
+        Writes measurement times.
     how
         As of `pfdist.common.parts.Table`.
     """
     declared = [COLUMNS[name] for name in columns]
-    cells = [[column.cell(row, unit) for column in declared] for row in rows]
+    cells = [[column.cell(row, listed) for column in declared] for row in rows]
     return without_empty_columns(Table(caption, [each.head for each in declared], cells, **how))
 
 

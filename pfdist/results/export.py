@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pfdist.common.arguments import path_argument
-from pfdist.common.clock import Clock
-from pfdist.common.formatted_times import formatted_time
+from pfdist.common.rounding import unrounded
 from pfdist.errors import ArgumentError, one_line, shown
+from pfdist.problem.clock import Clock
 from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, windows_of
 from pfdist.results.stored_run import problem_of, provenance_of
 from pfdist.store import run_key
@@ -70,17 +70,17 @@ def _rows(run: "Run", clock: Clock) -> Rows:
         allowed = sorted({each // number for each in problem_of(run).feasible.allowed})
         order = {instant: place for place, instant in enumerate(allowed)}
         for percent in (STRICT, WIDE):
-            for window in windows_of(of_plan, percent, clock.unit):
+            for window in windows_of(of_plan, percent, clock):
                 [at] = clock.measurements([window.measurement])
                 # Instants that are not allowed, such as weekends, end no window.
                 inside = {t: order.get(instant, -2) for t, instant in window.inside.items()}
                 [stretch] = [each for each in runs_of(inside) if window.t in each]
-                ends = (formatted_time(t, clock.unit) for t in (stretch[0], stretch[-1]))
+                ends = map(clock.text, (stretch[0], stretch[-1]))
                 keys = f"earliest_{percent}", f"latest_{percent}"
                 windows.setdefault(at, {}).update(zip(keys, ends, strict=True))
     for place, measurement in enumerate(measurements, 1):
         instant, sensor = divmod(measurement, number)
-        row: dict[str, Any] = {"measurement": place, "t": formatted_time(clock.times[instant])}
+        row: dict[str, Any] = {"measurement": place, "t": unrounded(clock.times[instant])}
         row |= {"date": clock.time(instant)} if clock.calendar else {}
         row |= {"sensor": clock.sensors[sensor]} if clock.sensors else {}
         rows.append(row | windows.get(measurement, {}))

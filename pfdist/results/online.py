@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import Times
+from pfdist.problem.clock import Clock
 from pfdist.results.moments import Array, Gain, Moments
 from pfdist.results.stored_run import StoredRun, problem_of
 

@@ -130,7 +130,7 @@ def profile_of(
         }
     )
     if not clock.counts:
-        table.attrs["time_unit"] = clock.unit
+        table.attrs["time_unit"] = clock.time_unit
     return table
 
 

@@ -174,7 +174,7 @@ class Run(StoredRun, Shown):
             "state": self.state,
             "evaluations": evaluations_of(self),
             "draws_compared": self.draws_compared,
-            "time_unit": problem.clock.unit if problem.has_clock else None,
+            "time_unit": problem.clock.time_unit if problem.has_clock else None,
             "instant_weights": [*problem.weights] if problem.weights else None,
             "unproved": unproved(self),
             "sets": records_of(self.table("sets")) if "sets" in has else [],

@@ -8,9 +8,8 @@ from typing import Any
 import pandas as pd
 
 from pfdist.common.dotted_keys import leaves, short_names
-from pfdist.common.formatted_times import formatted_time
 from pfdist.common.percent import times_100
-from pfdist.common.rounding import rounded, with_error, with_interval
+from pfdist.common.rounding import rounded, unrounded, with_error, with_interval
 from pfdist.results.columns import Row
 from pfdist.results.moments import GAINS
 from pfdist.results.run import Run
@@ -103,7 +102,7 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
     rows, units = list[Results](), set[str]()
     for number, run in enumerate(runs):
         problem = problem_of(run)
-        units.add(problem.clock.unit if problem.has_clock else "")
+        units.add(problem.clock.time_unit if problem.has_clock else "")
         head = {"run": names[number], **{key: values[number] for key, values in keys.items()}}
         rows += [dict.fromkeys(RESULTS) | head | row for row in _rows(run)]
     columns = ("run", *keys, *RESULTS)
@@ -208,7 +207,7 @@ def formatted_value(value: Any) -> str:
         return ""
     if isinstance(value, bool):
         return str(value).lower()
-    return formatted_time(value) if isinstance(value, float) else str(value)
+    return unrounded(value) if isinstance(value, float) else str(value)
 
 
 def is_missing(value: Any) -> bool:

@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.common.calendar import calendar_of
-from pfdist.common.clock import Time
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
-from pfdist.common.formatted_times import formatted_time, formatted_times, measurement_of
+from pfdist.problem.clock import Clock, Time
 from pfdist.results.moments import Array, Pairs
 from pfdist.store import WINDOW_PERCENTS
 
@@ -41,24 +39,22 @@ class SamplingWindow:
         Instants that are undecided: they need more draws.
     can_be_tried : bool
         Whether the job allows another instant between the neighbouring measurements.
+    clock : Clock
     sensor : str
         Name of the sensor that measures; empty without sensors. Its measurement moves in time.
-    unit : str
-        The unit of the clock, if it has a start: times are then shown as dates.
     """
 
     t: Time
     inside: Mapping[Time, int]
     open: Mapping[Time, int]
     can_be_tried: bool
+    clock: Clock
     sensor: str = ""
-    unit: str = ""
 
     @property
     def measurement(self) -> Time | str:
         """The measurement as users read it."""
-        at = formatted_time(self.t, self.unit) if calendar_of(self.unit) else self.t
-        return measurement_of({"t": at, "sensor": self.sensor})
+        return self.clock.of_row({"t": self.t, "sensor": self.sensor})
 
     @property
     def is_wide(self) -> bool:
@@ -76,18 +72,18 @@ class SamplingWindow:
 
         Examples
         --------
-        >>> SamplingWindow(6.0, {5.5: 11, 6.0: 12, 6.5: 13}, {7.0: 14}, True).text
+        >>> clock = Clock.regular(12, 0.5)
+        >>> SamplingWindow(6.0, {5.5: 11, 6.0: 12, 6.5: 13}, {7.0: 14}, True, clock).text
         '5.5 to 6.5 (open: 7)'
-        >>> SamplingWindow(12, {12: 12}, {}, True).text
+        >>> SamplingWindow(12.0, {12.0: 24}, {}, True, clock).text
         'only 12'
         """
-        unit = self.unit
-        only = f"only {formatted_time(self.t, unit)}"
-        inside = spelled(self.inside, unit) if self.is_wide else only
-        return f"{inside} (open: {spelled(self.open, unit)})" if self.open else inside
+        only = f"only {self.clock.text(self.t)}"
+        inside = spelled(self.inside, self.clock) if self.is_wide else only
+        return f"{inside} (open: {spelled(self.open, self.clock)})" if self.open else inside
 
 
-def windows_of(rows: Rows, percent: int, unit: str = "") -> list[SamplingWindow]:
+def windows_of(rows: Rows, percent: int, clock: Clock) -> list[SamplingWindow]:
     """The sampling windows of a set's measurements, in order of time.
 
     Parameters
@@ -96,8 +92,8 @@ def windows_of(rows: Rows, percent: int, unit: str = "") -> list[SamplingWindow]
         Rows of the table ``sampling_windows`` of one set.
     percent : int
         The level: the largest loss, in per cent.
-    unit : str
-        The unit of the clock, with its start if times are dates.
+    clock : Clock
+        That of the times.
     """
     tried = defaultdict[tuple[Time, str], list[Mapping[Hashable, Any]]](list)
     for row in sorted(rows, key=lambda row: row["moved_to"]):
@@ -112,7 +108,7 @@ def windows_of(rows: Rows, percent: int, unit: str = "") -> list[SamplingWindow]
             {to: int(place) for to, place in places.items() if states[to] == state}
             for state in (INSIDE, OPEN)
         )
-        windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1, sensor, unit))
+        windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1, clock, sensor))
     return windows
 
 
@@ -127,33 +123,33 @@ def runs_of(instants: Mapping[Time, int]) -> list[list[Time]]:
     return runs
 
 
-def spelled(instants: Mapping[Time, int], unit: str = "") -> str:
+def spelled(instants: Mapping[Time, int], clock: Clock) -> str:
     """Instants in words, three and more successive instants as a range.
 
     Examples
     --------
-    >>> spelled({3: 3, 4: 4, 9: 9, 10: 10, 11: 11, 12: 12})
+    >>> spelled({3: 3, 4: 4, 9: 9, 10: 10, 11: 11, 12: 12}, Clock.counting(12))
     '3, 4, 9 to 12'
     """
     return ", ".join(
-        ", ".join(formatted_time(t, unit) for t in run)
+        ", ".join(map(clock.text, run))
         if len(run) <= _LONGEST_LIST
-        else f"{formatted_time(run[0], unit)} to {formatted_time(run[-1], unit)}"
+        else f"{clock.text(run[0])} to {clock.text(run[-1])}"
         for run in runs_of(instants)
     )
 
 
-def sentences(rows: Rows, unit: str = "") -> list[str]:
+def sentences(rows: Rows, clock: Clock) -> list[str]:
     """Sentences: which measurements must be kept exactly, which can move, and which are undecided.
 
     Parameters
     ----------
     rows : iterable of mappings
         Rows of the table ``sampling_windows`` of one set.
-    unit : str
-        As of `windows_of`.
+    clock : Clock
+        That of the times.
     """
-    movable = [window for window in windows_of(rows, STRICT, unit) if window.can_be_tried]
+    movable = [window for window in windows_of(rows, STRICT, clock) if window.can_be_tried]
     wide = [window for window in movable if window.is_wide]
     single = [window for window in movable if window.is_single]
     undecided = [window for window in movable if not window.is_wide and window.open]
@@ -167,9 +163,9 @@ def sentences(rows: Rows, unit: str = "") -> list[str]:
 
 def _listed(windows: Sequence[SamplingWindow]) -> str:
     if windows[0].sensor:
-        return formatted_times(window.measurement for window in windows)
+        return ", ".join(map(str, (window.measurement for window in windows)))
     places = {window.t: window.inside[window.t] for window in windows}
-    return spelled(places, windows[0].unit)
+    return spelled(places, windows[0].clock)
 
 
 @dataclass

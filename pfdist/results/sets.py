@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pfdist.common.clock import Time
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.common.measurement_times import REGULAR
 from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.problem.clock import Time
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.set_key import set_key_of
 from pfdist.results.budget_curve import FOUND, GIVEN, with_bounds, worse_than

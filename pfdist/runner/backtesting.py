@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.calendar import unit_of_spans
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError, TaskError
 from pfdist.filters.draws import Draws
@@ -19,12 +18,12 @@ from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.interface import Filtered
 from pfdist.filters.predicted import predicted
-from pfdist.filters.replicates import Replicate
 from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
 from pfdist.models.base import within_half_turn
 from pfdist.pools.base import Pool, Task
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.replicates import Replicate
 from pfdist.runner.build import Built, evaluator_of, models_of_job
 from pfdist.runner.online_work import seen
 from pfdist.runner.planning import Now, Planning, Replanner
@@ -237,8 +236,8 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     if replicate.has_own_clock:
         clock = replicate.clock
         problem = {"times": [*clock.times], "measurement_budget": 1}
-        unit, sensors = unit_of_spans(clock.unit), [*clock.sensors]
-        problem |= {"time_unit": unit or None, "sensors": sensors or None}
+        sensors = [*clock.sensors]
+        problem |= {"time_unit": clock.unit or None, "sensors": sensors or None}
         given = {name: value for name, value in problem.items() if value is not None}
         compared = {"sets": {"regular": "regular"}}  # a job without a search compares a set
         others: dict[str, Any] = {"search": [], "budget": None, "online": None}

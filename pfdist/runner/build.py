@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
@@ -32,6 +31,7 @@ from pfdist.models.recorded import declarations, differences, with_functions
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
+from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import ONLINE, Job
 from pfdist.problem.scenarios_section import Scenarios

@@ -16,14 +16,15 @@ from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.models.parameters import CLOCK
 from pfdist.models.recorded import differences
 from pfdist.models.written import text_of_models
+from pfdist.problem.clock import Clock
 from pfdist.problem.job import Job, job_toml
 from pfdist.results import open_run, read_recorded
 from pfdist.runner.build import Built
 from pfdist.runner.provenance import provenance
 from pfdist.store import (
     SCHEMA_VERSION,
-    ClockColumns,
     Store,
+    TimeColumns,
     check_entries,
     check_models,
     held,
@@ -98,14 +99,25 @@ def is_sealed(path: Path, built: Built) -> bool:
     return run.job == built.job.identity() and run.state == "finished"
 
 
+def columns_of(clock: Clock) -> TimeColumns:
+    """What tables have in place of instants and possible measurements of a clock.
+
+    Here the unit of a clock and the start of its dates become a text, that of the CF conventions;
+    `pfdist.pages.panel.clock_of` reads it.
+    """
+    has_texts = clock.sensors or clock.calendar
+    written = clock.written_of(range(clock.possible)) if has_texts else ()
+    dates = map(clock.text, clock.times) if clock.calendar else ()
+    return TimeColumns(clock.times, clock.time_unit, tuple(written), tuple(dates), clock.counts)
+
+
 def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
     """The store of a run of this job, whose tables have times on the job's clock."""
     problem = built.job.problem
     clock = problem.clock
     if clock.counts and not clock.sensors:
         return Store(path, run_key)
-    columns = ClockColumns(clock.times, clock.unit, clock.sensors, clock.counts)
-    return Store(path, run_key, columns)
+    return Store(path, run_key, columns_of(clock))
 
 
 def _committed(store: Store) -> int:

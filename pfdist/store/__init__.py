@@ -36,7 +36,7 @@ from pfdist.store.schema import (
     SCHEMA_VERSION,
     WHY_PHASE,
     WINDOW_PERCENTS,
-    ClockColumns,
+    TimeColumns,
     backtest_schema,
     comparison_schema,
     distance_schema,

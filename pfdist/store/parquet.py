@@ -29,7 +29,7 @@ from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.about import run_key as folder_key
 from pfdist.store.listing import change_listing, read_listing
-from pfdist.store.schema import KEYS, QUESTIONS, TABLES, ClockColumns, frame_of, keys_of, schema
+from pfdist.store.schema import KEYS, QUESTIONS, TABLES, TimeColumns, frame_of, keys_of, schema
 from pfdist.store.tables import (
     HASH_DIGITS,
     NAME,
@@ -55,29 +55,29 @@ Value = TypeVar("Value")
 class Store:
     """The tables of one run, for reading and writing.
 
-    Every file must belong to the run with this key, by default to the run in the folder. With a
-    clock, callers use instants, and the tables hold times on the clock.
+    Every file must belong to the run with this key, by default to the run in the folder. With
+    `columns`, callers write instants, and the tables hold times.
 
     Every method that reads raises `StoreError` if a file is damaged, cannot be read, has another
     schema version, or belongs to another run.
     """
 
     def __init__(
-        self, path: Path, run_key: str | None = None, clock: ClockColumns | None = None
+        self, path: Path, run_key: str | None = None, columns: TimeColumns | None = None
     ) -> None:
         self.path = path
         self._run_key = run_key or folder_key(path)
-        self._clock = clock
+        self._columns = columns
         # Files of the draws table by evaluation; None until they are needed.
         self._holders: dict[str, set[Path]] | None = None
 
     def timed(self, rows: pa.Table) -> pa.Table:
-        """Rows with times on the clock of the run in place of instants."""
-        return rows if self._clock is None else self._clock.table(rows)
+        """Rows with times in place of instants, if the run has times."""
+        return rows if self._columns is None else self._columns.table(rows)
 
     def own_schema(self, schema: pa.Schema) -> pa.Schema:
-        """Schema that a table has in this store: with a clock, times are numbers."""
-        return schema if self._clock is None else self._clock.schema(schema)
+        """Schema that a table has in this store, with times in place of instants."""
+        return schema if self._columns is None else self._columns.schema(schema)
 
     def recover(self) -> None:
         """Remove leftovers of killed processes, and mark a run that has lost a file as unfinished.
@@ -201,7 +201,7 @@ class Store:
         return rows
 
     def compared_sets(self) -> dict[str, tuple[int, ...]]:
-        """The compared sets by name, the reference first; times are those of the clock."""
+        """The compared sets by name, the reference first, with their times."""
         rows = self.compared()
         times = [tuple(each.tolist()) for each in rows["measurement_times"]]
         return dict(zip(map(str, rows["name"]), times, strict=True))

@@ -1,4 +1,4 @@
-"""Schemas of tables: columns and units, times on a clock, and components.
+"""Schemas of tables: columns and units, times instead of instants, and components.
 
 The metadata of every file has the schema's version, the table's name and the key of the run; that
 of every column has a unit and a description. ``mse`` and the like have the square of z's unit.
@@ -8,17 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
-from pfdist.common.calendar import calendar_of
 from pfdist.common.component_names import Component
-from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import StoreError
 
 if TYPE_CHECKING:
@@ -274,7 +270,7 @@ _KINDS = {
     "date": pa.string(),
     "distrust": pa.string(),
 }  # of columns that sets or sensors name, or that former versions had
-_CLOCK_TYPES = (pa.float64(), pa.list_(pa.float64()), pa.list_(pa.string()))
+_TIMED = (pa.float64(), pa.list_(pa.float64()), pa.list_(pa.string()))
 
 
 def check_schema_version(path: Path, version: object) -> None:
@@ -312,14 +308,14 @@ def wrong_columns(columns: pa.Schema, table: str) -> str:
     for column in columns:
         start = column.name.partition("_")[0]
         wanted = known.get(column.name, _KINDS.get(start, pa.float64()))
-        is_timed = column.name in (*_INSTANTS, *_MEASUREMENTS) and column.type in _CLOCK_TYPES
+        is_timed = column.name in (*_INSTANTS, *_MEASUREMENTS) and column.type in _TIMED
         if column.type != wanted and not is_timed:
             return f"must have {wanted} in the column {column.name}, got {column.type}"
     return ""
 
 
 _DATE = _column("date", pa.string(), "", "of t: local date and hour")
-"""A column beside t, if the clock has a start."""
+"""A column beside t, if instants have dates."""
 
 
 def with_sensors(schema: pa.Schema) -> pa.Schema:
@@ -423,30 +419,29 @@ def backtest_schema() -> pa.Schema:
 
 
 @dataclass(frozen=True)
-class ClockColumns:
-    """A converter of columns of instants to columns of times, in the clock's unit.
+class TimeColumns:
+    """A converter of columns of instants to columns of times.
 
-    With sensors, columns of sets of measurements become columns of texts such as ``12 x-ray``. If
-    the unit has a start, they become columns of dates, and a column ``date`` follows the column t.
+    With `written`, columns of sets of measurements become columns of these texts. With `dates`, a
+    column ``date`` follows the column t.
     """
 
     times: tuple[float, ...]  # (T+1,); the time of each instant
     unit: str  # for the metadata of the columns
-    sensors: tuple[str, ...] = ()
+    written: tuple[str, ...] = ()  # the text of each possible measurement
+    dates: tuple[str, ...] = ()  # (T+1,); the text of each instant
     counts: bool = False  # whether the time of an instant is its number: such columns stay
 
     def table(self, rows: pa.Table) -> pa.Table:
         """A table with times instead of instants; columns of times are unchanged."""
-        times, written = np.array(self.times), np.array(self._written)
-        dates = np.array(self._dates)
         for field in rows.schema:
             index = rows.schema.get_field_index(field.name)
             if self._is_changed(field):
-                clock = written if self._has_texts(field) else times
+                values = self.written if self._has_texts(field) else self.times
                 column = rows.column(index).combine_chunks()
-                rows = rows.set_column(index, self._field(field), _timed(column, clock))
-                if dates.size and field.name == "t":
-                    rows = rows.add_column(index + 1, _DATE, _timed(column, dates))
+                rows = rows.set_column(index, self._field(field), _valued(column, values))
+                if self.dates and field.name == "t":
+                    rows = rows.add_column(index + 1, _DATE, _valued(column, self.dates))
         return rows
 
     def schema(self, schema: pa.Schema) -> pa.Schema:
@@ -454,23 +449,12 @@ class ClockColumns:
         for field in schema:
             if self._is_changed(field):
                 schema = schema.set(schema.get_field_index(field.name), self._field(field))
-                if self._dates and field.name == "t":
+                if self.dates and field.name == "t":
                     schema = schema.insert(schema.get_field_index("t") + 1, _DATE)
         return schema
 
-    @cached_property
-    def _dates(self) -> list[str]:
-        has_start = calendar_of(self.unit) is not None
-        return [formatted_time(time, self.unit) for time in self.times] if has_start else []
-
-    @cached_property
-    def _written(self) -> list[str]:
-        """Each possible measurement as a text; empty without sensors and dates."""
-        times = self._dates or [formatted_time(time) for time in self.times]
-        return [f"{time} {sensor}" for time in times for sensor in self.sensors] or self._dates
-
     def _has_texts(self, field: pa.Field) -> bool:
-        return field.name in _MEASUREMENTS and bool(self.sensors or self._dates)
+        return field.name in _MEASUREMENTS and bool(self.written)
 
     def _is_changed(self, field: pa.Field) -> bool:
         if self._has_texts(field):
@@ -488,8 +472,9 @@ class ClockColumns:
 def frame_of(table: pa.Table) -> pd.DataFrame:
     """A DataFrame with the units and labels from the table's metadata.
 
-    If the column t has times on a clock, the DataFrame has the attribute ``time_unit``. If columns
-    are those of components with names, it has the attribute ``labels``: names and units by column.
+    If the column t has times instead of instants, the DataFrame has the attribute ``time_unit``. If
+    columns are those of components with names, it has the attribute ``labels``: names and units by
+    column.
     """
     frame: pd.DataFrame = table.to_pandas()
     index = table.schema.get_field_index("t")
@@ -511,14 +496,16 @@ def _holds_numbers(field: pa.Field) -> bool:
     return bool(pa.types.is_integer(kind))
 
 
-def _timed(column: pa.Array, clock: NDArray[Any]) -> pa.Array:
+def _valued(column: pa.Array, values: Sequence[Any]) -> pa.Array:
+    """The value of each index in a column."""
     if pa.types.is_list(column.type):
-        values = pa.array(clock[column.flatten().to_numpy(zero_copy_only=False)])
         offsets = column.offsets.to_numpy()  # a slice of a column begins later
         return pa.ListArray.from_arrays(
-            pa.array(offsets - offsets[0]), values, mask=column.is_null()
+            pa.array(offsets - offsets[0]),
+            _valued(column.flatten(), values),
+            mask=column.is_null(),
         )
-    return pa.array(clock[column.to_numpy(zero_copy_only=False)])
+    return pa.array(np.array(values)[column.to_numpy(zero_copy_only=False)])
 
 
 def components_in(table: pd.DataFrame, start: str) -> tuple[Component, ...]:

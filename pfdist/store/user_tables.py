@@ -16,8 +16,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from pfdist.common.calendar import as_text
 from pfdist.common.nearest import must_be
+from pfdist.common.parsing import as_text
 from pfdist.errors import PfdistError, shown
 from pfdist.store.files import begins_with, check_replaceable, write_file
 from pfdist.store.tables import column_chunks, holds_table, write_table
@@ -30,7 +30,7 @@ MOST_COLUMNS = 1000
 _LONGEST_LINE, _LONGEST_TEXT = 1_000_000, 250  # of a header or comment; of a cell in Parquet
 _CELLS = 1_000_000  # that are read at once
 _NONE: Mapping[str, Sequence[str]] = {}  # no column holds texts
-_NO_READERS: Mapping[str, Callable[[str], float]] = {}  # all numbers are written as numbers
+NO_READERS: Mapping[str, Callable[[str], float]] = {}  # all numbers are written as numbers
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 SEPARATORS = "columns must be separated by commas; decimals have a point"
 
@@ -40,7 +40,7 @@ def read_user_table(
     check_header: Callable[[list[str]], Collection[str] | None],
     only: Collection[str] = (),
     names: Mapping[str, Sequence[str]] = _NONE,
-    readers: Mapping[str, Callable[[str], float]] = _NO_READERS,
+    readers: Mapping[str, Callable[[str], float]] = NO_READERS,
     most_rows: int = MOST_NUMBERS,
 ) -> dict[str, Any]:
     """The columns of a table of numbers by name; a missing number is NaN.

@@ -8,7 +8,6 @@ import pytest
 
 import pfdist
 from oracles.in_turn import in_turn
-from pfdist.common.formatted_times import formatted_time
 from pfdist.common.parsing import (
     MOST_BYTES,
     MOST_LEVELS,
@@ -21,6 +20,7 @@ from pfdist.common.parsing import (
     whole_number,
     whole_numbers,
 )
+from pfdist.common.rounding import unrounded
 from pfdist.errors import one_line, shown
 
 DEEP = 100_000
@@ -88,7 +88,7 @@ def test_a_file_of_any_size_is_read_up_to_a_limit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [0.0, -3.5, 1e-7, 0.1, 1.7e12, 1.25e40, -2.5e-20])
 def test_numbers_that_pfdist_prints_are_read_again(number: float) -> None:
-    assert finite_number(formatted_time(number)) == finite_number(repr(number)) == number
+    assert finite_number(unrounded(number)) == finite_number(repr(number)) == number
 
 
 @pytest.mark.parametrize("text", ["1e", "e3", "1e999", ".5", "nan", "inf", "1e1.5"])

@@ -13,11 +13,11 @@ import pytest
 
 from oracles.in_turn import in_turn
 from pfdist import StateSpaceModel, load_model
-from pfdist.common.clock import Clock
 from pfdist.errors import MeasurementsError, PriorError
-from pfdist.filters.measurements import read_measurements
-from pfdist.filters.replicates import read_replicates
 from pfdist.filters.user_prior import read_prior
+from pfdist.problem.clock import Clock
+from pfdist.problem.measurements import read_measurements
+from pfdist.problem.replicates import read_replicates
 from pfdist.store import user_tables
 
 NAN = float("nan")

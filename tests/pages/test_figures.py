@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 
 import pfdist
-from pfdist.common.clock import Clock
 from pfdist.errors import JobError
 from pfdist.pages.figure import FIGURES, Tables, drawn
 from pfdist.pages.gains import median_draw, plot_of_draw
@@ -30,6 +29,7 @@ from pfdist.pages.plots import (
 )
 from pfdist.pages.searches import legend_inches
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED, styled
+from pfdist.problem.clock import Clock
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Gain, Run, open_run
 from pfdist.results.online import OnlineDraws

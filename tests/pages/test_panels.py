@@ -19,13 +19,13 @@ from matplotlib.text import Text
 import pfdist
 from oracles.in_turn import in_turn
 from pfdist import plots
-from pfdist.common.clock import Clock
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError
 from pfdist.pages import panel
 from pfdist.pages.figure import FIGURES, Tables, drawn
 from pfdist.pages.panel import label_ends, styles_of
 from pfdist.pages.style import BLUE, GREY, OCHRE, PRINT, RED, SCREEN, styled
+from pfdist.problem.clock import Clock
 from pfdist.results import Run
 from pfdist.results.online import OnlineDraws
 from pfdist.results.runs_table import RESULTS

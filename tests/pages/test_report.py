@@ -25,6 +25,7 @@ from pfdist.questions.about_run import _LOAD
 from pfdist.questions.run_page import page_of, searches_section
 from pfdist.questions.subject import Subject, effect
 from pfdist.results.sampling_windows import sentences, windows_of
+from pfdist.results.stored_run import problem_of
 from pfdist.store.verify import verify_run
 
 MODEL = ("model.name=random_walk", "filter.engine=kalman")
@@ -103,15 +104,15 @@ def test_an_exact_gain_is_that_of_evaluate(
 def test_it_has_the_sampling_windows_of_every_set(run: pfdist.Run, see: See) -> None:
     assert "sampling window" not in see(run).text
     found = pfdist.why(run.path / "job.toml", figures=False)
-    page = see(run)
+    page, clock = see(run), problem_of(run).clock
     assert "the instants of its sampling window" in page.text
     assert "Sampling windows of the plan." in page.text  # the title of the figure
     for name, rows in found.sampling_windows.groupby("name"):
         assert f"Measurements of {phrase_of(run.labels[str(name)])}" in page.text
         records = rows.to_dict("records")
         if name != run.names[0]:  # whose figure is not drawn
-            assert all(said in page.text for said in sentences(records)[:1])
-        for window in windows_of(records, 1):
+            assert all(said in page.text for said in sentences(records, clock)[:1])
+        for window in windows_of(records, 1, clock):
             assert window.text in page.text
 
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import regular
 from pfdist.errors import MeasurementTimesError
+from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.written import clock_of, instants_written

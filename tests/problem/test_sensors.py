@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from oracles.in_turn import in_turn
-from pfdist.common.clock import Clock
 from pfdist.errors import MeasurementTimesError
+from pfdist.problem.clock import Clock
 from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.spacing import Spacing

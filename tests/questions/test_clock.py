@@ -18,10 +18,10 @@ from oracles.results_of import results_of
 from pfdist.cli.main import main
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistError, PriorError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.measurements import read_measurements
 from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation, FilterWork
 from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.problem.measurements import read_measurements
 from pfdist.questions.run_page import page_of
 from pfdist.questions.why import Why
 from pfdist.runner.build import build
@@ -386,13 +386,13 @@ def test_the_t_of_a_table_of_particles_is_a_time_on_the_clock(job: Path, tmp_pat
         assert planner.estimate().t == 0.5
         assert planner.update(0.2).t == 1.0
     assert planners[0].estimate().mean == planners[1].estimate().mean
-    clock = loaded.problem.clock
+    clock, believed = loaded.problem.clock, planners[0]._filter.model
     for wrong, message in [
         (0.75, r"t must be times of the clock, got 0\.75; the nearest are 0\.5 and 1 h$"),
         (np.where(x > 0, 0.5, 1.0), r"t must be one time for all particles, got 0\.5$"),
     ]:
         with pytest.raises(PriorError, match=message):
-            as_prior(table.assign(t=wrong), planners[0]._filter.model, clock)
+            as_prior(table.assign(t=wrong), believed, clock.readers(), clock.instant_of_t)
     path = tmp_path / "prior.csv"
     table.to_csv(path, index=False)
     run = pfdist.run(loaded, tmp_path / "run")

@@ -13,10 +13,10 @@ import pytest
 
 import pfdist
 from pfdist import plots
-from pfdist.common.clock import Clock
 from pfdist.errors import JobError, MeasurementsError, PriorError, RunMismatchError
-from pfdist.filters.measurements import read_measurements
 from pfdist.filters.user_prior import read_prior
+from pfdist.problem.clock import Clock
+from pfdist.problem.measurements import read_measurements
 from pfdist.questions.run_page import page_of
 from pfdist.runner.build import build
 

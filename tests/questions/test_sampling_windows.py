@@ -137,7 +137,7 @@ def test_a_measurement_at_the_only_precise_instant_has_a_window_of_it_alone(
     (small_job.path.parent / "sharp.py").write_text(SHARP)
     job = small_job.with_changes(["model.name=sharp.py:model", f"filter.engine={engine}"])
     rows = _windows(build(job), (1, 5, 9, 11), 300)
-    windows = windows_of(rows, 1)
+    windows = windows_of(rows, 1, job.problem.clock)
     assert [window.t for window in windows if window.is_single] == [5]
     # Both sides end with their first instant, which is clearly beyond 5 %.
     assert [row["moved_to"] for row in rows if row["t"] == 5] == [4, 5, 6]

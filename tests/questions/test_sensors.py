@@ -14,16 +14,16 @@ from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from oracles.two_platforms import two_platforms
-from pfdist.common.clock import Clock
 from pfdist.common.percent import SPACED_IN_WINDOWS
 from pfdist.errors import ModelError
 from pfdist.filters import kalman, particle_filter, plain
-from pfdist.filters.measurements import read_measurements
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.pages.terminal import lines_of
 from pfdist.pools.base import Outcome, SerialPool, Task
+from pfdist.problem.clock import Clock
+from pfdist.problem.measurements import read_measurements
 from pfdist.questions.bound_page import bound_page
 from pfdist.questions.run_page import answer_in_a_line, answer_of
 from pfdist.results.stored_run import found_sets

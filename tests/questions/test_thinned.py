@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 
 import pfdist
-from pfdist.filters.replicates import Replicate
 from pfdist.filters.simulation import simulate
 from pfdist.pools.base import SerialPool
 from pfdist.problem.problem import as_job
+from pfdist.problem.replicates import Replicate
 from pfdist.questions import thinned
 from pfdist.runner.build import build
 

@@ -19,6 +19,7 @@ from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.filters import kalman
 from pfdist.filters.work import Estimation, FilterWork
+from pfdist.problem.clock import Clock
 from pfdist.questions.why import Why
 from pfdist.questions.worth import CHANGES
 from pfdist.results.sampling_windows import windows_of
@@ -183,7 +184,7 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert text.count("Measurements of ") == 3
     worth, mse = regular["worth"][1], regular["expected_mse"]
     rise, error = (100 * worth[part] / mse for part in ("removed", "removed_error"))
-    strict, wide = (windows_of(windows, percent)[1].text for percent in (1, 5))
+    strict, wide = (windows_of(windows, percent, Clock.counting(12))[1].text for percent in (1, 5))
     assert f" 4 {with_error(rise, error)} {strict} {wide} " in text
 
 

@@ -11,12 +11,12 @@ import pfdist
 from oracles.lake import HORIZON, estimates, lake
 from oracles.learned import WALK
 from pfdist import Sensor
-from pfdist.common.clock import Clock
 from pfdist.errors import MeasurementsError, TaskError
-from pfdist.filters.replicates import Replicate
 from pfdist.filters.simulation import simulate
 from pfdist.pools.base import SerialPool
+from pfdist.problem.clock import Clock
 from pfdist.problem.problem import as_job
+from pfdist.problem.replicates import Replicate
 from pfdist.runner.backtesting import (
     ReplicateErrors,
     ReplicateWork,

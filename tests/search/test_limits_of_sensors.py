@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from oracles.windows import counted_errors, longest_end, relaxed_errors
 from pfdist import Sensor, StateSpaceModel
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import Times
 from pfdist.filters.kalman import expected_mse
+from pfdist.problem.clock import Clock
 from pfdist.problem.constraints import Constraints, Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.spacing import Spacing

@@ -19,9 +19,9 @@ from oracles.windows import (
     with_each,
 )
 from pfdist import StateSpaceModel, linear_gaussian
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import Times
 from pfdist.filters.kalman import expected_mse
+from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.search.programme import Programme
 from pfdist.search.relaxation import NOTHING, START, relaxation_with

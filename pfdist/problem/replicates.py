@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.common.clock import Clock
-from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import did_you_mean, must_be
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
-from pfdist.filters.measurements import instant_on, read_measurements, user_columns
+from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import CLOCK, Parameter
+from pfdist.problem.clock import Clock
+from pfdist.problem.measurements import instant_on, read_measurements
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ class Replicate:
             away = [abs(self.clock.times[each // sensors] - time) for each in free]
             if not away or min(away) > within + self.clock.slack:
                 name = f" by {self.clock.sensors[sensor]}" if self.clock.sensors else ""
-                at = formatted_time(time, self.clock.unit) if self.clock.calendar else f"{time:.4g}"
+                at = self.clock.text(time) if self.clock.calendar else f"{time:.4g}"
                 raise MeasurementsError(f"no measurement{name} within {within:.4g} of t = {at}")
             chosen.append(free[int(np.argmin(away))])
         return tuple(sorted(chosen))

@@ -6,8 +6,8 @@ and instants become times when they are shown.
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from itertools import pairwise
@@ -15,10 +15,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from pfdist.common.calendar import Calendar, as_text, calendar_of, groups
-from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times
+from pfdist.common.parsing import as_text
+from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.problem.calendar import Calendar, groups
 
 Time = int | float
 
@@ -38,11 +39,12 @@ class Clock:
     """
 
     times: tuple[Time, ...]  # (T+1,): in ascending order
-    unit: str = ""  # as the user names it, such as "h", or with a start; empty if there is none
+    unit: str = ""  # of spans of time, as the user names it, such as "h"; empty if there is none
     counts: bool = False  # whether the problem has no clock: the time of an instant is its number
     # Names of the sensors, if there are any. A possible measurement then has a number,
     # t * S + sensor, and is written with its sensor, "12 x-ray".
     sensors: tuple[str, ...] = ()
+    calendar: Calendar | None = None  # the dates of times, if the clock has a start
 
     def __post_init__(self) -> None:
         for time in self.times:
@@ -51,8 +53,8 @@ class Clock:
         for time, later in pairwise(self.times):
             if not time < later:
                 raise MeasurementTimesError(
-                    f"times must be in ascending order, got {formatted_time(time)} before "
-                    f"{formatted_time(later)}"
+                    f"times must be in ascending order, got {unrounded(time)} before "
+                    f"{unrounded(later)}"
                 )
 
     @classmethod
@@ -113,9 +115,9 @@ class Clock:
         return tuple(parts.tolist())
 
     @property
-    def calendar(self) -> Calendar | None:
-        """The dates of times; None if the clock has no start."""
-        return calendar_of(self.unit)
+    def time_unit(self) -> str:
+        """The unit as answers and tables have it: with the start, if there are dates."""
+        return str(self.calendar) if self.calendar else self.unit
 
     @cached_property
     def dates(self) -> tuple[datetime, ...]:
@@ -179,8 +181,8 @@ class Clock:
             return nearest
         self.check_is_within(time, name)
         raise MeasurementTimesError(
-            f"{name} must be times of the clock, got {formatted_time(time, self.unit)}; the "
-            f"nearest are {formatted_times((self.times[t] for t in near), self.unit, ' and ')}"
+            f"{name} must be times of the clock, got {self.text(time)}; the nearest are "
+            f"{self.listed((self.times[t] for t in near), ' and ')}"
         )
 
     def check_is_within(self, time: Time, name: str) -> None:
@@ -188,8 +190,8 @@ class Clock:
         first, last = self.times[0], self.times[-1]
         if not first - self.slack <= time <= last + self.slack:
             raise MeasurementTimesError(
-                f"{name} must lie in {formatted_time(first, self.unit)}.."
-                f"{self.formatted(self.horizon)}, got {formatted_time(time, self.unit)}"
+                f"{name} must lie in {self.text(first)}..{self.formatted(self.horizon)}, got "
+                f"{self.text(time)}"
             )
 
     def between(self, first: Time, last: Time) -> range:
@@ -208,16 +210,20 @@ class Clock:
         read = calendar.elapsed if between else lambda text: self.times[self.instant(text, "t")]
         return {"t": read}
 
+    def instant_of_t(self, t: float) -> int:
+        """The instant of a number in the column t of a user's table; raises as `instant`."""
+        return self.instants([t], "t")[0]
+
     def columns_of_dates(self, instants: Iterable[int]) -> dict[str, list[str]]:
         """A column of a table with the date of each instant; none if the clock has no start."""
         return {"date": [self.formatted(t) for t in instants]} if self.calendar else {}
 
-    def instants(self, times: Iterable[Time | str]) -> Times:
+    def instants(self, times: Iterable[Time | str], name: str = "measurement_times") -> Times:
         """The instants of some times, in the same order; raises as `instant`.
 
         Without a clock, whole numbers outside 0..T are accepted.
         """
-        return tuple(_counted(t) if self.counts else self.instant(t) for t in times)
+        return tuple(_counted(t, name) if self.counts else self.instant(t, name) for t in times)
 
     def time(self, instant: int) -> Any:
         """The time of an instant as users read it: a date if the clock has a start."""
@@ -232,7 +238,7 @@ class Clock:
         if not self.sensors:
             return cast("Time | str", self.time(measurement))
         instant, sensor = divmod(measurement, len(self.sensors))
-        return f"{formatted_time(self.times[instant], self.unit)} {self.sensors[sensor]}"
+        return f"{self.text(self.times[instant])} {self.sensors[sensor]}"
 
     def written_of(self, measurements: Iterable[int]) -> list[Any]:
         """Possible measurements as users read them, in the same order."""
@@ -260,7 +266,58 @@ class Clock:
 
     def formatted(self, instant: int) -> str:
         """The time of an instant as text, with the unit, or its date if the clock has a start."""
-        return formatted_times([self.times[instant]], self.unit)
+        return self.listed([self.times[instant]])
+
+    def text(self, time: Time | str) -> str:
+        """A time as text without the unit: a date, or a number with up to ten digits.
+
+        A text, which names a date or a sensor, stays as it is.
+        """
+        if self.calendar is None or isinstance(time, str):
+            return unrounded(time)
+        return self.calendar.written(time)
+
+    def listed(self, times: Iterable[Time | str], between: str = ", ") -> str:
+        """Times, or measurements as users read them, as text with the unit if there is a unit.
+
+        >>> clock = Clock.regular(6, 0.5, "h")
+        >>> clock.listed([0.0, 0.5]), clock.listed([]), clock.listed(["0 ct", "0.5 x-ray"])
+        ('0, 0.5 h', '', '0 ct, 0.5 x-ray (t in h)')
+        """
+        listed = [*times]
+        text = between.join(map(self.text, listed))
+        if not self.unit or not listed or self.calendar:
+            return text
+        return f"{text} (t in {self.unit})" if isinstance(listed[0], str) else f"{text} {self.unit}"
+
+    def of_row(self, row: Mapping[Any, Any]) -> Time | str:
+        """The measurement of a row of a table as users read it: its time, and its ``sensor``."""
+        time: Time | str = self.text(row["t"]) if self.calendar else row["t"]
+        return f"{self.text(time)} {row['sensor']}" if row.get("sensor") else time
+
+    def time_and_sensor(self, measurement: Time | str) -> tuple[Time, str]:
+        """The time of a measurement as users read it, and its sensor; empty without sensors.
+
+        >>> Clock.counting(12).time_and_sensor("12 x-ray"), Clock.counting(12).time_and_sensor(3)
+        ((12.0, 'x-ray'), (3, ''))
+        """
+        if not isinstance(measurement, str):
+            return measurement, ""
+        time, _, sensor = measurement.partition(" ")
+        calendar = self.calendar
+        return calendar.time(calendar.read(time)) if calendar else float(time), sensor
+
+    def by_sensor(self, measurements: Iterable[Time | str]) -> dict[str, list[Time]]:
+        """The times of each sensor; a nameless one makes measurements without a sensor, or none.
+
+        >>> clock = Clock.counting(6)
+        >>> clock.by_sensor(["0 x-ray", "2 ct", "3 x-ray"]), clock.by_sensor([0, 6])
+        ({'ct': [2.0], 'x-ray': [0.0, 3.0]}, {'': [0, 6]})
+        """
+        times = dict[str, list[Time]]()
+        for time, sensor in map(self.time_and_sensor, measurements):
+            times.setdefault(sensor, []).append(time)
+        return dict(sorted(times.items())) or {"": []}
 
     def successors(self, spacing: float) -> tuple[int, ...]:
         """For each instant, the first later instant whose time is at least `spacing` later.
@@ -289,7 +346,7 @@ class Clock:
 
     def since(self, first: int) -> "Clock":
         """The clock of the instants from `first` on: the same times; instants count from 0."""
-        return Clock(self.times[first:], self.unit, sensors=self.sensors)
+        return replace(self, times=self.times[first:], counts=False)
 
 
 def plain_time(time: Time) -> Time:
@@ -301,11 +358,11 @@ def plain_time(time: Time) -> Time:
     return int(time) if is_whole else time
 
 
-def _counted(time: Time | str) -> int:
+def _counted(time: Time | str, name: str) -> int:
     if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
-        raise MeasurementTimesError(f"measurement_times must be times, got {shown(time)}")
+        raise MeasurementTimesError(f"{name} must be times, got {shown(time)}")
     if not float(time).is_integer():
         raise MeasurementTimesError(
-            f"measurement_times must be whole numbers without a clock, got {time:.10g}"
+            f"{name} must be whole numbers without a clock, got {time:.10g}"
         )
     return int(time)

@@ -1,15 +1,14 @@
-"""Dates of times: a unit such as ``min since 2026-04-01T08:00 Europe/Brussels`` has a start.
+"""Dates of times, which count a unit from a start.
 
-Such a unit is that of the CF conventions (cfconventions.org, section 4.4.1) with a time zone. So
-whatever knows the unit of a time can show the date of the time. Without a time zone all days have
-24 hours. With one, times are elapsed time, and dates and hours are local.
+As a text, in tables and answers, a calendar is a unit of the CF conventions (cfconventions.org,
+section 4.4.1) with a time zone: ``min since 2026-04-01T08:00 Europe/Brussels``. Without a time zone
+all days have 24 hours. With one, times are elapsed time, and dates and hours are local.
 """
 
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
-from functools import lru_cache
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
@@ -152,9 +151,8 @@ class Calendar:
         return _in_utc(moment) - _in_utc(self.start)
 
 
-@lru_cache(maxsize=64)
 def calendar_of(unit: str) -> Calendar | None:
-    """The calendar of a unit with a start; None for any other unit.
+    """The calendar of the text of a unit with a start; None for any other unit.
 
     >>> calendar_of("d since 2026-04-01").written(10), calendar_of("d")
     ('2026-04-11', None)
@@ -166,16 +164,6 @@ def calendar_of(unit: str) -> Calendar | None:
     return Calendar.starting(start, name, zone or "", by_days="T" not in start)
 
 
-def unit_of_spans(unit: str) -> str:
-    """The unit of a span of time, which has no start.
-
-    >>> unit_of_spans("min since 2026-04-01T08:00"), unit_of_spans("h")
-    ('min', 'h')
-    """
-    calendar = calendar_of(unit)
-    return calendar.unit if calendar else unit
-
-
 def groups(text: str) -> list[list[str]]:
     """The words of each part of a text between commas.
 
@@ -184,11 +172,6 @@ def groups(text: str) -> list[list[str]]:
     """
     joined = _WITH_SPACE.sub("T", _AROUND_DOTS.sub("..", text))
     return [words for part in joined.split(",") if (words := part.split())]
-
-
-def as_text(value: Any) -> Any:
-    """A date, hour, or both of Python, pandas or TOML as a text; any other value as it is."""
-    return value.isoformat() if isinstance(value, date | time) else value
 
 
 def names_dates(text: str) -> bool:

@@ -13,9 +13,9 @@ import pfdist
 from oracles.in_turn import in_turn
 from oracles.lake import lake
 from oracles.two_platforms import two_platforms
-from pfdist.common.clock import Clock
 from pfdist.errors import MeasurementsError
-from pfdist.filters.replicates import Replicate, read_replicates
+from pfdist.problem.clock import Clock
+from pfdist.problem.replicates import Replicate, read_replicates
 from pfdist.store import user_tables
 
 MODEL = lake()

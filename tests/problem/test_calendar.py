@@ -5,6 +5,7 @@ The oracle adds elapsed time in UTC, and looks at the local date of each instant
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, date, datetime, time, timedelta
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -15,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracles.in_turn import in_turn
-from pfdist.common.calendar import calendar_of, unit_of_spans
-from pfdist.common.clock import Clock
 from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.problem.calendar import calendar_of
+from pfdist.problem.clock import Clock
 from pfdist.problem.job import Job, job_toml
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.written import instants_written, measurements_of
@@ -103,7 +104,7 @@ def test_each_instant_has_one_date_also_in_the_hour_that_occurs_twice(
     assert len({*written}) == DAYS + 1
     assert [clock.instant(text) for text in written] == [*range(DAYS + 1)]
     assert list(clock.measurements(written)) == [*range(DAYS + 1)]
-    fresh = Clock(clock.times, clock.unit)  # read by the grammar, not as written before
+    fresh = replace(clock)  # read by the grammar, not as written before
     assert [t for text in written for t in fresh.dated(f" {text}")] == [*range(DAYS + 1)]
     assert [text[:16] for text in written] == [
         f"{each:%Y-%m-%dT%H:%M}" for each in local_dates(start, zone)
@@ -134,9 +135,10 @@ def test_a_unit_names_its_start_and_zone(start: datetime, step: str, zone: str) 
     number, name = float(step.split(maxsplit=1)[0]), step.split()[1]
     moment = start.replace(tzinfo=UTC).astimezone(ZoneInfo(zone))
     clock = section(moment.isoformat(timespec="minutes"), step, zone, horizon=number * 50).clock
-    calendar = calendar_of(clock.unit)
+    calendar = calendar_of(clock.time_unit)
+    assert calendar == clock.calendar
     assert calendar is not None
-    assert (unit_of_spans(clock.unit), calendar.start) == (name, moment)
+    assert (clock.unit, calendar.unit, calendar.start) == (name, name, moment)
     length = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 604800}[name] * number
     later = moment.astimezone(UTC) + timedelta(seconds=50 * length)
     assert clock.dates[50].astimezone(UTC) == later
