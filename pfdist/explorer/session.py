@@ -32,7 +32,7 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.results import Run, finite
 from pfdist.results.sampling_windows import STRICT, windows_of
-from pfdist.results.stored_run import last_bounds
+from pfdist.results.stored_run import last_bounds, measured_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.progress import Say, silent
 from pfdist.store import holds_run
@@ -85,7 +85,7 @@ class ExplorerSession:
         self._lock = threading.Lock()
         self._judged, self._judgements = list[Judgement](), 0
         self.best = self.run.best if self.run and self.job.budget is None else None
-        self.plan = self._clock.measurements(self.best.measurement_times) if self.best else None
+        self.plan = measured_of(self.run)[self.best.name] if self.run and self.best else None
         self.even = self.feasible.regular()
         proofs = last_bounds(self.run) if self.run and self.best else {}
         self._proof = proofs.get(self.best.name) if self.best else None
@@ -133,11 +133,8 @@ class ExplorerSession:
             return {}
         table = self.run.table("sampling_windows")
         rows = table[table["name"] == self.best.name].to_dict("records")
-        windows = {}
-        for each in windows_of(rows, STRICT, self._clock):
-            (measurement,) = self._clock.measurements([each.measurement])
-            windows[str(measurement)] = [*self._clock.instants(each.inside)]
-        return windows
+        windows = windows_of(rows, STRICT, self._clock)
+        return {str(each.number): [*each.inside.values()] for each in windows}
 
     # --- an answer --------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.run import run_built
 from pfdist.questions.run_of_job import finished_run, folder_of
 from pfdist.results import Run
-from pfdist.results.stored_run import check_one_number, problem_of
+from pfdist.results.stored_run import check_one_number, measured_of, problem_of
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.identity import changed_models
 
@@ -82,8 +82,7 @@ class SetsToCompare:
         check_one_number(run)
         self._check_clock(run)
         self.differences += _differences(run, self._job.problem)
-        for position, (name, times) in enumerate(run.sets.items()):
-            instants = self._clock.measurements(times)
+        for position, (name, instants) in enumerate(measured_of(run).items()):
             is_known = self._instants.get(name) == instants
             if is_known or (position == 0 and instants in self._instants.values()):
                 continue
@@ -174,7 +173,11 @@ class SetsToCompare:
     def _check_clock(self, run: Run) -> None:
         own, first = problem_of(run).clock, self._clock
         must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
-        if _kind(own) != _kind(first):
+        if (own.counts, own.time_unit, own.sensors) != (
+            first.counts,
+            first.time_unit,
+            first.sensors,
+        ):
             raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
             if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
@@ -206,10 +209,6 @@ def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
     """The weights of instants; None if all are equal."""
     weights = problem.weights
     return None if weights is None or len({*weights}) == 1 else weights
-
-
-def _kind(clock: Clock) -> tuple[Any, ...]:
-    return clock.counts, clock.unit, clock.calendar, clock.sensors
 
 
 def _counted(clock: Clock) -> str:

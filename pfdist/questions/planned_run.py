@@ -18,6 +18,7 @@ from pfdist.problem.problem import JobSource
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.results import Run
 from pfdist.results.sets import best_first, rows_of_sets
+from pfdist.results.stored_run import measured_of
 from pfdist.runner.build import Built
 from pfdist.runner.progress import Say
 from pfdist.store.user_tables import is_parquet
@@ -82,22 +83,22 @@ def planned_run(
     """The finished run of a job, the set that was planned, and what filters need.
 
     The arguments are those of `pfdist.next_time`, and the errors those of `run_and_job`, of
-    `planned_set` and of `as_prior`.
+    `_planned_set` and of `as_prior`.
     """
     table: Any = prior
     if isinstance(prior, str | Path):  # a model may change the working folder
         table = path_argument("prior", prior) if str(prior) else None
     run, built = run_and_job(job, results, changes, say)
-    name, times = planned_set(run, planned)
+    name = _planned_set(run, planned)
     model, clock = built.evaluator.believed, built.job.problem.clock
     start: Prior | None = None
     if table is not None:
         start = as_prior(table, model, clock.readers(), clock.instant_of_t)
-    return PlannedRun(run, name, clock.measurements(times), built, start)
+    return PlannedRun(run, name, measured_of(run)[name], built, start)
 
 
-def planned_set(run: Run, name: str) -> tuple[str, Times]:
-    """The name and the times of the set that was planned.
+def _planned_set(run: Run, name: str) -> str:
+    """The name of the set that was planned.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def planned_set(run: Run, name: str) -> tuple[str, Times]:
     """
     sets = run.sets
     if name in sets:
-        return name, sets[name]
+        return name
     if name:
         rule = f"a compared set of {run.path}, {', '.join(sets)}"
         raise JobError(must_be("planned", rule, name, sets), argument="planned")
@@ -122,8 +123,7 @@ def planned_set(run: Run, name: str) -> tuple[str, Times]:
             f"for instance {list(sets)[-1]}",
             argument="planned",
         )
-    best = best_first(rows_of_sets(run))[0]
-    return best, sets[best]
+    return best_first(rows_of_sets(run))[0]
 
 
 def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter:

@@ -20,7 +20,7 @@ from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first, rows_of_sets
-from pfdist.results.stored_run import angles_of, problem_of, provenance_of, unproved
+from pfdist.results.stored_run import angles_of, measured_of, problem_of, provenance_of, unproved
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -137,7 +137,7 @@ class Subject:
     def reference(self) -> str:
         """The reference as sentences call it: ``evenly spaced times (every 3 instants)``."""
         row, every, problem = self.reference_row, self._step_of_reference, problem_of(self.run)
-        phrase, times = phrase_of(row.label), problem.clock.measurements(row.measurement_times)
+        phrase, times = phrase_of(row.label), measured_of(self.run)[row.name]
         is_moved = row.label == EVENLY_SPACED and not problem.feasible.is_regular(times)
         how = "moved to allowed instants" if is_moved else every
         return f"{phrase} ({how})" if how else phrase
@@ -145,13 +145,11 @@ class Subject:
     @property
     def _step_of_reference(self) -> str:
         """The distance of the times of the reference in words; empty unless all are equal."""
-        measured = self.reference_row.measurement_times
-        measurements = [*map(self.clock.time_and_sensor, measured)]
-        instants, sensors = (time for time, _ in measurements), {each for _, each in measurements}
-        steps = {unrounded(later - earlier) for earlier, later in pairwise(instants)}
-        if len(steps) != 1 or len(sensors) > 1:
+        (name, times), *others = self.clock.by_sensor(self.reference_row.measurement_times).items()
+        steps = {unrounded(later - earlier) for earlier, later in pairwise(times)}
+        if len(steps) != 1 or others:
             return ""
-        step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
+        step, sensor = steps.pop(), f" by {name}" * bool(name)
         if problem_of(self.run).has_clock:
             return f"every {step} {self.clock.unit}".rstrip() + sensor
         return ("every instant" if step == "1" else f"every {step} instants") + sensor

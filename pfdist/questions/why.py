@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from pfdist.common.measurement_times import Times, validated
+from pfdist.common.measurement_times import validated
 from pfdist.common.parts import Page
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
@@ -28,7 +28,7 @@ from pfdist.questions.why_page import why_page
 from pfdist.questions.worth import sampling_windows, worth_of
 from pfdist.results import Run, finite, open_run
 from pfdist.results.export import checked_export
-from pfdist.results.stored_run import check_one_number
+from pfdist.results.stored_run import check_one_number, measured_of
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import RunSession, WorkBatch, complete
 from pfdist.runner.progress import Say, Show, silent
@@ -168,7 +168,6 @@ def why(
         check_one_number(opened)
         if export is not None:
             checked_export(export, built.job.problem.clock)
-        sets = opened.sets
         if built.is_worst:
             raise JobError(
                 "scenarios.criterion must be 'mean' for this question, got 'worst' "
@@ -176,8 +175,8 @@ def why(
             )
         with own_store(opened, built, tell, must_be=False) as store:
             session = RunSession(built, store, show, tell)
-            session.reporter.foresee(_STEPS * len(sets))
-            driver = _examine(session, opened, sets, draws)
+            session.reporter.foresee(_STEPS * len(opened.sets))
+            driver = _examine(session, opened, draws)
             # Threads are done before the workers of another pool would have started.
             kind = "threads" if release_the_lock([built.evaluator.engine]) else "processes"
             answer: Why = complete(driver, make_pool(Execution(pool=kind)))
@@ -194,20 +193,17 @@ def _draw(run: Run) -> list[Path]:
     return [file for name in FIGURES for file in draw_figures(run, name)]
 
 
-def _examine(
-    session: RunSession, run: Run, sets: dict[str, Times], draws: int
-) -> Generator[WorkBatch, None, Why]:
+def _examine(session: RunSession, run: Run, draws: int) -> Generator[WorkBatch, None, Why]:
     """Driver that computes all tables and publishes them at the end; it draws no figure."""
     built, store, rows = session.built, session.store, {part: list[Any]() for part in _PARTS}
     answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws
-    for position, (name, clock_times) in enumerate(sets.items()):
+    for position, (name, numbers) in enumerate(measured_of(run).items()):
         session.reporter.note(phase=f"why {name}", done=_STEPS * position)
         clock = built.job.problem.clock
-        numbers = clock.measurements(clock_times)
         times = validated(numbers, clock.possible - 1, f"{run.path}: {name}")
         summary, *parts = yield from worth_of(session, name, times, draws)
         windows = yield from sampling_windows(session, name, times, draws)
-        answers.append({"name": name, "measurement_times": list(clock_times)} | summary)
+        answers.append({"name": name, "measurement_times": list(run.sets[name])} | summary)
         about = {"position": position, "name": name, "draws": drawn}
         for part, of_a_part in zip(_PARTS, (*parts, windows), strict=True):
             rows[part] += [about | _by_sensor(row, part, clock) for row in of_a_part]

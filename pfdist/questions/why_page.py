@@ -2,11 +2,10 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pfdist.common.parts import Block, Cell, Figures, Page, Section, Table, Text
 from pfdist.common.rounding import with_error
-from pfdist.problem.clock import Clock
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import Subject, number_of
 from pfdist.results.sampling_windows import STRICT, WIDE, windows_of
@@ -58,12 +57,12 @@ def why_page(subject: Subject, frames: Frames) -> Page:
 def _extremes(subject: Subject, frames: Frames) -> str:
     """The most and the least important measurement of the plan, in sentences."""
     plan = subject.by_error[0]
-    rises = _rises(plan, frames, subject.clock)
+    rises, clock = _rises(plan, frames), subject.clock
     if not rises or not all(math.isfinite(rise) for _, rise, _ in rises):
         return "Which measurement is the most important is unknown."
     order = sorted(rises, key=lambda each: each[1])
     (most, most_rise), (least, least_rise) = (
-        (f"t = {subject.clock.listed([t])}", rise) for t, _, rise in (order[-1], order[0])
+        (f"t = {clock.listed([clock.of_row(row)])}", rise) for row, _, rise in (order[-1], order[0])
     )
     return (
         f"Most important measurement of {phrase_of(subject.rows[plan].label)}: {most} (without it, "
@@ -81,11 +80,11 @@ def _tables(subject: Subject, frames: Frames) -> Iterator[Block]:
         texts = [{each.measurement: each.text for each in level} for level in windows]
         cells = [
             [
-                Cell(clock.text(t), clock.time_and_sensor(t)[0]),
+                Cell(clock.text(clock.of_row(row)), row["t"]),
                 Cell(text, rise),
-                *(Cell(each.get(t, "")) for each in texts),
+                *(Cell(each.get(clock.of_row(row), "")) for each in texts),
             ]
-            for t, rise, text in _rises(name, frames, clock)
+            for row, rise, text in _rises(name, frames)
         ]
         head = (subject.head_of_times, *_HEAD)
         draws = int(frames["worth"]["draws"].max())
@@ -94,13 +93,13 @@ def _tables(subject: Subject, frames: Frames) -> Iterator[Block]:
         yield Table(caption, head, cells, detail=name != plan)
 
 
-def _rises(name: str, frames: Frames, clock: Clock) -> list[tuple[float | str, float, str]]:
-    """Each measurement of a set, and by how many per cent the expected error rises without it."""
+def _rises(name: str, frames: Frames) -> list[tuple[Mapping[Any, Any], float, str]]:
+    """The row of each measurement, and by how many per cent the expected error rises without it."""
     profile, worth = (frames[part][frames[part]["name"] == name] for part in ("profile", "worth"))
     unit = (profile["error"] * profile["weight"]).sum() / len(profile) / 100  # 1 % of the MSE
-    rises = []
+    rises = list[tuple[Mapping[Any, Any], float, str]]()
     for row in worth.to_dict("records"):
         rise, error = row["removed"] / unit, row["removed_error"] / unit
         rise = 0.0 if error == 0.0 and abs(rise) < _ROUNDING else rise
-        rises.append((clock.of_row(row), rise, with_error(rise, error)))
+        rises.append((row, rise, with_error(rise, error)))
     return rises

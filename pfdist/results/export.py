@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pfdist.common.arguments import path_argument
+from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import unrounded
 from pfdist.errors import ArgumentError, one_line, shown
 from pfdist.problem.clock import Clock
 from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, windows_of
-from pfdist.results.stored_run import problem_of, provenance_of
+from pfdist.results.stored_run import measured_of, problem_of, provenance_of
 from pfdist.store import run_key
 from pfdist.store.files import begins_with, check_replaceable, write_file
 
@@ -48,9 +49,10 @@ def export_plan(run: "Run", path: str | Path) -> Path:
 
     clock = problem_of(run).clock
     file = checked_export(path, clock)
-    rows = _rows(run, clock)
+    measurements, number = measured_of(run)[run.best.name], len(clock.sensors) or 1
+    rows = _rows(run, clock, measurements)
     if file.suffix.lower() == ".ics" and clock.calendar:
-        dates = [clock.dates[clock.instant(row["date"])] for row in rows]
+        dates = [clock.dates[each // number] for each in measurements]
         text = _in_icalendar(run, rows, dates, clock.calendar.by_days)
     else:
         columns = None if rows else ["measurement", "t"]
@@ -59,10 +61,9 @@ def export_plan(run: "Run", path: str | Path) -> Path:
     return file
 
 
-def _rows(run: "Run", clock: Clock) -> Rows:
+def _rows(run: "Run", clock: Clock, measurements: Times) -> Rows:
     """A row for each measurement of the plan, in order of time."""
     best, rows, number = run.best, Rows(), len(clock.sensors) or 1
-    measurements = clock.measurements(best.measurement_times)
     windows = dict[int, dict[str, Any]]()
     if "sampling_windows" in run.tables:
         moved = run.table("sampling_windows")
@@ -71,17 +72,16 @@ def _rows(run: "Run", clock: Clock) -> Rows:
         order = {instant: place for place, instant in enumerate(allowed)}
         for percent in (STRICT, WIDE):
             for window in windows_of(of_plan, percent, clock):
-                [at] = clock.measurements([window.measurement])
                 # Instants that are not allowed, such as weekends, end no window.
                 inside = {t: order.get(instant, -2) for t, instant in window.inside.items()}
                 [stretch] = [each for each in runs_of(inside) if window.t in each]
                 ends = map(clock.text, (stretch[0], stretch[-1]))
                 keys = f"earliest_{percent}", f"latest_{percent}"
-                windows.setdefault(at, {}).update(zip(keys, ends, strict=True))
+                windows.setdefault(window.number, {}).update(zip(keys, ends, strict=True))
     for place, measurement in enumerate(measurements, 1):
         instant, sensor = divmod(measurement, number)
         row: dict[str, Any] = {"measurement": place, "t": unrounded(clock.times[instant])}
-        row |= {"date": clock.time(instant)} if clock.calendar else {}
+        row |= {"date": clock.time(instant)} if clock.dates else {}
         row |= {"sensor": clock.sensors[sensor]} if clock.sensors else {}
         rows.append(row | windows.get(measurement, {}))
     return rows

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.results.stored_run import StoredRun, problem_of, schema_version_of
+from pfdist.results.stored_run import StoredRun, measured_of, problem_of, schema_version_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -83,8 +83,8 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
     ranges, problem, tables = _ranges_of(run), problem_of(run), list[pd.DataFrame]()
-    for place, (name, times) in enumerate(run.sets.items()):
-        tables.append(profile_of(problem, problem.clock.measurements(times), ranges, place))
+    for place, (name, times) in enumerate(measured_of(run).items()):
+        tables.append(profile_of(problem, times, ranges, place))
         tables[-1].insert(0, "name", name)
     table = pd.concat(tables, ignore_index=True)
     table.attrs.update(tables[0].attrs)

@@ -27,6 +27,7 @@ from pfdist.results.stored_run import (
     blocks_of,
     copies_of,
     last_bounds,
+    measured_of,
     own_estimation,
     problem_of,
     statistics_of,
@@ -108,7 +109,7 @@ def _typed(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _given(run: StoredRun) -> Iterable[Results]:
-    problem = problem_of(run)
+    problem, measured = problem_of(run), measured_of(run)
     for entry in run.table("compared").to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
         reference, is_found = run.references.get(name), not math.isnan(entry["search_mse"])
@@ -126,7 +127,7 @@ def _given(run: StoredRun) -> Iterable[Results]:
             "warnings": [],
         }
         if problem.total_price is not None:
-            row["price"] = float(problem.feasible.price_of(problem.clock.measurements(times)))
+            row["price"] = float(problem.feasible.price_of(measured[name]))
         if is_found:
             row["search_mse"] = float(entry["search_mse"])
             row["search_standard_error"] = float(entry["search_standard_error"])

@@ -106,6 +106,11 @@ class StoredRun:
         return "finished" if enough and online >= wanted else "comparing"
 
     @cached_property
+    def _measured(self) -> dict[str, Times]:
+        clock = self._problem.clock
+        return {name: clock.measurements(times) for name, times in self.sets.items()}
+
+    @cached_property
     def _problem(self) -> ProblemSection:
         return ProblemSection.model_validate(self.job["problem"])
 
@@ -202,6 +207,11 @@ def schema_version_of(run: StoredRun) -> int:
 def problem_of(run: StoredRun) -> ProblemSection:
     """The section [problem] of the job, with the clock and the constraints."""
     return run._problem
+
+
+def measured_of(run: StoredRun) -> dict[str, Times]:
+    """The possible measurements of each compared set, by name, as numbers."""
+    return run._measured
 
 
 def named_sets(run: StoredRun) -> list[str]:

@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,6 @@ from pfdist.models.recorded import declarations, differences, with_functions
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
-from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import ONLINE, Job
 from pfdist.problem.scenarios_section import Scenarios
@@ -62,11 +61,6 @@ class Built:
     study: Study
     evaluator: Evaluator
     searches: tuple[NamedSearch, ...] = field(repr=False)
-
-    def instants(self, sets: Mapping[str, Sequence[Time]]) -> dict[str, Times]:
-        """The instants of sets of times on the job's clock; with sensors, the measurements."""
-        clock = self.job.problem.clock
-        return {name: clock.measurements(times) for name, times in sets.items()}
 
     @property
     def is_worst(self) -> bool:

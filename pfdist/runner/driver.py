@@ -46,7 +46,8 @@ def drive(session: RunSession) -> Generator[WorkBatch, None, None]:
         if not has or unpublished(store, built.phases):
             sets = yield from _search(session)
         else:
-            sets = built.instants(store.compared_sets())
+            written, clock = store.compared_sets(), built.job.problem.clock
+            sets = {name: clock.measurements(times) for name, times in written.items()}
             reporter.note(done=_searching_steps(built))
         yield from run_comparison(session, sets)
         if built.job.online is not None:

@@ -13,6 +13,7 @@ from pfdist.filters.work import FilterWork, Result
 from pfdist.results import Run
 from pfdist.results.evenly_spaced import sign_of
 from pfdist.results.moments import controlled_mse
+from pfdist.results.stored_run import measured_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.store import EVEN_PHASE, schema
@@ -36,7 +37,7 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
     Each set has independent filter noise. Nothing is written if too many numbers do not differ.
     """
     built = session.built
-    tried = _Tried(session, run, built.instants(run.sets)[built.searches[0].name])
+    tried = _Tried(session, run, measured_of(run)[built.searches[0].name])
     worse, better = 0, built.feasible.horizon + 1  # no measurement, and one at every instant
     number = built.feasible.measurements
     session.reporter.begin("evenly spaced times")

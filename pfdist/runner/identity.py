@@ -105,9 +105,9 @@ def columns_of(clock: Clock) -> TimeColumns:
     Here the unit of a clock and the start of its dates become a text, that of the CF conventions;
     `pfdist.pages.panel.clock_of` reads it.
     """
-    has_texts = clock.sensors or clock.calendar
+    has_texts = clock.sensors or clock.dates
     written = clock.written_of(range(clock.possible)) if has_texts else ()
-    dates = map(clock.text, clock.times) if clock.calendar else ()
+    dates = map(clock.text, clock.times) if clock.dates else ()
     return TimeColumns(clock.times, clock.time_unit, tuple(written), tuple(dates), clock.counts)
 
 

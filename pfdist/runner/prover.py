@@ -17,7 +17,7 @@ from pfdist.errors import ModelError
 from pfdist.filters.work import BLOCK, with_truth
 from pfdist.problem.constraints import Constraints
 from pfdist.results import Run
-from pfdist.results.stored_run import worst_of
+from pfdist.results.stored_run import measured_of, worst_of
 from pfdist.runner.block_sums import (
     CHOICE_BLOCKS,
     GROUPS,
@@ -138,7 +138,7 @@ class Prover:
     def _looks(self, session: RunSession, run: Run) -> Generator[WorkBatch, None, list[Look]]:
         """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
-        sets = self._built.study.proved(self._built.instants(run.sets))
+        sets = self._built.study.proved(measured_of(run))
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         wrong = self._fails_check()
         if feasible and self._built.is_worst and not wrong:
