@@ -40,7 +40,6 @@ from pfdist.filters.work import (
 )
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
-from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import Parameter, check_lengths
 from pfdist.models.recorded import check_same_functions, declared, recorded
 from pfdist.models.written import key_of_model
@@ -67,8 +66,8 @@ class Evaluator:
     weights: tuple[float, ...] | None = None
     # those that will be wanted: they are checked here, and compiled by `compile`
     estimations: tuple[Estimation, ...] = ()
-    # (T+1,): the time of each instant, if the models were put on a clock
-    clock: tuple[float, ...] | None = None
+    # (T+1,): the time of each instant, if formulas may read it
+    times: tuple[float, ...] | None = None
     # Each draw has the parameters of one of these scenarios; none: of the model. If the filter is
     # told, it has the parameters of the draw's scenario, too.
     scenarios: tuple[Scenario, ...] = ()
@@ -314,7 +313,7 @@ class Evaluator:
             self.horizon,
             self.engine,
             estimation.recorded,
-            *(part for part in (self.clock, self.weights) if part is not None),
+            *(part for part in (self.times, self.weights) if part is not None),
             *([[*map(vars, self.scenarios)], self.told] if self.scenarios else []),
             *parts,
         )
@@ -490,19 +489,19 @@ def recorded_evaluator(
     filter_model: StateSpaceModel,
     *,
     horizon: int,
-    clock: tuple[float, ...] | None = None,
+    times: tuple[float, ...] | None = None,
     others: Iterable[Mapping[str, Parameter]] = (),
     told: bool = False,
     **settings: Any,
 ) -> Evaluator:
-    """The evaluator of recorded models, which fit the clock and each other.
+    """The evaluator of recorded models, which fit the times and each other.
 
     Parameters
     ----------
     model, filter_model : StateSpaceModel
         The true model, and the model that the filter uses.
     horizon : int
-    clock : tuple of float, (T+1,), optional
+    times : tuple of float, (T+1,), optional
         The time of each instant, which formulas read.
     others : iterable of mapping
         Further values of the truth's parameters: those of scenarios.
@@ -514,16 +513,10 @@ def recorded_evaluator(
     Raises
     ------
     ModelError
-        A model reads a clock that the job lacks, does not fit the job, or has a formula that fails.
+        A model does not fit the job, or has a formula that fails.
     """
-    for part, each in (("model", model), ("model.filter", filter_model)):
-        if clock is None and each.reads_clock:
-            raise ModelError(
-                f"{part}: model {each.name} reads the clock: {NO_CLOCK} (a job's clock is "
-                "problem.time_step, problem.time_unit or problem.times)"
-            )
-    if clock is not None:
-        model, filter_model = model.on_clock(clock), filter_model.on_clock(clock)
+    if times is not None:
+        model, filter_model = model.on_clock(times), filter_model.on_clock(times)
     for part, each in (("model", model), ("model.filter", filter_model)):
         check_lengths(each.parameters, horizon + 1, f"{part}.parameters.", exactly=True)
     check_fits(filter_model, model)
@@ -534,7 +527,7 @@ def recorded_evaluator(
     model = recorded(model, instants, known)
     if not is_same:
         filter_model = recorded(filter_model, instants, known if told else ())
-    return Evaluator(model, horizon, model if is_same else filter_model, clock=clock, **settings)
+    return Evaluator(model, horizon, model if is_same else filter_model, times=times, **settings)
 
 
 def _arrived(content: bytes, settings: dict[str, Any]) -> Evaluator:

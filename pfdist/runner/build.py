@@ -26,6 +26,7 @@ from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
 from pfdist.models.learned import learned
+from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import CLOCK, check_lengths
 from pfdist.models.recorded import declarations, differences, with_functions
 from pfdist.pools.base import Pool
@@ -155,6 +156,13 @@ def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel
     _check_sensors(job, model)
     scenarios = () if job.scenarios is None else job.scenarios.of_draws
     told = job.scenarios is not None and job.scenarios.filter == "told"
+    times = job.problem.clock.times if job.problem.has_clock else None
+    for part, each in (("model", model), ("model.filter", filter_model)):
+        if times is None and each.reads_clock:
+            raise ModelError(
+                f"{part}: model {each.name} reads the clock: {NO_CLOCK} (a job's clock is "
+                "problem.time_step, problem.time_unit or problem.times)"
+            )
     try:
         evaluator = recorded_evaluator(
             model,
@@ -162,7 +170,7 @@ def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel
             horizon=job.problem.feasible.horizon,
             engine=job.filter.engine,
             estimations=(comparing_of(job), Settings.from_job(job).estimation),
-            clock=job.problem.clock.times if job.problem.has_clock else None,
+            times=times,
             weights=job.problem.weights,
             others=[each.parameters for each in scenarios],
             told=told,

@@ -185,7 +185,7 @@ def changed_models(path: Path, built: Built) -> dict[str, str]:
     if (run.get("model"), run.get("filter_model")) == evaluator.keys:
         return {}
     truth, believed = read_models(path)
-    clock = {f"parameters.{name}" for name in CLOCK if evaluator.clock is not None}  # the job's
+    clock = {f"parameters.{name}" for name in CLOCK if evaluator.times is not None}  # the job's
     of_truth, of_filter = (
         {key: text for key, text in differences(*models) if key not in clock}
         for models in ((truth, evaluator.model), (believed, evaluator.believed))

@@ -22,14 +22,18 @@ JOB_KEY = re.compile(
 )
 BACKWARD = re.compile(r"(?:\A|\n\s*\n|(?<=[.:?!])\s+|\n    )(?:Of|What|By(?! default))\s[^.]*")
 SETS_OF_TIMES = "affordable constraints feasible spacing written"
+BELOW_PROBLEM = re.compile("pfdist/(filters|kernels|store|pools|densities|common)/")
+CALENDAR = {"clock", "calendar", "date", "dates", "timezone", "zoneinfo"}
+OF_MODELS = {"CLOCK", "on_clock", "reads_clock"}  # arrays of numbers that formulas read
+OF_TABLES = {"_DATE", "dates"}  # the texts of a column for people
 LOW_ROOMS = (
     *("pfdist/common/", "pfdist/models/", "pfdist/search/"),
     *(f"pfdist/problem/{module}.py" for module in SETS_OF_TIMES.split()),
 )
 
 
-def vague_names(source: str) -> Iterator[str]:
-    """Every variable, argument, attribute and definition with a vague name, and its line."""
+def names(source: str) -> Iterator[tuple[int, str]]:
+    """Every variable, argument, attribute, definition and imported name, with its line."""
     for node in ast.walk(ast.parse(source)):
         name = ""
         if isinstance(node, ast.Name):
@@ -38,10 +42,23 @@ def vague_names(source: str) -> Iterator[str]:
             name = node.arg or ""
         elif isinstance(node, ast.Attribute):
             name = node.attr
-        elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+        elif isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.alias)):
             name = node.name
-        if name in VAGUE:
-            yield f"{node.lineno}: {name}"
+        if name:
+            yield node.lineno, name
+
+
+def vague_names(source: str) -> Iterator[str]:
+    """Every vague name, and its line."""
+    return (f"{line}: {name}" for line, name in names(source) if name in VAGUE)
+
+
+def calendar_names(source: str) -> Iterator[str]:
+    """Every name with a word of clocks, dates or units of time, and its line."""
+    for line, name in names(source):
+        parts = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
+        if CALENDAR & {*parts} and name not in OF_MODELS | OF_TABLES:
+            yield f"{line}: {name}"
 
 
 def prose(source: str) -> Iterator[tuple[int, str]]:
@@ -123,6 +140,10 @@ def test_low_floors_name_no_job_key_and_no_option_in_messages() -> None:
     assert found_in(low, keys_in_messages) == ""
 
 
+def test_rooms_below_problem_know_no_clock_and_no_calendar() -> None:
+    assert found_in(filter(BELOW_PROBLEM.match, FILES), calendar_names) == ""
+
+
 def test_the_checks_find_what_they_look_for() -> None:
     found = sorted(vague_names("def f(its):\n    return [one.by for one in its]"))
     assert found == ["1: its", "2: by", "2: its", "2: one", "2: one"]
@@ -131,3 +152,7 @@ def test_the_checks_find_what_they_look_for() -> None:
     assert JOB_KEY.search("problem.forbidden must lie")
     assert JOB_KEY.search("give --draws")
     assert not JOB_KEY.search("pfdist.models.library.ungm --")
+    assert [*calendar_names("clock_of(x.on_clock)\nclass ZoneDate: ...")] == [
+        "1: clock_of",
+        "2: ZoneDate",
+    ]
