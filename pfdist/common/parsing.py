@@ -71,7 +71,7 @@ def with_texts(value: Any) -> Any:
 
 
 def as_text(value: Any) -> Any:
-    """What Python, pandas or TOML read from text of ISO 8601, as this text; others as they are."""
+    """A value that Python, pandas or TOML reads from a text of ISO 8601, as this text."""
     return value.isoformat() if hasattr(value, "isoformat") else value
 
 

@@ -134,7 +134,7 @@ class Filter:
         self.horizon = horizon
         self.stream = stream_of("filter", seed)
         """The 64-bit key of the filter's noise."""
-        start = None if prior is None else as_prior(prior, self.model)
+        start = as_prior(prior, self.model)
         if start is not None:
             check_prior(start, self.model, horizon, by_particles=not is_exact(engine))
         try:

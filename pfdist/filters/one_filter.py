@@ -214,7 +214,7 @@ def checked_instant(t: Any, start: int, horizon: int) -> int:
     """
     number = isinstance(t, int | float | np.integer | np.floating) and not isinstance(t, bool)
     if not number or t != t // 1:
-        raise MeasurementsError(f"t must be an integer, got {shown(plain(t))}")
+        raise MeasurementsError(f"t must be an integer, got {shown(plain_number(t))}")
     if not start <= t <= horizon:
         raise MeasurementsError(f"t must lie in {start}..{horizon}, got {shown(int(t))}")
     return int(t)
@@ -261,6 +261,6 @@ def checked_measurement(
     return values
 
 
-def plain(value: Any) -> Any:
+def plain_number(value: Any) -> Any:
     """A number of NumPy as Python writes it."""
     return value.item() if isinstance(value, np.generic) else value

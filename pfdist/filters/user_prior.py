@@ -29,7 +29,7 @@ def as_prior(
     model: StateSpaceModel,
     readers: Mapping[str, Callable[[str], float]] = NO_READERS,
     instant: Callable[[float], int] = _counted,
-) -> Prior:
+) -> Prior | None:
     """The prior of a model, from a prior, particles in an array, or a table.
 
     An array holds particles of x at the first instant, a row a component and a column a particle. A
@@ -37,7 +37,7 @@ def as_prior(
     t of a `Cloud` or a `Gaussian` is an instant. Raises `PriorError` for anything else, or if a
     number is not finite.
     """
-    if isinstance(prior, Cloud | Gaussian):
+    if prior is None or isinstance(prior, Cloud | Gaussian):
         return prior
     if isinstance(prior, pd.DataFrame | Path):
         return read_prior(prior, model, readers, instant)

@@ -12,7 +12,7 @@ from pfdist.pages.panel import (
     MOST_COMPONENTS,
     axes_for,
     chosen,
-    clock_of,
+    clock_of_table,
     label_quantity,
     label_times,
     legend_above,
@@ -133,7 +133,7 @@ def belief(
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0)
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean; bands: 50 and 90 %")
     label_quantity(ax, quantities, component)
-    clock = clock_of(table)
+    clock = clock_of_table(table)
     sensors = [*clock.by_sensor([*measured, *missing, *to_come])]
     bottom, top = ax.get_ylim()
     ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers

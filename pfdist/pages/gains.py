@@ -15,7 +15,7 @@ from pfdist.pages.panel import (
     axes_for,
     check_kind,
     chosen,
-    clock_of,
+    clock_of_table,
     label_quantity,
     label_times,
     legend_above,
@@ -339,7 +339,7 @@ def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str
     for (name, times), estimate, shape in zip(sets.items(), estimates, _SHAPES, strict=True):
         colour, dashes, label = (styles[name][key] for key in ("color", "ls", "label"))
         ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=label)
-        for sensor, measured in clock_of(trajectory).by_sensor(times).items():
+        for sensor, measured in clock_of_table(trajectory).by_sensor(times).items():
             row += 1
             level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
             ax.plot(

@@ -12,7 +12,7 @@ from pfdist.pages.panel import (
     BAND,
     axes_for,
     chosen,
-    clock_of,
+    clock_of_table,
     cut_outliers,
     height_of_rows,
     label_error,
@@ -106,9 +106,9 @@ def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     """Sampling windows: instants to which each measurement alone can move at a small loss."""
     table = tables.run.table("sampling_windows")
     rows, which = table[table["name"] == name], phrase_of(tables.run.labels[name])
-    said = sentences(rows.to_dict("records"), clock_of(table))
+    said = sentences(rows.to_dict("records"), clock_of_table(table))
     return Plot(
-        _height(len(windows_of(rows.to_dict("records"), WIDE, clock_of(table)))),
+        _height(len(windows_of(rows.to_dict("records"), WIDE, clock_of_table(table)))),
         lambda panels: sampling_windows(rows, name, ax=panels[0]),  # a set may measure nothing
         title=f"Sampling windows of {which}. {said[0] if said else 'Nothing can move.'}",
     )
@@ -153,7 +153,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     rows = every.sort_values(["t", "moved_to"])
     if rows.empty:
         return write_instead(axes_for(ax), "there is no measurement that can be moved")
-    columns, clock = [column for column in ("t", "sensor") if column in rows], clock_of(rows)
+    columns, clock = [column for column in ("t", "sensor") if column in rows], clock_of_table(rows)
     moved = rows.groupby(columns)["moved_to"].agg(["min", "max"]).reset_index()
     times, places = moved["t"].tolist(), range(len(moved))
     names = [clock.text(clock.of_row(row)) for row in moved.to_dict("records")]

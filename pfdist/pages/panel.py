@@ -191,7 +191,7 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
         ax.text(1.02, height, name, c=color, va="center", transform=ax.transAxes, size="small")
 
 
-def clock_of(table: pd.DataFrame) -> Clock:
+def clock_of_table(table: pd.DataFrame) -> Clock:
     """The clock of the times in the column t of a table; its unit is an attribute of the table."""
     unit = table.attrs.get("time_unit", "")
     calendar = calendar_of(unit)
@@ -249,7 +249,7 @@ class _DateLabels(Formatter):
 
 def label_times(ax: Axes, table: pd.DataFrame) -> None:
     """Label the horizontal axis as the column t of a table: instants, or times on a clock."""
-    label_instants(ax, clock_of(table))
+    label_instants(ax, clock_of_table(table))
 
 
 def label_quantity(

@@ -12,7 +12,7 @@ from pfdist.pages.panel import (
     BAND,
     axes_for,
     check_kind,
-    clock_of,
+    clock_of_table,
     cut_outliers,
     label_error,
     label_times,
@@ -61,7 +61,7 @@ def why_figure(tables: Tables, name: str) -> Plot:
 def _title(measurements: pd.DataFrame, mean: float, label: str) -> str:
     """Say which measurement is worth most, and which least."""
     rows = measurements.dropna(subset="removed").sort_values("removed").to_dict("records")
-    clock = clock_of(measurements)
+    clock = clock_of_table(measurements)
     if not rows:
         return f"There is no measurement of {phrase_of(label)}."
     least, most = (
@@ -99,7 +99,7 @@ def filters_figure(tables: Tables) -> Plot:
             stack(panels)
 
     least = sizes.iloc[sizes["effective_sample_size"].argmin()]
-    at = clock_of(profile).text(least["t"])
+    at = clock_of_table(profile).text(least["t"])
     title = (
         f"The effective sample size is least at t = {at} with "
         f"{phrase_of(run.labels[least['name']])}: on average "

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
-from pfdist.filters.one_filter import checked_instant, checked_measurement, made, plain
+from pfdist.filters.one_filter import checked_instant, checked_measurement, made, plain_number
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.problem.clock import Clock
@@ -133,7 +133,7 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
     if clock.counts:
         return checked_instant(t, start, clock.horizon)
     try:
-        instant = clock.instant(plain(t), "t")
+        instant = clock.instant(plain_number(t), "t")
     except MeasurementTimesError as error:
         raise MeasurementsError(str(error)) from error
     if instant < start:

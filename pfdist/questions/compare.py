@@ -173,11 +173,7 @@ class SetsToCompare:
     def _check_clock(self, run: Run) -> None:
         own, first = problem_of(run).clock, self._clock
         must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
-        if (own.counts, own.time_unit, own.sensors) != (
-            first.counts,
-            first.time_unit,
-            first.sensors,
-        ):
+        if _counted(own) != _counted(first):
             raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
             if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):

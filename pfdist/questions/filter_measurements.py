@@ -43,7 +43,7 @@ from pfdist.questions.planned_run import (
 from pfdist.questions.report import write_page
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
-from pfdist.runner.identity import columns_of
+from pfdist.runner.identity import time_columns
 from pfdist.runner.progress import Say, silent
 from pfdist.store import FILTERED_PERCENTS, filtered_schema, frame_of
 from pfdist.store.folder import check_page_replaceable
@@ -102,6 +102,11 @@ class FilteredMeasurements(Shown):
     collapsed: Time | None = None
 
     @property
+    def time_unit(self) -> str:
+        """The unit of the clock; empty if the job has none."""
+        return self.clock.time_unit
+
+    @property
     def marked(self) -> tuple[tuple[Time, ...], ...]:
         """The times that a figure marks, each kind in its way."""
         return self.measured, self.missing, self.extra, self.to_come
@@ -144,7 +149,7 @@ class FilteredMeasurements(Shown):
             "collapsed": self.collapsed,
             "log_evidence": self.log_evidence,
             "why_no_evidence": self.why_no_evidence,
-            **({"time_unit": unit} if (unit := self.clock.time_unit) else {}),
+            **({"time_unit": self.time_unit} if self.time_unit else {}),
             **{name: files.get(name) for name in ("table", "figure", "report")},
         }
         return finite(answer)
@@ -230,7 +235,7 @@ def filter_measurements(
     files = files_beside(table, out, "measurements", "filtered")[: 3 if report else 2]
     plan = planned_run(job, results, changes, say, planned, prior)
     clock = plan.built.job.problem.clock
-    columns = columns_of(clock)
+    columns = time_columns(clock)
     believed = plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)

@@ -91,6 +91,11 @@ class NextTime(Shown):
         return None if before is None else difference(self.expected, before)
 
     @property
+    def time_unit(self) -> str:
+        """The unit of the clock; empty if the job has none."""
+        return self.clock.time_unit
+
+    @property
     def next(self) -> Time | None:
         """The time to measure next; None if the budget is spent."""
         return self.plan[0] if self.plan else None
@@ -124,7 +129,7 @@ class NextTime(Shown):
             "surprise_of_all": self.surprise,
             "is_improbable": self.is_improbable,
             "collapsed": self.collapsed,
-            **({"time_unit": unit} if (unit := self.clock.time_unit) else {}),
+            **({"time_unit": self.time_unit} if self.time_unit else {}),
         }
         return finite(answer)
 

@@ -91,9 +91,7 @@ def planned_run(
     run, built = run_and_job(job, results, changes, say)
     name = _planned_set(run, planned)
     model, clock = built.evaluator.believed, built.job.problem.clock
-    start: Prior | None = None
-    if table is not None:
-        start = as_prior(table, model, clock.readers(), clock.instant_of_t)
+    start = as_prior(table, model, clock.readers(), clock.instant_of_t)
     return PlannedRun(run, name, measured_of(run)[name], built, start)
 
 

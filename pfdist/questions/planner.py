@@ -85,11 +85,7 @@ class Planner:
     ) -> None:
         built = job if isinstance(job, Built) else build(as_job(job))
         believed, clock = built.evaluator.believed, built.job.problem.clock
-        start = (
-            None
-            if prior is None
-            else as_prior(prior, believed, clock.readers(), clock.instant_of_t)
-        )
+        start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)
         planning = planning_of(built.job, built.evaluator.variance_is_error)
         stream = stream_of("online", built.job.seed, "planner")
         planned = None if times is None else validated_instants(times, clock, "times", "times")

@@ -99,11 +99,11 @@ def is_sealed(path: Path, built: Built) -> bool:
     return run.job == built.job.identity() and run.state == "finished"
 
 
-def columns_of(clock: Clock) -> TimeColumns:
-    """What tables have in place of instants and possible measurements of a clock.
+def time_columns(clock: Clock) -> TimeColumns:
+    """The times and texts in place of instants and possible measurements in tables.
 
     Here the unit of a clock and the start of its dates become a text, that of the CF conventions;
-    `pfdist.pages.panel.clock_of` reads it.
+    `pfdist.pages.panel.clock_of_table` reads it.
     """
     has_texts = clock.sensors or clock.dates
     written = clock.written_of(range(clock.possible)) if has_texts else ()
@@ -117,7 +117,7 @@ def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
     clock = problem.clock
     if clock.counts and not clock.sensors:
         return Store(path, run_key)
-    return Store(path, run_key, columns_of(clock))
+    return Store(path, run_key, time_columns(clock))
 
 
 def _committed(store: Store) -> int:
