@@ -6,7 +6,7 @@ and instants become times when they are shown.
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
@@ -214,9 +214,10 @@ class Clock:
         """The instant of a number in the column t of a user's table; raises as `instant`."""
         return self.instants([t], "t")[0]
 
-    def columns_of_dates(self, instants: Iterable[int]) -> dict[str, list[str]]:
-        """A column of a table with the date of each instant; none if the clock has no start."""
-        return {"date": [self.formatted(t) for t in instants]} if self.calendar else {}
+    def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:
+        """The columns t and, if the clock has a start, date of a table with these instants."""
+        dates = {"date": [self.formatted(t) for t in instants]} if self.calendar else {}
+        return {"t": self.times_of(instants)} | dates
 
     def instants(self, times: Iterable[Time | str], name: str = "measurement_times") -> Times:
         """The instants of some times, in the same order; raises as `instant`.

@@ -75,8 +75,7 @@ def _table(draws: Draws, model: StateSpaceModel, clock: Clock) -> pd.DataFrame:
     count, instants = len(draws.index), draws.instants
     columns = {
         "draw": np.repeat(np.array(draws.index), len(instants)),
-        "t": np.tile(np.array(clock.times_of(instants)), count),
-        **{name: np.tile(dates, count) for name, dates in clock.columns_of_dates(instants).items()},
+        **{name: np.tile(values, count) for name, values in clock.columns(instants).items()},
     }
     labels = dict[str, str]()
     for name, values in (("x", draws.x), ("y", draws.y), ("z", draws.z)):

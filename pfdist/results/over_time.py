@@ -120,8 +120,7 @@ def profile_of(
     at = {time // max(1, len(clock.sensors)) for time in times}
     table = pd.DataFrame(
         {
-            "t": clock.times,
-            **clock.columns_of_dates(range(len(clock.times))),
+            **clock.columns(range(len(clock.times))),
             "measured": [t in at for t in range(len(clock.times))],
             "draws": sum(each.draws for each in ranges),
             "weight": problem.weights or 1.0,
