@@ -192,11 +192,11 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
 
 
 def clock_of_table(table: pd.DataFrame) -> Clock:
-    """The clock of the times in the column t of a table; its unit is an attribute of the table."""
+    """A clock without instants that writes the times of a table; see its attribute time_unit."""
     unit = table.attrs.get("time_unit", "")
     calendar = calendar_of(unit)
-    times, counts = tuple(np.unique(table["t"]).tolist()), table["t"].dtype.kind != "f"
-    return Clock(times, calendar.unit if calendar else unit, counts=counts, calendar=calendar)
+    counts = table["t"].dtype.kind != "f"
+    return Clock((), calendar.unit if calendar else unit, counts=counts, calendar=calendar)
 
 
 def label_instants(ax: Axes, clock: Clock) -> None:
