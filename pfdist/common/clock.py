@@ -40,9 +40,6 @@ class Clock:
     times: tuple[Time, ...]  # (T+1,): in ascending order
     unit: str = ""  # as the user names it, such as "h", or with a start; empty if there is none
     counts: bool = False  # whether the problem has no clock: the time of an instant is its number
-    # Names of the sensors, if there are any. A possible measurement then has a number,
-    # t * S + sensor, and is written with its sensor, "12 x-ray".
-    sensors: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for time in self.times:
@@ -81,11 +78,6 @@ class Clock:
     def horizon(self) -> int:
         """The number T of the last instant."""
         return len(self.times) - 1
-
-    @property
-    def possible(self) -> int:
-        """The number of possible measurements; without sensors, the number of instants."""
-        return len(self.times) * max(1, len(self.sensors))
 
     @cached_property
     def is_even(self) -> bool:
@@ -221,42 +213,13 @@ class Clock:
 
     def time(self, instant: int) -> Any:
         """The time of an instant as users read it: a date if the clock has a start."""
+        if self.counts:
+            return instant
         return self.formatted(instant) if self.calendar else self.times[instant]
 
     def times_of(self, instants: Iterable[int]) -> list[Time]:
         """The times of some instants, in the same order."""
         return [self.times[t] for t in instants]
-
-    def written(self, measurement: int) -> Time | str:
-        """A possible measurement as users read it: its time, and the sensor if there are any."""
-        if not self.sensors:
-            return cast("Time | str", self.time(measurement))
-        instant, sensor = divmod(measurement, len(self.sensors))
-        return f"{formatted_time(self.times[instant], self.unit)} {self.sensors[sensor]}"
-
-    def written_of(self, measurements: Iterable[int]) -> list[Any]:
-        """Possible measurements as users read them, in the same order."""
-        return [self.written(measurement) for measurement in measurements]
-
-    def measurements(self, written: Iterable[Time | str]) -> Times:
-        """The possible measurements of a set that a user has written; raises as `instant`."""
-        if not self.sensors:
-            return self.instants(cast("Iterable[Time]", written))
-        return tuple(self._measurement(entry) for entry in written)
-
-    def _measurement(self, written: Time | str) -> int:
-        time, _, name = str(written).strip().rpartition(" ")
-        try:
-            number = time if self.calendar else float(time)
-            sensor = self.sensors.index(name)
-        except ValueError as error:
-            raise MeasurementTimesError(
-                f"measurement_times must name a time and a sensor, as '12 {self.sensors[0]}', got "
-                f"{shown(written)}; sensors: {', '.join(self.sensors)}"
-            ) from error
-        whole = not isinstance(number, str) and number.is_integer()
-        (instant,) = self.instants([int(number) if whole else number])
-        return instant * len(self.sensors) + sensor
 
     def formatted(self, instant: int) -> str:
         """The time of an instant as text, with the unit, or its date if the clock has a start."""
@@ -267,7 +230,7 @@ class Clock:
 
         It is T+1 if there is no such instant.
         """
-        after = np.array(self.times) + spacing - self.slack
+        after = np.array(self.times, np.float64) + spacing - self.slack
         successors = np.searchsorted(self.times, after).tolist()
         return tuple(max(t + 1, later) for t, later in enumerate(successors))
 
@@ -289,7 +252,7 @@ class Clock:
 
     def since(self, first: int) -> "Clock":
         """The clock of the instants from `first` on: the same times; instants count from 0."""
-        return Clock(self.times[first:], self.unit, sensors=self.sensors)
+        return Clock(self.times[first:], self.unit)
 
 
 def plain_time(time: Time) -> Time:

@@ -174,16 +174,16 @@ def expected_errors(
     With a prior of x(s), the instants are s..T. Raises as `expected_mse`.
     """
     start = 0 if prior is None else prior.t
-    matrices, sensors = cached_matrices(model, horizon), len(model.parts)
-    measured = np.zeros((len(sets), (horizon + 1) * sensors), np.bool_)
+    matrices, points = cached_matrices(model, horizon), model.points
+    measured = np.zeros((len(sets), points.first(horizon + 1)), np.bool_)
     for row, times in zip(measured, sets, strict=True):
-        row[[*validated_from(start, times, horizon, sensors)]] = True
+        row[[*validated_from(start, times, horizon, points)]] = True
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
     errors = np.empty((len(sets), horizon + 1 - start))
     for t in range(start, horizon + 1):
         check()
-        for place in range(t * sensors, (t + 1) * sensors):
+        for place in points.at(t):
             here = measured[:, place]
             gain, observation_matrix = _gain(covariance[here], matrices.measurement[place])
             covariance[here] -= gain @ observation_matrix @ covariance[here]

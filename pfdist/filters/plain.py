@@ -130,7 +130,7 @@ def _filter(
         x, weight, fails, weighs = _weighed(model, draws, k, x, carried, times, stream, settings)
         degenerate |= fails & alive
         share = weight / weight.sum(axis=1, keepdims=True)
-        measured = any(time // len(model.parts) == t for time in times)
+        measured = t in model.points.instants(times)
         quantities = model.quantity_of_interest(_flat(x), t, model.p)
         for c, values in enumerate(quantities):
             z = _of_cloud(values, cloud)

@@ -128,15 +128,15 @@ def _filter_instant(at, s, t, sensors, resamples):
         call(steps.put_truth, instant)
     if steps.set_out != 0 and t == 0:  # with a prior, the path to the first measurement begins here
         call(steps.set_out, instant)
-    if sensors > 0:
+    if sensors != 0:
         call(steps.forget, instant)
         for sensor in range(request.sensors):
             if (sensors >> sensor) & 1:
                 _measure(Instant(at, s, t, sensors, sensor))
     call(steps.estimate, instant)
-    if sensors > 0 and steps.rank != 0:
+    if sensors != 0 and steps.rank != 0:
         call(steps.rank, instant)
-    if sensors > 0 and resamples:
+    if sensors != 0 and resamples:
         call(steps.resample, Instant(at, s, t, sensors, request.sensors))
         if steps.set_out != 0:
             call(steps.set_out, instant)
@@ -451,7 +451,7 @@ def _estimate_variance(instant):
     _fill_means(at, variance, quantities)
     if wanted.moments:
         _record(at, t, mean, variance)
-        if sensors > 0:
+        if sensors != 0:
             _record_sizes(at, t)
     has_distance = request.filters > 1
     if has_distance:

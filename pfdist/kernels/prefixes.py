@@ -18,8 +18,9 @@ class Plan(NamedTuple):
     """The order in which the filter computes U different sets, and the clouds that it saves."""
 
     # (U, T+1): the sensors with which each set measures at each instant, a bit for each; 1 and 0
-    # say whether a set measures, if there is a single sensor
-    measured: NDArray[np.uint8]
+    # say whether a set measures, if there is a single sensor. The number is signed: Numba makes a
+    # float of unsigned and signed numbers together.
+    measured: NDArray[np.int64]
     # (U,): the first instant that a set does not share with an earlier set
     begins: NDArray[np.int64]
     ends: NDArray[np.int64]  # (U,): the instant after a set's last
@@ -78,7 +79,8 @@ def plan_prefixes(
     unique = dict[tuple[tuple[int, ...], int], int]()
     numbers = [unique.setdefault(key, len(unique)) for key in zip(sets, wanted, strict=True)]
     measured = _bits_of([times for times, _ in unique], instants, sensors)
-    words, ends_ = list(map(bytes, measured)), np.array([end for _, end in unique])
+    narrow = measured.astype(np.uint8) if sensors <= 8 else measured  # sorted faster
+    words, ends_ = list(map(bytes, narrow)), np.array([end for _, end in unique])
     # If sets differ only in their ends, the longest comes first, so the others can share it.
     order = sorted(range(len(unique)), key=lambda number: (words[number], -ends_[number]))
     measured, ends_ = measured[order], ends_[order]
@@ -87,23 +89,16 @@ def plan_prefixes(
     return Planned(filter_plan, np.argsort(order)[numbers], givers)
 
 
-def _bits_of(sets: Sequence[tuple[int, ...]], instants: int, sensors: int) -> NDArray[np.uint8]:
+def _bits_of(sets: Sequence[tuple[int, ...]], instants: int, sensors: int) -> NDArray[np.int64]:
     """The sensors with which sets measure at each instant; see `Plan.measured`."""
     chosen = np.zeros((len(sets), instants * sensors), np.bool_)
     for row, times in zip(chosen, sets, strict=True):
         row[list(times)] = True
-    bits = np.packbits(chosen.reshape(-1, instants, sensors), axis=2, bitorder="little")
-    return np.ascontiguousarray(bits[:, :, 0])
-
-
-def measurements_in(bits: NDArray[np.uint8], sensors: int) -> tuple[int, ...]:
-    """The possible measurements of a set, from its row of `Plan.measured`."""
-    chosen = np.unpackbits(bits[:, None], axis=1, count=sensors, bitorder="little")
-    return tuple(np.flatnonzero(chosen).tolist())
+    return chosen.reshape(-1, instants, sensors) @ (1 << np.arange(sensors))
 
 
 def _shared(
-    measured: NDArray[np.uint8], ends: NDArray[np.int64]
+    measured: NDArray[np.int64], ends: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], list[int]]:
     """For each set: the length of its longest shared prefix, and the set that filters it.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.nearest import allowed_names, did_you_mean, must_be
+from pfdist.common.points import PointNumbers
 from pfdist.errors import ModelError
 from pfdist.models.checks import (
     MEASURING,
@@ -159,8 +160,9 @@ class StateSpaceModel:
         ``("concentration [mg/l]",)``. Columns, figures and reports use them; without names the
         components have numbers.
     sensors : mapping of str to Sensor
-        Up to 8 sensors by name, instead of `measurement`, `log_likelihood` and `measurement_noise`.
-        y has the components of all sensors, in their order; their names begin with the sensor's.
+        Up to 64 sensors by name, instead of `measurement`, `log_likelihood` and
+        `measurement_noise`. y has the components of all sensors, in their order; their names begin
+        with the sensor's.
 
     Raises
     ------
@@ -302,6 +304,11 @@ class StateSpaceModel:
             parts.append(SensorPart(name, model, slice(y, until[0]), slice(v, until[1])))
             y, v = until
         return tuple(parts)
+
+    @property
+    def points(self) -> PointNumbers:
+        """The numbers of possible measurements."""
+        return PointNumbers(len(self.parts))
 
     @property
     def noise_of_measurements(self) -> tuple[str, ...]:

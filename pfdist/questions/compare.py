@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Unpack
 
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.errors import JobError, shown
 from pfdist.problem.job import Job
+from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
@@ -44,7 +44,7 @@ class SetsToCompare:
     def __init__(self, job: Job) -> None:
         self._job = job
         self.differences: list[str] = []
-        self._clock = job.problem.clock
+        self._points = job.problem.points
         self._regular: Times = job.problem.feasible.regular()
         self._written: dict[str, Any] = {}
         self._instants: dict[str, Times] = {}
@@ -83,7 +83,7 @@ class SetsToCompare:
         self._check_clock(run)
         self.differences += _differences(run, self._job.problem)
         for position, (name, times) in enumerate(run.sets.items()):
-            instants = self._clock.measurements(times)
+            instants = self._points.read(times)
             is_known = self._instants.get(name) == instants
             if is_known or (position == 0 and instants in self._instants.values()):
                 continue
@@ -154,7 +154,7 @@ class SetsToCompare:
 
     def _add(self, name: str, instants: Times) -> None:
         is_regular = name == REGULAR and instants == self._regular
-        times = self._clock.written_of(instants)
+        times = self._points.written_of(instants)
         self._written[name] = REGULAR if is_regular else times
         self._instants[name] = instants
 
@@ -172,10 +172,11 @@ class SetsToCompare:
         return free_name
 
     def _check_clock(self, run: Run) -> None:
-        own, first = problem_of(run).clock, self._clock
-        must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
-        if (own.counts, own.unit, own.sensors) != (first.counts, first.unit, first.sensors):
-            raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
+        points, described = problem_of(run).points, _counted(self._points)
+        must = f"sets of all runs must have times of the first problem, which {described}"
+        if described != (got := _counted(points)):
+            raise JobError(f"{must}, got a run that {got} ({run.path})")
+        own, first = points.clock, self._points.clock
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
             if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
                 raise JobError(
@@ -208,10 +209,11 @@ def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
     return None if weights is None or len({*weights}) == 1 else weights
 
 
-def _counted(clock: Clock) -> str:
-    text = f"has a clock in {clock.unit}" if clock.unit else "has a clock without a unit"
-    text = "counts instants" if clock.counts else text
-    return text + f" and has the sensors {', '.join(clock.sensors)}" * bool(clock.sensors)
+def _counted(points: Points) -> str:
+    unit, names = points.clock.unit, points.sensors
+    text = f"has a clock in {unit}" if unit else "has a clock without a unit"
+    text = "counts instants" if points.clock.counts else text
+    return text + f" and has the sensors {', '.join(names)}" * bool(names)
 
 
 # --- the comparison -------------------------------------------------------------------------------

@@ -95,7 +95,7 @@ def planned_run(
         start = read_prior(table, model, clock)
     elif table is not None:
         start = as_prior(table, model, clock)
-    return PlannedRun(run, name, clock.measurements(times), built, start)
+    return PlannedRun(run, name, built.job.problem.points.read(times), built, start)
 
 
 def planned_set(run: Run, name: str) -> tuple[str, Times]:

@@ -138,7 +138,7 @@ class Subject:
     def reference(self) -> str:
         """The reference as sentences call it: ``evenly spaced times (every 3 instants)``."""
         row, every, problem = self.reference_row, self._step_of_reference, problem_of(self.run)
-        phrase, times = phrase_of(row.label), problem.clock.measurements(row.measurement_times)
+        phrase, times = phrase_of(row.label), problem.points.read(row.measurement_times)
         is_moved = row.label == EVENLY_SPACED and not problem.feasible.is_regular(times)
         how = "moved to allowed instants" if is_moved else every
         return f"{phrase} ({how})" if how else phrase

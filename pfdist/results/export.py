@@ -47,8 +47,7 @@ def export_plan(run: "Run", path: str | Path) -> Path:
     import pandas as pd  # noqa: PLC0415  a run is opened without it
 
     clock = problem_of(run).clock
-    file = checked_export(path, clock)
-    rows = _rows(run, clock)
+    file, rows = checked_export(path, clock), _rows(run)
     if file.suffix.lower() == ".ics" and clock.calendar:
         dates = [clock.dates[clock.instant(row["date"])] for row in rows]
         text = _in_icalendar(run, rows, dates, clock.calendar.by_days)
@@ -59,31 +58,30 @@ def export_plan(run: "Run", path: str | Path) -> Path:
     return file
 
 
-def _rows(run: "Run", clock: Clock) -> Rows:
+def _rows(run: "Run") -> Rows:
     """A row for each measurement of the plan, in order of time."""
-    best, rows, number = run.best, Rows(), len(clock.sensors) or 1
-    measurements = clock.measurements(best.measurement_times)
+    best, rows, problem = run.best, Rows(), problem_of(run)
+    points, clock = problem.points, problem.clock
     windows = dict[int, dict[str, Any]]()
     if "sampling_windows" in run.tables:
         moved = run.table("sampling_windows")
         of_plan = moved[moved["name"] == best.name].to_dict("records")
-        allowed = sorted({each // number for each in problem_of(run).feasible.allowed})
+        allowed = points.instants(problem.feasible.allowed)
         order = {instant: place for place, instant in enumerate(allowed)}
         for percent in (STRICT, WIDE):
             for window in windows_of(of_plan, percent, clock.unit):
-                [at] = clock.measurements([window.measurement])
+                [at] = points.read([window.measurement])
                 # Instants that are not allowed, such as weekends, end no window.
                 inside = {t: order.get(instant, -2) for t, instant in window.inside.items()}
                 [stretch] = [each for each in runs_of(inside) if window.t in each]
                 ends = (formatted_time(t, clock.unit) for t in (stretch[0], stretch[-1]))
                 keys = f"earliest_{percent}", f"latest_{percent}"
                 windows.setdefault(at, {}).update(zip(keys, ends, strict=True))
-    for place, measurement in enumerate(measurements, 1):
-        instant, sensor = divmod(measurement, number)
+    for place, point in enumerate(points.read(best.measurement_times), 1):
+        instant = points.instant(point)
         row: dict[str, Any] = {"measurement": place, "t": formatted_time(clock.times[instant])}
         row |= {"date": clock.time(instant)} if clock.calendar else {}
-        row |= {"sensor": clock.sensors[sensor]} if clock.sensors else {}
-        rows.append(row | windows.get(measurement, {}))
+        rows.append(row | points.columns(point) | windows.get(point, {}))
     return rows
 
 

@@ -84,7 +84,7 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
 
     ranges, problem, tables = _ranges_of(run), problem_of(run), list[pd.DataFrame]()
     for place, (name, times) in enumerate(run.sets.items()):
-        tables.append(profile_of(problem, problem.clock.measurements(times), ranges, place))
+        tables.append(profile_of(problem, problem.points.read(times), ranges, place))
         tables[-1].insert(0, "name", name)
     table = pd.concat(tables, ignore_index=True)
     table.attrs.update(tables[0].attrs)
@@ -110,14 +110,13 @@ def profile_of(
 ) -> pd.DataFrame:
     """A row for each instant, with the error of the set at a place of some ranges.
 
-    The columns are those of `error_over_time` but the name. The times are possible measurements of
-    the problem's clock.
+    The columns are those of `error_over_time` but the name. The times are points of the problem.
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
     clock = problem.clock
     error, standard_error = errors_over_time_of(ranges, place)
-    at = {time // max(1, len(clock.sensors)) for time in times}
+    at = problem.points.instants(times)
     table = pd.DataFrame(
         {
             "t": clock.times,

@@ -126,7 +126,7 @@ def _given(run: StoredRun) -> Iterable[Results]:
             "warnings": [],
         }
         if problem.total_price is not None:
-            row["price"] = float(problem.feasible.price_of(problem.clock.measurements(times)))
+            row["price"] = float(problem.feasible.price_of(problem.points.read(times)))
         if is_found:
             row["search_mse"] = float(entry["search_mse"])
             row["search_standard_error"] = float(entry["search_standard_error"])
@@ -155,7 +155,7 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
         ``description``, a phrase, and ``broken_constraints``, a list of sentences.
     """
     problem = ProblemSection.model_validate(job["problem"])
-    feasible, instants = problem.feasible, problem.clock.measurements(times)
+    feasible, instants = problem.feasible, problem.points.read(times)
     number = f"N = {len(times)}"
     if not feasible.counted:
         number += f", spends {feasible.price_of(instants)} of {feasible.total_price}"

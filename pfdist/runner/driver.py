@@ -169,7 +169,7 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
         planning=planning_of(job, built.evaluator.variance_is_error),
         planning_stream=stream_of(purpose, job.seed, "planning"),
         shown=TRAJECTORIES,
-        sensors=built.evaluator.sensors,
+        sensors=built.evaluator.points.ways,
     )
 
 

@@ -101,10 +101,10 @@ def is_sealed(path: Path, built: Built) -> bool:
 def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
     """The store of a run of this job, whose tables have times on the job's clock."""
     problem = built.job.problem
-    clock = problem.clock
-    if clock.counts and not clock.sensors:
+    clock, names = problem.clock, problem.points.sensors
+    if clock.counts and not names:
         return Store(path, run_key)
-    columns = ClockColumns(clock.times, clock.unit, clock.sensors, clock.counts)
+    columns = ClockColumns(clock.times, clock.unit, names, clock.counts)
     return Store(path, run_key, columns)
 
 

@@ -26,6 +26,7 @@ from pfdist.pages import panel
 from pfdist.pages.figure import FIGURES, Tables, drawn
 from pfdist.pages.panel import label_ends, styles_of
 from pfdist.pages.style import BLUE, GREY, OCHRE, PRINT, RED, SCREEN, styled
+from pfdist.problem.points import Points
 from pfdist.results import Run
 from pfdist.results.online import OnlineDraws
 from pfdist.results.runs_table import RESULTS
@@ -522,7 +523,9 @@ def _with_costly_names() -> dict[str, Draw]:
         "error_profile": call(profile),
         "gain": call(comparison, COSTLY, reference="a$b", beside="$"),
         "one_draw": call(trajectory, sets),
-        "online_shares": call(OnlineDraws("regular", COSTLY, (1,), rows, Clock.counting(12))),
+        "online_shares": call(
+            OnlineDraws("regular", COSTLY, (1,), rows, Points(Clock.counting(12)))
+        ),
         "times": call(sets),
         "worth": call(worth),
     }
