@@ -252,7 +252,7 @@ class Clock:
 
     def since(self, first: int) -> "Clock":
         """The clock of the instants from `first` on: the same times; instants count from 0."""
-        return Clock(self.times[first:], self.unit)
+        return Clock(self.times[first:], self.unit, counts=self.counts and not first)
 
 
 def plain_time(time: Time) -> Time:

@@ -207,17 +207,16 @@ def filter_checked_draws(
     The filter has no particles. It uses only the prior of the settings, and no noise. A component
     of y that is NaN in every draw was not measured.
     """
-    instants = draws.instants
+    instants, points = draws.instants, model.points
     matrices = cached_matrices(model, instants[-1], draws.start)
     begin, covariance = _begin(matrices, settings.prior)
     mean = np.repeat(begin[None], len(draws.index), axis=0)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
     for k, t in enumerate(instants):
-        for number, part in enumerate(model.parts):
-            if t * len(model.parts) + number not in measurement_times:
+        for point, place, part in zip(points.at(t), points.at(k), model.parts, strict=True):
+            if point not in measurement_times:
                 continue
-            measurement = matrices.measurement[k * len(model.parts) + number]
-            seen, measurement = _seen(draws.y[:, k, part.y], measurement)
+            seen, measurement = _seen(draws.y[:, k, part.y], matrices.measurement[place])
             gain, observation_matrix = _gain(covariance, measurement)
             innovation = seen - measurement.offset - _times(observation_matrix, mean)
             mean = mean + _times(gain, innovation)

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 class Plan(NamedTuple):
     """The order in which the filter computes U different sets, and the clouds that it saves."""
 
-    # (U, T+1): the sensors with which each set measures at each instant, a bit for each; 1 and 0
-    # say whether a set measures, if there is a single sensor. The number is signed: Numba makes a
-    # float of unsigned and signed numbers together.
-    measured: NDArray[np.int64]
+    # (U, T+1, bytes): the sensors with which each set measures at each instant, a bit for each; 1
+    # and 0 say whether a set measures, if there is a single sensor
+    measured: NDArray[np.uint8]
     # (U,): the first instant that a set does not share with an earlier set
     begins: NDArray[np.int64]
     ends: NDArray[np.int64]  # (U,): the instant after a set's last
@@ -79,8 +78,7 @@ def plan_prefixes(
     unique = dict[tuple[tuple[int, ...], int], int]()
     numbers = [unique.setdefault(key, len(unique)) for key in zip(sets, wanted, strict=True)]
     measured = _bits_of([times for times, _ in unique], instants, sensors)
-    narrow = measured.astype(np.uint8) if sensors <= 8 else measured  # sorted faster
-    words, ends_ = list(map(bytes, narrow)), np.array([end for _, end in unique])
+    words, ends_ = list(map(bytes, measured)), np.array([end for _, end in unique])
     # If sets differ only in their ends, the longest comes first, so the others can share it.
     order = sorted(range(len(unique)), key=lambda number: (words[number], -ends_[number]))
     measured, ends_ = measured[order], ends_[order]
@@ -89,16 +87,16 @@ def plan_prefixes(
     return Planned(filter_plan, np.argsort(order)[numbers], givers)
 
 
-def _bits_of(sets: Sequence[tuple[int, ...]], instants: int, sensors: int) -> NDArray[np.int64]:
+def _bits_of(sets: Sequence[tuple[int, ...]], instants: int, sensors: int) -> NDArray[np.uint8]:
     """The sensors with which sets measure at each instant; see `Plan.measured`."""
     chosen = np.zeros((len(sets), instants * sensors), np.bool_)
     for row, times in zip(chosen, sets, strict=True):
         row[list(times)] = True
-    return chosen.reshape(-1, instants, sensors) @ (1 << np.arange(sensors))
+    return np.packbits(chosen.reshape(-1, instants, sensors), axis=2, bitorder="little")
 
 
 def _shared(
-    measured: NDArray[np.int64], ends: NDArray[np.int64]
+    measured: NDArray[np.uint8], ends: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], list[int]]:
     """For each set: the length of its longest shared prefix, and the set that filters it.
 
@@ -106,7 +104,7 @@ def _shared(
     the set before it, too.
     """
     begins, givers = np.zeros(len(ends), np.int64), [-1] * len(ends)
-    differ = measured[1:] != measured[:-1]
+    differ = (measured[1:] != measured[:-1]).any(axis=2)
     alike = np.where(differ.any(axis=1), differ.argmax(axis=1), measured.shape[1]).tolist()
     # For each length of a prefix of the present set, the last set before that reaches so far; and
     # the longest such prefix. Lists are faster than arrays here.

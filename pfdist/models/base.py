@@ -388,6 +388,18 @@ class StateSpaceModel:
             f"{part.name}.{key}": getattr(part.model, key) for part in sensors for key in MEASURING
         }
 
+    def changed(self, change: Callable[[Any, str], Any], **fields: Any) -> "StateSpaceModel":
+        """The model with other fields, and with each other formula changed, those of sensors, too.
+
+        `change` makes a formula of the model, or of a sensor, and the formula's name.
+        """
+        own = {name: change(self, name) for name in own_formulas(self) if name not in fields}
+        sensors = {
+            name: dataclasses.replace(each, **{key: change(each, key) for key in MEASURING})
+            for name, each in self.sensors.items()
+        }
+        return dataclasses.replace(self, sensors=sensors, **own, **fields)
+
     def with_parameters(self, overrides: Mapping[str, Parameter]) -> "StateSpaceModel":
         """The model with some parameters changed.
 

@@ -24,8 +24,8 @@ class Points(PointNumbers):
     """The points of a clock: one at each instant, or one for each sensor.
 
     >>> points = Points(Clock.counting(3), ("ct", "x-ray"))
-    >>> points.listed("0 3 ct, 3 x-ray"), points.written(7), points.number
-    ([0, 6, 7], '3 x-ray', 8)
+    >>> points.read("0 3 ct, 3 x-ray"), points.written(7), points.number
+    ((0, 6, 7), '3 x-ray', 8)
     """
 
     ways: int = field(init=False)
@@ -78,43 +78,20 @@ class Points(PointNumbers):
         """Points as users read them, in the same order."""
         return [self.written(point) for point in points]
 
-    def read(self, written: Iterable[Time | str]) -> Times:
-        """The points of a set as `written_of` writes it; raises `MeasurementTimesError`.
-
-        Without a clock, whole numbers outside 0..T are accepted.
-        """
-        if not self.sensors:
-            return self.clock.instants(written)
-        return tuple(self._read(entry) for entry in written)
-
-    def _read(self, written: Time | str) -> int:
-        time, _, name = str(written).strip().rpartition(" ")
-        try:
-            number = time if self.clock.calendar else float(time)
-            way = self.sensors.index(name)
-        except ValueError as error:
-            raise MeasurementTimesError(
-                f"measurement_times must name a time and a sensor, as '12 {self.sensors[0]}', got "
-                f"{shown(written)}; sensors: {', '.join(self.sensors)}"
-            ) from error
-        whole = not isinstance(number, str) and number.is_integer()
-        (instant,) = self.clock.instants([int(number) if whole else number])
-        return self.first(instant) + way
-
-    def listed(
-        self, written: Any, name: str = "measurement_times", *, of_all: bool = False
-    ) -> list[int]:
+    def read(self, written: Any, name: str = "measurement_times", *, of_all: bool = False) -> Times:
         """The points that a text or several entries list, in the order written.
 
         Without sensors these are instants; see `pfdist.problem.written.instants_written`. With
         sensors, the name of a sensor follows the times at which it measures. If `of_all`, times
-        without a name mean all sensors.
+        without a name mean all sensors. Raises `MeasurementTimesError`, which begins with `name`.
         """
         clock = self.clock
         if not self.sensors:
-            return instants_written(written, clock, name)
+            return tuple(instants_written(written, clock, name))
         if isinstance(written, Iterable) and not isinstance(written, str):
-            return [point for each in written for point in self.listed(each, name, of_all=of_all)]
+            return tuple(
+                point for each in written for point in self.read(each, name, of_all=of_all)
+            )
         ways = {sensor: range(way, way + 1) for way, sensor in enumerate(self.sensors)}
         if of_all:
             ways[""] = range(self.ways)
@@ -124,17 +101,17 @@ class Points(PointNumbers):
                 waiting.append(word)
                 continue
             strange = not clock.calendar and any(each[0].isalpha() for each in waiting)
-            if waiting and (word not in ways or strange):
+            if (waiting or word) and (not waiting or word not in ways or strange):
                 raise MeasurementTimesError(
                     f"{name} must name times and then their sensor, as '12 {self.sensors[0]}', got "
-                    f"{shown(' '.join(waiting))}; sensors: {', '.join(self.sensors)}"
+                    f"{shown(' '.join(waiting) or word)}; sensors: {', '.join(self.sensors)}"
                 )
             for t in instants_written(waiting, clock, name):
                 if not 0 <= t <= clock.horizon:
                     raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
                 found += [self.first(t) + way for way in ways[word]]
             waiting = []
-        return found
+        return tuple(found)
 
     def _words(self, text: str) -> list[str]:
         """Times and sensors; with dates, all words of an entry that are no sensors are one."""
@@ -155,7 +132,7 @@ class Points(PointNumbers):
     ) -> Times:
         """A checked set of measurements, sorted.
 
-        Errors are those of `listed`, `pfdist.common.arguments.listed_argument` and
+        Errors are those of `read`, `pfdist.common.arguments.listed_argument` and
         `pfdist.common.measurement_times.validated`.
         """
         if not isinstance(written, Iterable):
@@ -165,7 +142,7 @@ class Points(PointNumbers):
         )
         counts = self.clock.counts and not self.sensors
         if not counts or any(isinstance(entry, str) for entry in entries):
-            entries = self.listed(entries, name)
+            entries = [*self.read(entries, name)]
         if not counts:
             twice = [t for t, following in pairwise(sorted(entries)) if t == following]
             if twice:

@@ -305,7 +305,7 @@ class ProblemSection(JobSection):
             horizon=clock.horizon,
             measurement_budget=self.measurement_budget,
             forbidden=self._forbidden,
-            required=tuple(sorted({*self.points.listed(self.required or (), "required")})),
+            required=tuple(sorted({*self.points.read(self.required or (), "required")})),
             minimum_spacing=spacing or 0.0,
             price=self._prices_of_instants,
             total_price=None if self.total_price is None else money(self.total_price),
@@ -319,15 +319,15 @@ class ProblemSection(JobSection):
     @property
     def _forbidden(self) -> Times:
         points, clock = self.points, self.clock
-        times = {*points.listed(self.forbidden or (), "forbidden", of_all=True)}
+        times = {*points.read(self.forbidden or (), "forbidden", of_all=True)}
         if self.allowed is not None:
-            allowed = points.listed(self.allowed, "allowed", of_all=True)
+            allowed = points.read(self.allowed, "allowed", of_all=True)
             times.update({*range(points.number)} - {*allowed})
         for way, (name, sensor) in enumerate((self.sensors or {}).items()):
             barred = {*instants_written(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
             if sensor.allowed is not None:
-                allowed = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
-                barred.update({*range(clock.horizon + 1)} - {*allowed})
+                others = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
+                barred.update({*range(clock.horizon + 1)} - {*others})
             times.update(points.first(t) + way for t in barred)
         return tuple(sorted(times))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pfdist.common.calendar import calendar_of, unit_of_spans
 from pfdist.common.component_names import Component, named_components
-from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
+from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error, with_interval
@@ -146,16 +146,16 @@ class Subject:
     @property
     def _step_of_reference(self) -> str:
         """The distance of the times of the reference in words; empty unless all are equal."""
-        measured = self.reference_row.measurement_times
-        measurements = [time_and_sensor(time, self.unit) for time in measured]
-        instants, sensors = (time for time, _ in measurements), {each for _, each in measurements}
-        steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
-        if len(steps) != 1 or len(sensors) > 1:
+        problem = problem_of(self.run)
+        points, measured = problem.points, problem.points.read(self.reference_row.measurement_times)
+        times = points.clock.times_of(map(points.instant, measured))
+        steps = {formatted_time(later - earlier) for earlier, later in pairwise(times)}
+        if len(steps) != 1 or len({*map(points.way, measured)}) > 1:
             return ""
-        step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
-        if problem_of(self.run).has_clock:
-            return f"every {step} {unit_of_spans(self.unit)}".rstrip() + sensor
-        return ("every instant" if step == "1" else f"every {step} instants") + sensor
+        step, how = steps.pop(), f" by {points.sensor(measured[0])}".removesuffix(" by ")
+        if problem.has_clock:
+            return f"every {step} {unit_of_spans(self.unit)}".rstrip() + how
+        return ("every instant" if step == "1" else f"every {step} instants") + how
 
     @cached_property
     def quantities(self) -> tuple[Component, ...]:

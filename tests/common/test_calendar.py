@@ -174,7 +174,7 @@ def test_sensors_follow_the_dates_of_their_entry() -> None:
     problem = section(sensors=sensors, required=["2026-04-04 ct, mon 2026-04-01..2026-04-08 x-ray"])
     points = problem.points
     assert points.written_of(problem.feasible.required) == ["2026-04-04 ct", "2026-04-06 x-ray"]
-    assert points.listed("2026-04-04, 2026-04-05 ct") == [6, 8]
+    assert points.read("2026-04-04, 2026-04-05 ct") == (6, 8)
     barred = points.written_of(problem.feasible.forbidden)
     assert "2026-04-02 x-ray" in barred
     assert "2026-04-03 ct" in barred

@@ -114,7 +114,6 @@ def test_a_measurement_is_read_as_it_is_written(t: int, sensor: int) -> None:
     written = POINTS.written(number)
     assert written == f"{t} {POINTS.sensors[sensor]}"
     assert POINTS.read([written]) == (number,)
-    assert POINTS.listed([written]) == [number]
 
 
 @pytest.mark.parametrize(
@@ -126,12 +125,12 @@ def test_a_measurement_is_read_as_it_is_written(t: int, sensor: int) -> None:
     ],
 )
 def test_several_times_may_precede_their_sensor(written: object, numbers: list[int]) -> None:
-    assert POINTS.listed(written) == numbers
+    assert POINTS.read(written) == tuple(numbers)
 
 
 def test_times_without_a_sensor_mean_all_sensors_where_this_is_meant() -> None:
-    assert POINTS.listed([1, "3 ct"], of_all=True) == [2, 3, 6]
-    assert POINTS.listed(["3 ct", 1], of_all=True) == [6, 2, 3]
+    assert POINTS.read([1, "3 ct"], of_all=True) == (2, 3, 6)
+    assert POINTS.read(["3 ct", 1], of_all=True) == (6, 2, 3)
 
 
 @pytest.mark.parametrize(
@@ -145,15 +144,17 @@ def test_times_without_a_sensor_mean_all_sensors_where_this_is_meant() -> None:
 )
 def test_a_wrong_measurement_is_named(written: str, said: str) -> None:
     if not said:
-        assert POINTS.listed(written) == [0, 0]  # a set is checked for repetitions
+        assert POINTS.read(written) == (0, 0)  # a set is checked for repetitions
         return
     with pytest.raises(MeasurementTimesError, match=said.replace(".", r"\.")):
-        POINTS.listed(written)
+        POINTS.read(written)
 
 
-@pytest.mark.parametrize("written", ["x ct", "ct", "3 cat", "3", 3])
+@pytest.mark.parametrize("written", ["x ct", "ct", "0 ct x-ray", "3 cat", "3", 3])
 def test_a_measurement_without_a_time_or_a_sensor_is_named(written: str | int) -> None:
-    with pytest.raises(MeasurementTimesError, match="must name a time and a sensor, as '12 ct'"):
+    with pytest.raises(
+        MeasurementTimesError, match="must name times and then their sensor, as '12 ct'"
+    ):
         POINTS.read([written])
 
 
