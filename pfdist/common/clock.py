@@ -204,13 +204,6 @@ class Clock:
         """A column of a table with the date of each instant; none if the clock has no start."""
         return {"date": [self.formatted(t) for t in instants]} if self.calendar else {}
 
-    def instants(self, times: Iterable[Time | str]) -> Times:
-        """The instants of some times, in the same order; raises as `instant`.
-
-        Without a clock, whole numbers outside 0..T are accepted.
-        """
-        return tuple(_counted(t) if self.counts else self.instant(t) for t in times)
-
     def time(self, instant: int) -> Any:
         """The time of an instant as users read it: a date if the clock has a start."""
         if self.counts:
@@ -262,13 +255,3 @@ def plain_time(time: Time) -> Time:
     """
     is_whole = isinstance(time, float) and time.is_integer() and abs(time) < _EXACT
     return int(time) if is_whole else time
-
-
-def _counted(time: Time | str) -> int:
-    if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
-        raise MeasurementTimesError(f"measurement_times must be times, got {shown(time)}")
-    if not float(time).is_integer():
-        raise MeasurementTimesError(
-            f"measurement_times must be whole numbers without a clock, got {time:.10g}"
-        )
-    return int(time)

@@ -65,15 +65,6 @@ def measurement_of(row: Mapping[Any, Any]) -> float | str:
     return f"{formatted_time(time_of(row))} {sensor}" if sensor else time_of(row)
 
 
-def times_of(measurements: Iterable[float | str]) -> list[float]:
-    """The times of measurements, each once, in ascending order.
-
-    >>> times_of(["0 ct", "0 x-ray", "3 ct"])
-    [0.0, 3.0]
-    """
-    return sorted({time_and_sensor(measurement)[0] for measurement in measurements})
-
-
 def by_sensor(measurements: Iterable[float | str], unit: str = "") -> dict[str, list[float]]:
     """The times of each sensor; one nameless sensor makes measurements without a sensor, or none.
 

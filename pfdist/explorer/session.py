@@ -137,7 +137,7 @@ class ExplorerSession:
         windows = {}
         for each in windows_of(rows, STRICT):
             (measurement,) = self._points.read([each.measurement])
-            windows[str(measurement)] = [*self._points.clock.instants(each.inside)]
+            windows[str(measurement)] = [*map(self._points.clock.instant, each.inside)]
         return windows
 
     # --- an answer --------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def predicted(model: StateSpaceModel) -> StateSpaceModel:
     """
     n, noise = model.components[0], model.noise_of_measurements
     initial, process = len(model.initial_noise), len(model.process_noise)
-    return model.changed(
+    return model.with_formulas(
         lambda owner, name: _of_first(getattr(owner, name), ARGUMENTS[name].index("x"), n),
         initial=lambda w, p: (*model.initial(w[:initial], p), *w[initial:]),
         transition=lambda x, t, w, p: (*model.transition(x[:n], t, w[:process], p), *w[process:]),

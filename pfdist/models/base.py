@@ -388,7 +388,7 @@ class StateSpaceModel:
             f"{part.name}.{key}": getattr(part.model, key) for part in sensors for key in MEASURING
         }
 
-    def changed(self, change: Callable[[Any, str], Any], **fields: Any) -> "StateSpaceModel":
+    def with_formulas(self, change: Callable[[Any, str], Any], **fields: Any) -> "StateSpaceModel":
         """The model with other fields, and with each other formula changed, those of sensors, too.
 
         `change` makes a formula of the model, or of a sensor, and the formula's name.

@@ -77,7 +77,7 @@ def learned(
 
         return function
 
-    return model.changed(
+    return model.with_formulas(
         with_parts,
         initial=initial,
         transition=transition,

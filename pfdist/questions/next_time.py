@@ -231,7 +231,7 @@ def next_time(
     clock, points = plan.built.job.problem.clock, plan.built.job.problem.points
     planner = Planner(plan.built, points.written_of(plan.times), prior=plan.prior)
     feasible = planner.feasible
-    start = clock.instants([planner.estimate().t])[0]
+    start = clock.instant(planner.estimate().t)
     rows = read_measurements(table, believed, clock, start)
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
         last, surprise = _tell(planner, rows)

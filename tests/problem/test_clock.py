@@ -39,7 +39,7 @@ def test_a_clock_of_equal_steps_is_even_and_every_multiple_is_an_instant(
     assert clock.is_even
     assert clock.since(1).is_even
     assert clock.since(clock.horizon).is_even  # a single instant
-    assert clock.instants(k * horizon / steps for k in range(steps + 1)) == tuple(range(steps + 1))
+    assert [clock.instant(k * horizon / steps) for k in range(steps + 1)] == [*range(steps + 1)]
     assert clock.successors(2 * horizon / steps)[:-1] == (*range(2, steps + 1), steps + 1)
     assert len(Clock.regular(24, 0.0166666666667).times) == 1441  # as a person types 1/60
     assert not Clock((0.0, 1.0, 2.0, 3.001)).is_even
@@ -64,12 +64,12 @@ def test_the_tolerance_is_a_part_of_the_step_and_not_of_the_time(begin: float, s
 
 def test_whole_numbers_alone_count_instants() -> None:
     clock = Clock.counting(12)
-    assert clock.instants([3, 4.0, np.int64(20), np.float64(5)]) == (3, 4, 20, 5)
+    assert Points(clock).read([3, 4.0, np.int64(20), np.float64(5)]) == (3, 4, 20, 5)
     for wrong in (0.7, np.nan, np.inf):
-        with pytest.raises(MeasurementTimesError, match="must be whole numbers without a clock"):
-            clock.instants([wrong])
+        with pytest.raises(MeasurementTimesError, match=r"must name times, as 20, .*, got "):
+            Points(clock).read([wrong])
     with pytest.raises(MeasurementTimesError, match="must be times, got '3'"):
-        clock.instants(["3"])  # type: ignore[list-item]
+        clock.instant("3")
 
 
 def test_a_range_of_a_clock_may_span_many_units_but_no_clock_has_so_many_instants() -> None:
