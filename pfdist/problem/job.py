@@ -317,8 +317,8 @@ class Job(JobSection):
         return self.with_changes(settings={"comparison": {"control": True}})
 
     @model_validator(mode="after")
-    def _compares_sensors(self) -> Self:
-        """Compare with each sensor alone and with rotation, unless the job names its own sets.
+    def _compares_references(self) -> Self:
+        """Compare with all references of the problem, unless the job names its own sets.
 
         The times of all given sets must be those of the clock.
         """

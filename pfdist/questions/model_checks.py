@@ -105,7 +105,7 @@ def check_loaded(
         yield Check(name, "wrong", f"{error}{advice}")
         return
     for part in model.parts:  # the system with each sensor alone
-        if model.sensors:
+        if part.name:
             yield Check("load", "ok", part.model.name)
         for check in _computed(part.model, horizon, Estimation(particles)):
             yield check

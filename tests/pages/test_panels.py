@@ -152,6 +152,14 @@ def test_each_sensor_has_a_marker_at_the_worth_of_its_measurements() -> None:
     ]
 
 
+def test_with_more_sensors_than_markers_the_markers_come_again() -> None:
+    names = [f"s{number:02d}" for number in range(20)]
+    worth = pd.DataFrame({"name": "mine", "t": range(20), "sensor": names})
+    axes = plots.worth(worth.assign(removed=1.0, removed_error=0.1), ax=_axes())
+    shapes = {line.get_label(): line.get_marker() for line in axes.get_lines()}
+    assert shapes["s00"] == shapes["s08"] == shapes["s16"] != shapes["s01"]
+
+
 def _trajectory() -> pd.DataFrame:
     columns = {f"estimate_{name}_0": np.arange(10) + 0.5 for name in SETS}
     return pd.DataFrame({"draw": 3, "t": range(10), "z_0": np.arange(10.0), **columns})
