@@ -124,7 +124,7 @@ def _planned(built: Built, fixed: Times, system: int) -> tuple[Times, list[float
         time = planner.next_time()
         seconds.append(process_time() - start)
         replaced += planner.plan() != before
-    return planner.clock.instants(planner.measured), seconds, replaced
+    return planner.feasible.points.read(planner.measured), seconds, replaced
 
 
 def _errors(built: Built, system: int, sets: tuple[Times, ...]) -> NDArray[np.float64]:

@@ -44,7 +44,7 @@ def seconds(session: ExplorerSession, draws: int, number: int) -> float:
     for move in range(MOVES + 1):
         rng = np.random.default_rng((number, move))
         times = {*session.even} - {int(rng.choice(session.even))}
-        others = [m for m in range(session.job.problem.clock.possible) if m not in times]
+        others = [m for m in range(session.job.problem.points.number) if m not in times]
         message = {"ask": "answer", "times": [*times, int(rng.choice(others))], "draws": draws}
         start = time.perf_counter()
         json.dumps(reply(session, message))

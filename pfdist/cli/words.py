@@ -19,7 +19,7 @@ from pfdist.common.parsing import finite_number, whole_number, whole_numbers
 from pfdist.errors import JobError, shown
 from pfdist.pools.kinds import AUTO, POOLS
 from pfdist.problem.calendar import names_dates
-from pfdist.problem.points import values_by_key
+from pfdist.problem.sweep_points import values_by_key
 
 T = TypeVar("T")
 

@@ -79,7 +79,7 @@ class ExplorerSession:
         self.run, self.built = _opened(source, say)
         self._source = source if isinstance(source, str | Path) else None
         self.job, self.feasible = self.built.job, self.built.feasible
-        self._clock = self.job.problem.clock
+        self._points = self.job.problem.points
         self.built.evaluator.compile(self.built.comparing)
         self.played = FilteredSets(self.built, stream_of("explore", self.job.seed))
         self._lock = threading.Lock()
@@ -99,7 +99,7 @@ class ExplorerSession:
 
     def state(self) -> dict[str, Any]:
         """All that the page needs once, as JSON values; times are possible measurements."""
-        clock, sets = self._clock, self.feasible
+        clock, sets = self._points.clock, self.feasible
         budget = f"{sets.total} measurements"
         if not sets.counted:
             budget = f"Measurements for a total price of {sets.total_price}"
@@ -110,7 +110,7 @@ class ExplorerSession:
             "times": [float(each) for each in clock.times],
             "labels": [*map(clock.text, clock.times)],
             "unit": "" if clock.dates else clock.unit,  # dates have none
-            "sensors": clock.sensors or ("",),
+            "sensors": self._points.sensors or ("",),
             "forbidden": sets.forbidden,
             "required": sets.required,
             "after": None if sets.spacing.is_free else sets.spacing.successors,
@@ -133,8 +133,11 @@ class ExplorerSession:
             return {}
         table = self.run.table("sampling_windows")
         rows = table[table["name"] == self.best.name].to_dict("records")
-        windows = windows_of(rows, STRICT, self._clock)
-        return {str(each.number): [*each.inside.values()] for each in windows}
+        windows = dict[str, list[int]]()
+        for each in windows_of(rows, STRICT, self._points.clock):
+            (point,) = self._points.read([each.measurement])
+            windows[str(point)] = [*each.inside.values()]
+        return windows
 
     # --- an answer --------------------------------------------------------------------------------
 
@@ -144,7 +147,7 @@ class ExplorerSession:
         Parameters
         ----------
         times : iterable of int
-            Possible measurements: instants, or with S sensors ``t * S + sensor``.
+            Points of `pfdist.problem.points.Points`.
         draws : int
             Number of draws; 0 for those of the first answer. All sets filter the same draws.
 
@@ -280,12 +283,12 @@ class ExplorerSession:
         """All judgements so far, as JSON values; their intervals hold together with 95 %."""
         with self._lock:
             judged = [*self._judged]
-        confidence, clock = 1.0 - (1.0 - CONFIDENCE) / max(1, len(judged)), self._clock
+        confidence, points = 1.0 - (1.0 - CONFIDENCE) / max(1, len(judged)), self._points
         rows = [
             {
                 "name": each.name,
                 "times": each.times,
-                "written": clock.listed(clock.written_of(each.times)),
+                "written": points.clock.listed(points.written_of(each.times)),
                 "draws": each.change.draws,
                 "gain": each.change.gain,
                 "interval": each.change.interval(confidence),
@@ -307,7 +310,7 @@ class ExplorerSession:
         JobError
             A name is not allowed.
         """
-        written = {name: self._clock.written_of(self._checked(each)) for name, each in sets.items()}
+        written = {name: self._written(each) for name, each in sets.items()}
         section = self.job.comparison.model_dump(mode="json")
         section["sets"] = {**self.job.comparison.named, **written}
         job = self.job.with_changes(sections={"comparison": section})
@@ -317,7 +320,7 @@ class ExplorerSession:
         """The command that compares named sets with the evenly spaced times and the plan."""
         self.job_text(sets)  # checks the names
         written = {
-            name: ",".join(map(unrounded, self._clock.written_of(self._checked(times))))
+            name: ",".join(map(unrounded, self._written(times)))
             for name, times in (({PLAN: self.plan} if self.plan else {}) | {**sets}).items()
         }
         place = self._source or (self.run.path if self.run else self.job.path)
@@ -328,8 +331,11 @@ class ExplorerSession:
             words += ["--times", each]
         return shlex.join(words)
 
+    def _written(self, times: Iterable[int]) -> list[Any]:
+        return self._points.written_of(self._checked(times))
+
     def _checked(self, times: Iterable[int]) -> Times:
-        return validated(times, self._clock.possible - 1)
+        return validated(times, self._points.number - 1)
 
 
 def _opened(source: JobSource | Run, say: Say) -> tuple[Run | None, Built]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pfdist.common import stopping
 from pfdist.common.measurement_times import Times
+from pfdist.common.points import PointNumbers
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
@@ -196,9 +197,9 @@ class Evaluator:
         return ENGINES.get(self.engine, COMPILED)
 
     @property
-    def sensors(self) -> int:
-        """The number of ways to measure at an instant."""
-        return len(self.model.parts)
+    def points(self) -> PointNumbers:
+        """The numbers of possible measurements."""
+        return self.model.points
 
     @property
     def exact(self) -> bool:
@@ -274,7 +275,7 @@ class Evaluator:
         same: dict[str, Any] = {
             "ends": (self.horizon,) * len(sets),
             "filter_streams": (stream,) * len(sets),
-            "sensors": self.sensors,
+            "sensors": self.points.ways,
             "together": max(1, self.most_together // estimation.particles),
         }
         return FilterWork(
@@ -370,7 +371,7 @@ class Evaluator:
         """
         self.check(work.estimation)
         for times, end in zip(work.measurement_times, work.ends, strict=True):
-            validated_from(self.start, times, end, self.sensors)
+            validated_from(self.start, times, end, self.points)
         return self.filtered(work)
 
     def draws(self, index: range, stream: int) -> Draws:

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times, validated
+from pfdist.common.points import PointNumbers
 from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
@@ -100,22 +101,22 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
         check_filter_settings(model, draws.model, settings)
         check_start(model, draws, prior)
-        last, sensors = draws.instants[-1], len(model.parts)
-        times = validated_from(draws.start, measurement_times, last, sensors)
+        last = draws.instants[-1]
+        times = validated_from(draws.start, measurement_times, last, model.points)
         return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
     return filter_draws
 
 
 def validated_from(
-    start: int, measurement_times: Iterable[int], end: int, sensors: int = 1
+    start: int, measurement_times: Iterable[int], end: int, points: PointNumbers
 ) -> Times:
-    """A sorted set of measurement times; with several sensors, of possible measurements.
+    """A sorted set of points.
 
-    Raises `MeasurementTimesError` if a time is not an integer, lies outside start..end, or is given
-    twice.
+    Raises `MeasurementTimesError` if one is not an integer, lies outside the instants start..end,
+    or is given twice.
     """
-    first, last = start * sensors, (end + 1) * sensors - 1
+    first, last = points.first(start), points.at(end)[-1]
     times = validated(measurement_times, last)
     if times and times[0] < first:
         raise MeasurementTimesError(

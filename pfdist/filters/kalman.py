@@ -174,16 +174,16 @@ def expected_errors(
     With a prior of x(s), the instants are s..T. Raises as `expected_mse`.
     """
     start = 0 if prior is None else prior.t
-    matrices, sensors = cached_matrices(model, horizon), len(model.parts)
-    measured = np.zeros((len(sets), (horizon + 1) * sensors), np.bool_)
+    matrices, points = cached_matrices(model, horizon), model.points
+    measured = np.zeros((len(sets), points.first(horizon + 1)), np.bool_)
     for row, times in zip(measured, sets, strict=True):
-        row[[*validated_from(start, times, horizon, sensors)]] = True
+        row[[*validated_from(start, times, horizon, points)]] = True
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
     errors = np.empty((len(sets), horizon + 1 - start))
     for t in range(start, horizon + 1):
         check()
-        for place in range(t * sensors, (t + 1) * sensors):
+        for place in points.at(t):
             here = measured[:, place]
             gain, observation_matrix = _gain(covariance[here], matrices.measurement[place])
             covariance[here] -= gain @ observation_matrix @ covariance[here]
@@ -207,17 +207,16 @@ def filter_checked_draws(
     The filter has no particles. It uses only the prior of the settings, and no noise. A component
     of y that is NaN in every draw was not measured.
     """
-    instants = draws.instants
+    instants, points = draws.instants, model.points
     matrices = cached_matrices(model, instants[-1], draws.start)
     begin, covariance = _begin(matrices, settings.prior)
     mean = np.repeat(begin[None], len(draws.index), axis=0)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
     for k, t in enumerate(instants):
-        for number, part in enumerate(model.parts):
-            if t * len(model.parts) + number not in measurement_times:
+        for point, place, part in zip(points.at(t), points.at(k), model.parts, strict=True):
+            if point not in measurement_times:
                 continue
-            measurement = matrices.measurement[k * len(model.parts) + number]
-            seen, measurement = _seen(draws.y[:, k, part.y], measurement)
+            seen, measurement = _seen(draws.y[:, k, part.y], matrices.measurement[place])
             gain, observation_matrix = _gain(covariance, measurement)
             innovation = seen - measurement.offset - _times(observation_matrix, mean)
             mean = mean + _times(gain, innovation)

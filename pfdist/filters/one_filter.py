@@ -194,14 +194,9 @@ def again(first: OneFilter, seen: Iterable[tuple[int, Array | None]], number: in
 
 
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:
-    """The possible measurements in y(t), (m,): those of sensors with a component.
-
-    Without sensors this is t.
-    """
-    if not model.sensors:
-        return (t,)
-    parts = enumerate(model.parts)
-    return tuple(t * len(model.parts) + k for k, part in parts if not np.isnan(y[part.y]).all())
+    """The possible measurements in y(t), (m,): those of sensors with a component."""
+    here = zip(model.points.at(t), model.parts, strict=True)
+    return tuple(point for point, part in here if not np.isnan(y[part.y]).all())
 
 
 # --- what a user gives ----------------------------------------------------------------------------

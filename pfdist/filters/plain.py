@@ -130,7 +130,7 @@ def _filter(
         x, weight, fails, weighs = _weighed(model, draws, k, x, carried, times, stream, settings)
         degenerate |= fails & alive
         share = weight / weight.sum(axis=1, keepdims=True)
-        measured = any(time // len(model.parts) == t for time in times)
+        measured = t in model.points.instants(times)
         quantities = model.quantity_of_interest(_flat(x), t, model.p)
         for c, values in enumerate(quantities):
             z = _of_cloud(values, cloud)
@@ -147,7 +147,7 @@ def _filter(
         sizes[weighs & alive, k] = _effective_sizes(weight)[weighs & alive]
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
-        key = (t + 1) * len(model.parts) - 1
+        key = model.points.at(t)[-1]
         x, carried = _resampled(x, weight, settings, stream, draws.index, key, weighs)
     last = np.stack(x, axis=1)
     last[~alive] = np.nan
@@ -204,13 +204,12 @@ def _weighed(
     """
     count, particles = cloud = x[0].shape
     degenerate, weighs = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-    first = draws.instants[k] * len(model.parts)
-    for number, (_, sensor, of_sensor, _) in enumerate(model.parts):
-        if first + number not in times:
+    for point, part in zip(model.points.at(draws.instants[k]), model.parts, strict=True):
+        if point not in times:
             continue
-        x, weight = _resampled(x, weight, settings, stream, draws.index, first + number - 1, weighs)
-        y = tuple(np.repeat(values, particles) for values in draws.y[:, k, of_sensor].T)
-        log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p)
+        x, weight = _resampled(x, weight, settings, stream, draws.index, point - 1, weighs)
+        y = tuple(np.repeat(values, particles) for values in draws.y[:, k, part.y].T)
+        log_weight = part.model.log_likelihood(y, _flat(x), draws.instants[k], model.p)
         new = weights_of(_of_cloud(log_weight, cloud) + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
         if ALL_SCHEMES[settings.resampling].sorts:

@@ -1,11 +1,10 @@
 """Measurements as quantities of interest: a filter that predicts what would be measured."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from pfdist.models import StateSpaceModel, squared_error
-from pfdist.models.checks import ARGUMENTS, MEASURING, own_formulas
+from pfdist.models.checks import ARGUMENTS
 
 _Formula = Callable[..., Any]
 
@@ -35,35 +34,19 @@ def predicted(model: StateSpaceModel) -> StateSpaceModel:
     """
     n, noise = model.components[0], model.noise_of_measurements
     initial, process = len(model.initial_noise), len(model.process_noise)
-    before: dict[str, _Formula] = {name: getattr(model, name) for name in own_formulas(model)}
-    changed: dict[str, Any] = {
-        name: _of_first(formula, ARGUMENTS[name].index("x"), n)
-        for name, formula in before.items()
-        if "x" in ARGUMENTS[name]
-    }
-    changed["initial"] = lambda w, p: (*before["initial"](w[:initial], p), *w[initial:])
-    changed["transition"] = lambda x, t, w, p: (
-        *before["transition"](x[:n], t, w[:process], p), *w[process:]
-    )  # fmt: skip
-    changed["quantity_of_interest"] = lambda x, t, p: sum(
-        (tuple(part.model.measurement(x[:n], t, x[n:][part.v], p)) for part in model.parts), ()
-    )
-    measuring: dict[str, dict[str, Any]] = {
-        name: {
-            key: _of_first(getattr(sensor, key), ARGUMENTS[key].index("x"), n) for key in MEASURING
-        }
-        for name, sensor in model.sensors.items()
-    }
-    return replace(
-        model,
-        **changed,
+    return model.with_formulas(
+        lambda owner, name: _of_first(getattr(owner, name), ARGUMENTS[name].index("x"), n),
+        initial=lambda w, p: (*model.initial(w[:initial], p), *w[initial:]),
+        transition=lambda x, t, w, p: (*model.transition(x[:n], t, w[:process], p), *w[process:]),
+        quantity_of_interest=lambda x, t, p: sum(
+            (tuple(part.model.measurement(x[:n], t, x[n:][part.v], p)) for part in model.parts), ()
+        ),
         error=squared_error,
         initial_noise=(*model.initial_noise, *noise),
         process_noise=(*model.process_noise, *noise),
         x_names=(),
         z_names=() if model.sensors else model.y_names,
         circular=circular_measurements(model),
-        sensors={name: replace(model.sensors[name], **each) for name, each in measuring.items()},
     )
 
 

@@ -51,19 +51,18 @@ def simulate(
             alone = plain.simulate(model, horizon, index[k : k + 1], stream, prior)
             draws.x[k], draws.y[k], draws.z[k] = alone.x[0], alone.y[0], alone.z[0]
         return draws
-    sensors = [(part.y.start, part.v.start) for part in model.parts]
     kinds = codes_of(model.initial_noise, model.process_noise, model.noise_of_measurements)
     request = simulation.SimulationRequest(
         len(index),
         len(draws.instants),
         *model.components,
-        len(sensors),
+        len(model.parts),
         np.uint64(stream),
         index.start,
         draws.start,
         prior is not None,
-        np.array([*(y for y, _ in sensors), model.components[1]]),
-        np.array([v for _, v in sensors]),
+        np.array([*(part.y.start for part in model.parts), model.components[1]]),
+        np.array([part.v.start for part in model.parts]),
         kinds.shape[1],
         kinds,
     )

@@ -94,7 +94,7 @@ def filter_draws(work):
 @compiled
 def _filter_set(at, s):
     """Filter a batch with a set."""
-    plan, steps, instants = plan_of(at.work), steps_of(at.work), request_of(at.work).instants
+    plan, steps = plan_of(at.work), steps_of(at.work)
     stop = plan.begins[s]
     if stop > 0:
         call(steps.resume, Slot(at, plan.sources[s]))
@@ -107,10 +107,21 @@ def _filter_set(at, s):
         begin, stop = stop, plan.stops[k]
         for t in range(begin, stop):
             resamples = goes_on or t + 1 < plan.ends[s]
-            _filter_instant(at, s, t, plan.measured[s * instants + t], resamples)
+            _filter_instant(at, s, t, _measuring(at, s, t), resamples)
         if plan.slots[k] >= 0:
             call(steps.save, Slot(at, plan.slots[k]))
     call(steps.finish, Instant(at, s, 0, 0, 0))
+
+
+@compiled
+def _measuring(at, s, t):
+    """The sensors that measure, a bit for each: the last of 64 is the sign."""
+    request, measured, sensors = request_of(at.work), plan_of(at.work).measured, np.int64(0)
+    width = (request.sensors + 7) // 8
+    for place in range(width):
+        byte = np.int64(measured[(s * request.instants + t) * width + place])
+        sensors |= byte << (8 * place)
+    return sensors
 
 
 @compiled
@@ -128,15 +139,15 @@ def _filter_instant(at, s, t, sensors, resamples):
         call(steps.put_truth, instant)
     if steps.set_out != 0 and t == 0:  # with a prior, the path to the first measurement begins here
         call(steps.set_out, instant)
-    if sensors > 0:
+    if sensors != 0:
         call(steps.forget, instant)
         for sensor in range(request.sensors):
             if (sensors >> sensor) & 1:
                 _measure(Instant(at, s, t, sensors, sensor))
     call(steps.estimate, instant)
-    if sensors > 0 and steps.rank != 0:
+    if sensors != 0 and steps.rank != 0:
         call(steps.rank, instant)
-    if sensors > 0 and resamples:
+    if sensors != 0 and resamples:
         call(steps.resample, Instant(at, s, t, sensors, request.sensors))
         if steps.set_out != 0:
             call(steps.set_out, instant)
@@ -451,7 +462,7 @@ def _estimate_variance(instant):
     _fill_means(at, variance, quantities)
     if wanted.moments:
         _record(at, t, mean, variance)
-        if sensors > 0:
+        if sensors != 0:
             _record_sizes(at, t)
     has_distance = request.filters > 1
     if has_distance:

@@ -66,7 +66,7 @@ def longest_gap(plan: Plan) -> int:
     """The largest number of steps from a measurement to the next, or from none to the first."""
     longest = 0
     for row in plan.measured:
-        at = np.flatnonzero(row)
+        at = np.flatnonzero(row.any(axis=1))
         longest = max(longest, int(np.diff(at, prepend=-1).max(initial=0)))
     return longest
 

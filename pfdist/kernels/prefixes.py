@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 class Plan(NamedTuple):
     """The order in which the filter computes U different sets, and the clouds that it saves."""
 
-    # (U, T+1): the sensors with which each set measures at each instant, a bit for each; 1 and 0
-    # say whether a set measures, if there is a single sensor
+    # (U, T+1, bytes): the sensors with which each set measures at each instant, a bit for each; 1
+    # and 0 say whether a set measures, if there is a single sensor
     measured: NDArray[np.uint8]
     # (U,): the first instant that a set does not share with an earlier set
     begins: NDArray[np.int64]
@@ -92,14 +92,7 @@ def _bits_of(sets: Sequence[tuple[int, ...]], instants: int, sensors: int) -> ND
     chosen = np.zeros((len(sets), instants * sensors), np.bool_)
     for row, times in zip(chosen, sets, strict=True):
         row[list(times)] = True
-    bits = np.packbits(chosen.reshape(-1, instants, sensors), axis=2, bitorder="little")
-    return np.ascontiguousarray(bits[:, :, 0])
-
-
-def measurements_in(bits: NDArray[np.uint8], sensors: int) -> tuple[int, ...]:
-    """The possible measurements of a set, from its row of `Plan.measured`."""
-    chosen = np.unpackbits(bits[:, None], axis=1, count=sensors, bitorder="little")
-    return tuple(np.flatnonzero(chosen).tolist())
+    return np.packbits(chosen.reshape(-1, instants, sensors), axis=2, bitorder="little")
 
 
 def _shared(
@@ -111,7 +104,7 @@ def _shared(
     the set before it, too.
     """
     begins, givers = np.zeros(len(ends), np.int64), [-1] * len(ends)
-    differ = measured[1:] != measured[:-1]
+    differ = (measured[1:] != measured[:-1]).any(axis=2)
     alike = np.where(differ.any(axis=1), differ.argmax(axis=1), measured.shape[1]).tolist()
     # For each length of a prefix of the present set, the last set before that reaches so far; and
     # the longest such prefix. Lists are faster than arrays here.

@@ -11,6 +11,7 @@ import numpy as np
 
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.nearest import allowed_names, did_you_mean, must_be
+from pfdist.common.points import PointNumbers
 from pfdist.errors import ModelError
 from pfdist.models.checks import (
     MEASURING,
@@ -159,8 +160,9 @@ class StateSpaceModel:
         ``("concentration [mg/l]",)``. Columns, figures and reports use them; without names the
         components have numbers.
     sensors : mapping of str to Sensor
-        Up to 8 sensors by name, instead of `measurement`, `log_likelihood` and `measurement_noise`.
-        y has the components of all sensors, in their order; their names begin with the sensor's.
+        Up to 64 sensors by name, instead of `measurement`, `log_likelihood` and
+        `measurement_noise`. y has the components of all sensors, in their order; their names begin
+        with the sensor's.
 
     Raises
     ------
@@ -304,6 +306,11 @@ class StateSpaceModel:
         return tuple(parts)
 
     @property
+    def points(self) -> PointNumbers:
+        """The numbers of possible measurements."""
+        return PointNumbers(len(self.parts))
+
+    @property
     def noise_of_measurements(self) -> tuple[str, ...]:
         """Distribution of each component of v, over all sensors."""
         return sum((part.model.measurement_noise for part in self.parts), ())
@@ -380,6 +387,18 @@ class StateSpaceModel:
         return formulas | {
             f"{part.name}.{key}": getattr(part.model, key) for part in sensors for key in MEASURING
         }
+
+    def with_formulas(self, change: Callable[[Any, str], Any], **fields: Any) -> "StateSpaceModel":
+        """The model with other fields, and with each other formula changed, those of sensors, too.
+
+        `change` makes a formula of the model, or of a sensor, and the formula's name.
+        """
+        own = {name: change(self, name) for name in own_formulas(self) if name not in fields}
+        sensors = {
+            name: dataclasses.replace(each, **{key: change(each, key) for key in MEASURING})
+            for name, each in self.sensors.items()
+        }
+        return dataclasses.replace(self, sensors=sensors, **own, **fields)
 
     def with_parameters(self, overrides: Mapping[str, Parameter]) -> "StateSpaceModel":
         """The model with some parameters changed.

@@ -44,7 +44,7 @@ ARGUMENTS = {
 """Names of a model's formulas, and of their arguments."""
 MEASURING = ("measurement", "log_likelihood")
 """Names of the formulas that each sensor of a model has for itself."""
-MOST_SENSORS = 8  # a set of the sensors that measure at an instant is a byte
+MOST_SENSORS = 64  # a set of the sensors that measure at an instant has 64 bits
 _SENSOR_NAME = re.compile(r"[A-Za-z][\w-]{0,39}")
 MOST_COMPONENTS: Final = 1000
 T = TypeVar("T")

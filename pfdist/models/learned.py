@@ -6,7 +6,7 @@ all other respects it is a model like any other: truth and filter have the same 
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from pfdist.common.scenario import Scenario
 from pfdist.elementwise import where
 from pfdist.models.base import StateSpaceModel
-from pfdist.models.checks import ARGUMENTS, MEASURING, own_formulas
+from pfdist.models.checks import ARGUMENTS
 from pfdist.models.mistakes import is_interrupt
 from pfdist.models.parameters import Parameter
 from pfdist.models.symbols import take
@@ -77,26 +77,15 @@ def learned(
 
         return function
 
-    changed: dict[str, Any] = {
-        name: with_parts(model, name)
-        for name in own_formulas(model)
-        if name not in ("initial", "transition", "error")
-    }
-    measuring: dict[str, dict[str, Any]] = {
-        name: {key: with_parts(sensor, key) for key in MEASURING}
-        for name, sensor in model.sensors.items()
-    }
-    sensors = {name: replace(model.sensors[name], **each) for name, each in measuring.items()}
-    return replace(
-        model,
+    return model.with_formulas(
+        with_parts,
         initial=initial,
         transition=transition,
+        error=model.error,
         initial_noise=(*model.initial_noise, *known.noise),
         process_noise=(*model.process_noise, *(["normal"] * len(known.names) if motion else ())),
         x_names=(*model.x_names, *known.names) if model.x_names else (),
         linear_gaussian=False,
-        sensors=sensors,
-        **changed,
     )
 
 

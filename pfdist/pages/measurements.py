@@ -1,6 +1,7 @@
 """The worth of each measurement, and its sampling window: how far it may move at a small loss."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -70,7 +71,7 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
     if table.empty:
         return write_instead(ax, "there is no table of what measurements are worth")
     sensors = sorted({*table["sensor"]}) if "sensor" in table else [""]
-    markers = dict(zip(sensors, SENSORS, strict=False))
+    markers = dict(zip(sensors, cycle(SENSORS), strict=False))
     number, step = len(sets) * len(sensors), step_of(table["t"])
     spread = iter(np.linspace(-_WIDTH / 2, _WIDTH / 2, number) if number > 1 else [0.0])
     for _, of_set, plain in sets:

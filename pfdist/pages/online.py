@@ -32,6 +32,7 @@ from pfdist.pages.panel import (
     verbatim,
 )
 from pfdist.problem.clock import Clock
+from pfdist.problem.points import Points
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, relative_gain
 from pfdist.results.online import OnlineDraws, online_draws
@@ -81,7 +82,7 @@ def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     draws, measured, clock = _measured(source)
     shares, ax = 100 * measured.mean(axis=0), axes_for(ax)
     step, shades, text = step_of(clock.times), _shades(draws), f"online, {len(measured):,} draws"
-    for share, (sensor, beside), shade in zip(shares.T, _beside(clock), shades, strict=True):
+    for share, (sensor, beside), shade in zip(shares.T, _beside(draws.points), shades, strict=True):
         ax.bar(
             np.add(clock.times, beside), share, 0.8 * step / len(shades), color=shade, lw=0,
             label=f"{text}, {verbatim(sensor)}" if sensor else text,
@@ -143,21 +144,21 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
 def _measured(source: Run | OnlineDraws) -> tuple[OnlineDraws, NDArray[np.bool_], Clock]:
     """The draws, whether each sensor measures each of them at each instant, and the clock."""
     draws = _draws_of(source)
-    clock, times = draws.clock, draws.rows["measurement_times"]
-    measured = measured_marks([clock.measurements(t) for t in times], clock.possible - 1)
-    return draws, measured.reshape(len(times), clock.horizon + 1, -1), clock
+    points, times = draws.points, draws.rows["measurement_times"]
+    measured = measured_marks([points.read(t) for t in times], points.number - 1)
+    return draws, measured.reshape(len(times), -1, points.ways), points.clock
 
 
-def _beside(clock: Clock) -> list[tuple[str, float]]:
+def _beside(points: Points) -> list[tuple[str, float]]:
     """Each sensor, and how far beside an instant it is drawn; a nameless one without sensors."""
-    sensors, step = clock.sensors or ("",), step_of(clock.times)
+    sensors, step = points.sensors or ("",), step_of(points.clock.times)
     middles = (np.arange(len(sensors)) + 0.5) / len(sensors) - 0.5
     return list(zip(sensors, (step * middles).tolist(), strict=True))
 
 
 def _shades(draws: OnlineDraws) -> list[RGBAColorType]:
     """The colour of online times, lighter for each further sensor."""
-    colour, number = _styles(draws)["online"]["color"], len(draws.clock.sensors or ("",))
+    colour, number = _styles(draws)["online"]["color"], draws.points.ways
     return [to_rgba(colour, alpha) for alpha in np.linspace(0.9, 0.4, number)]
 
 
@@ -172,8 +173,8 @@ def _styles(draws: OnlineDraws) -> dict[str, dict[str, Any]]:
 
 def _mark(ax: Axes, draws: OnlineDraws, label: str | None = None) -> None:
     """Mark the planned times at the upper edge, with a label in the legend if there is one."""
-    planned = draws.clock.by_sensor(draws.planned_times)
-    times = [t + beside for name, beside in _beside(draws.clock) for t in planned.get(name, [])]
+    planned = draws.points.clock.by_sensor(draws.planned_times)
+    times = [t + beside for name, beside in _beside(draws.points) for t in planned.get(name, [])]
     ax.plot(
         times, [1.0] * len(times), "v", transform=ax.get_xaxis_transform(), clip_on=False,
         color=_styles(draws)[draws.plan]["color"], ms=marker(1.2), mew=0, label=label, zorder=5,

@@ -42,7 +42,7 @@ PALETTE = {
 """Each colour on white paper and on a dark page. The plan is red, the reference blue; a bound and
 the truth have the colour of the text."""
 RED, BLUE, OCHRE, GREEN, PURPLE, GREY = (light for light, _ in PALETTE.values())
-SENSORS = ("o", "s", "^", "D", "v", "P", "X", "*")  # markers, one for each possible sensor
+SENSORS = ("o", "s", "^", "D", "v", "P", "X", "*")  # markers of sensors, in turn
 SERIES = (RED, BLUE, OCHRE, GREEN, PURPLE)
 
 COLUMN_INCHES = 3.5  # width of a printed figure

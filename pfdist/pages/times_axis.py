@@ -1,6 +1,5 @@
 """When to measure: the error of each set over time, and its measurement times on one axis."""
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -194,10 +193,11 @@ def times_inches(sets: int) -> float:
 
 
 def _forbidden_times(run: Run) -> list[float]:
-    """The times at which no sensor may measure."""
-    feasible, clock = problem_of(run).feasible, problem_of(run).clock
-    counts = Counter(time // feasible.sensors for time in feasible.forbidden)
-    return [clock.times[t] for t, count in counts.items() if count == feasible.sensors]
+    """The times at which nothing may be measured."""
+    barred, points = {*problem_of(run).feasible.forbidden}, problem_of(run).points
+    return [
+        points.clock.times[t] for t in points.instants(barred) if barred.issuperset(points.at(t))
+    ]
 
 
 def _clock_of(times: Iterable[float], last: float) -> Clock:

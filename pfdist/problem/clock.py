@@ -41,9 +41,6 @@ class Clock:
     times: tuple[Time, ...]  # (T+1,): in ascending order
     unit: str = ""  # of spans of time, as the user names it, such as "h"; empty if there is none
     counts: bool = False  # whether the problem has no clock: the time of an instant is its number
-    # Names of the sensors, if there are any. A possible measurement then has a number,
-    # t * S + sensor, and is written with its sensor, "12 x-ray".
-    sensors: tuple[str, ...] = ()
     calendar: Calendar | None = None  # the dates of times, if the clock has a start
 
     def __post_init__(self) -> None:
@@ -83,11 +80,6 @@ class Clock:
     def horizon(self) -> int:
         """The number T of the last instant."""
         return len(self.times) - 1
-
-    @property
-    def possible(self) -> int:
-        """The number of possible measurements; without sensors, the number of instants."""
-        return len(self.times) * max(1, len(self.sensors))
 
     @cached_property
     def is_even(self) -> bool:
@@ -212,58 +204,26 @@ class Clock:
 
     def instant_of_t(self, t: float) -> int:
         """The instant of a number in the column t of a user's table; raises as `instant`."""
-        return self.instants([t], "t")[0]
+        if not self.counts:
+            return self.instant(t, "t")
+        if t != t // 1:
+            raise MeasurementTimesError(f"t must be whole numbers without a clock, got {t:.10g}")
+        return int(t)
 
     def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:
         """The columns t and, if the clock has a start, date of a table with these instants."""
         dates = {"date": [self.formatted(t) for t in instants]} if self.calendar else {}
         return {"t": self.times_of(instants)} | dates
 
-    def instants(self, times: Iterable[Time | str], name: str = "measurement_times") -> Times:
-        """The instants of some times, in the same order; raises as `instant`.
-
-        Without a clock, whole numbers outside 0..T are accepted.
-        """
-        return tuple(_counted(t, name) if self.counts else self.instant(t, name) for t in times)
-
     def time(self, instant: int) -> Any:
         """The time of an instant as users read it: a date if the clock has a start."""
+        if self.counts:
+            return instant
         return self.formatted(instant) if self.calendar else self.times[instant]
 
     def times_of(self, instants: Iterable[int]) -> list[Time]:
         """The times of some instants, in the same order."""
         return [self.times[t] for t in instants]
-
-    def written(self, measurement: int) -> Time | str:
-        """A possible measurement as users read it: its time, and the sensor if there are any."""
-        if not self.sensors:
-            return cast("Time | str", self.time(measurement))
-        instant, sensor = divmod(measurement, len(self.sensors))
-        return f"{self.text(self.times[instant])} {self.sensors[sensor]}"
-
-    def written_of(self, measurements: Iterable[int]) -> list[Any]:
-        """Possible measurements as users read them, in the same order."""
-        return [self.written(measurement) for measurement in measurements]
-
-    def measurements(self, written: Iterable[Time | str]) -> Times:
-        """The possible measurements of a set that a user has written; raises as `instant`."""
-        if not self.sensors:
-            return self.instants(cast("Iterable[Time]", written))
-        return tuple(self._measurement(entry) for entry in written)
-
-    def _measurement(self, written: Time | str) -> int:
-        time, _, name = str(written).strip().rpartition(" ")
-        try:
-            number = time if self.calendar else float(time)
-            sensor = self.sensors.index(name)
-        except ValueError as error:
-            raise MeasurementTimesError(
-                f"measurement_times must name a time and a sensor, as '12 {self.sensors[0]}', got "
-                f"{shown(written)}; sensors: {', '.join(self.sensors)}"
-            ) from error
-        whole = not isinstance(number, str) and number.is_integer()
-        (instant,) = self.instants([int(number) if whole else number])
-        return instant * len(self.sensors) + sensor
 
     def formatted(self, instant: int) -> str:
         """The time of an instant as text, with the unit, or its date if the clock has a start."""
@@ -325,7 +285,7 @@ class Clock:
 
         It is T+1 if there is no such instant.
         """
-        after = np.array(self.times) + spacing - self.slack
+        after = np.array(self.times, np.float64) + spacing - self.slack
         successors = np.searchsorted(self.times, after).tolist()
         return tuple(max(t + 1, later) for t, later in enumerate(successors))
 
@@ -347,7 +307,7 @@ class Clock:
 
     def since(self, first: int) -> "Clock":
         """The clock of the instants from `first` on: the same times; instants count from 0."""
-        return replace(self, times=self.times[first:], counts=False)
+        return replace(self, times=self.times[first:], counts=self.counts and not first)
 
 
 def plain_time(time: Time) -> Time:
@@ -357,13 +317,3 @@ def plain_time(time: Time) -> Time:
     """
     is_whole = isinstance(time, float) and time.is_integer() and abs(time) < _EXACT
     return int(time) if is_whole else time
-
-
-def _counted(time: Time | str, name: str) -> int:
-    if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
-        raise MeasurementTimesError(f"{name} must be times, got {shown(time)}")
-    if not float(time).is_integer():
-        raise MeasurementTimesError(
-            f"{name} must be whole numbers without a clock, got {time:.10g}"
-        )
-    return int(time)

@@ -15,8 +15,10 @@ from itertools import pairwise
 from math import gcd, lcm
 
 from pfdist.common.measurement_times import Times
+from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
+from pfdist.problem.points import Points
 from pfdist.problem.spacing import Spacing
 
 Money = int | Decimal
@@ -40,8 +42,7 @@ class Limit:
 class Constraints:
     """The constraints on a set of N times in 0..T, or on a set that a total price pays for.
 
-    With S sensors, the clock names them, and a time is the number ``t * S + sensor`` of a possible
-    measurement. So the measurements of an instant follow each other in the order of the sensors.
+    A time is a point of the table `points`: with sensors there are several at an instant.
 
     The constructor does not check them; `Feasible` does, by `check`.
     """
@@ -52,14 +53,18 @@ class Constraints:
     required: Times = ()  # times that every set must contain, sorted
     # smallest difference of two times of a set: instants, or time on the clock
     minimum_spacing: int | float = 1
-    # (S (T+1),): price of a measurement at each time, above 0
+    # price of a measurement at each point, above 0
     price: tuple[Money, ...] | None = None
     # largest price of all measurements together; given with `price`, in place of N
     total_price: Money | None = None
-    clock: Clock | None = None  # by default instants are counted
+    points: Points = None  # type: ignore[assignment]  # by default instants are counted
     # Constraints on each sensor alone; none if no sensor has any
     limits: tuple[Limit, ...] = ()
     cheapest: int = 0  # number of the sensor that measures at regular times
+
+    def __post_init__(self) -> None:
+        if self.points is None:
+            object.__setattr__(self, "points", Points(Clock.counting(self.horizon)))
 
     @property
     def counted(self) -> bool:
@@ -68,17 +73,10 @@ class Constraints:
 
     @cached_property
     def spacing(self) -> Spacing:
-        """The spacing of times; with sensors, 0 allows several measurements at one instant."""
-        if self.clock is None:
-            return Spacing.constant(int(self.minimum_spacing), self.horizon)
-        if self.sensors > 1 and not self.minimum_spacing:
+        """The spacing of times; 0 allows several measurements at one instant."""
+        if not self.minimum_spacing:
             return Spacing.constant(1, self.possible - 1)
-        return Spacing.of_sensors(self.clock.successors(self.minimum_spacing), self.sensors)
-
-    @property
-    def sensors(self) -> int:
-        """The number S of ways to measure at an instant."""
-        return 1 if self.clock is None else max(1, len(self.clock.sensors))
+        return Spacing(self.points.successors(self.minimum_spacing))
 
     @cached_property
     def most(self) -> dict[int, int]:
@@ -92,8 +90,8 @@ class Constraints:
 
     @property
     def possible(self) -> int:
-        """The number of possible measurements, S (T + 1)."""
-        return self.sensors * (self.horizon + 1)
+        """The number of possible measurements."""
+        return self.points.number
 
     @cached_property
     def allowed(self) -> Times:
@@ -141,10 +139,6 @@ class Constraints:
         apart = self.spacing.apart(times) and self._allowed.issuperset(times)
         return apart and self.is_within_limits(times)
 
-    def of_sensor(self, sensor: int, times: Iterable[int]) -> Times:
-        """The instants at which a sensor measures."""
-        return tuple(time // self.sensors for time in times if time % self.sensors == sensor)
-
     def is_within_limits(self, times: Iterable[int]) -> bool:
         """Whether these sorted times satisfy the constraints on each sensor."""
         return not any(self._beyond_limits(times))
@@ -153,14 +147,22 @@ class Constraints:
         """Yield a sentence for each constraint on a sensor that these sorted times break."""
         chosen = tuple(times)
         for sensor, limit in enumerate(self.limits):
-            own, name = self.of_sensor(sensor, chosen), f"sensors.{self._sensor(sensor)}"
+            own, name = self.points.of_way(sensor, chosen), f"sensors.{self.points.sensor(sensor)}"
             if limit.most is not None and len(own) > limit.most:
                 yield f"{name}.most is {limit.most}, got {len(own)} measurements"
             if limit.spacing is not None and not limit.spacing.apart(own):
                 yield f"{name}.minimum_spacing is broken"
 
-    def _sensor(self, sensor: int) -> str:
-        return self.clock.sensors[sensor] if self.clock and self.clock.sensors else ""
+    def beyond_limits(self, times: Times) -> list[int]:
+        """The points that break the limit of a sensor if they follow these times, sorted."""
+        beyond, points = list[int](), self.points
+        for sensor, limit in enumerate(self.limits):
+            own, every = points.of_way(sensor, times), points.alike(sensor)
+            if limit.most is not None and len(own) >= limit.most:
+                beyond += every
+            elif own and limit.spacing is not None:
+                beyond += every[own[-1] : limit.spacing.after(own[-1])]
+        return beyond
 
     def allows(self, times: Iterable[int]) -> bool:
         """Whether these and the required times are compatible and can be paid for."""
@@ -236,14 +238,14 @@ class Constraints:
 
     def distance(self, time: int, times: Times) -> int:
         """The distance to the nearest of these times in instants; T + 1 if there are none."""
-        index, instant = bisect_left(times, time), time // self.sensors
-        neighbours = times[max(0, index - 1) : index + 1]
-        distances = (abs(instant - neighbour // self.sensors) for neighbour in neighbours)
+        index, instant = bisect_left(times, time), self.points.instant(time)
+        neighbours = self.points.instants(times[max(0, index - 1) : index + 1])
+        distances = (abs(instant - neighbour) for neighbour in neighbours)
         return min(distances, default=self.horizon + 1)
 
     def formatted(self, time: int) -> str:
         """A time as the user reads it."""
-        return str(time) if self.clock is None else self.clock.text(self.clock.written(time))
+        return unrounded(self.points.written(time))
 
     def capacity(self, times: Iterable[int]) -> int:
         """The largest number of compatible times that contain these and the required times."""
@@ -268,11 +270,11 @@ class Constraints:
             return self.spacing.fitting(times, among)
         chosen = list[int]()
         for sensor, limit in enumerate(self.limits):
-            own, spacing = self.of_sensor(sensor, times), limit.spacing
+            own, spacing = self.points.of_way(sensor, times), limit.spacing
             spacing = spacing or Spacing.constant(1, self.horizon)
-            new = spacing.fitting(own, self.of_sensor(sensor, among))
+            new = spacing.fitting(own, self.points.of_way(sensor, among))
             left = len(new) if limit.most is None else max(0, limit.most - len(own))
-            chosen += [t * self.sensors + sensor for t in new[:left]]
+            chosen += [self.points.alike(sensor)[t] for t in new[:left]]
         return tuple(sorted(chosen))
 
     @cached_property
@@ -369,7 +371,7 @@ def _check_number(constraints: Constraints) -> None:
     """Refuse a number of measurements that no set has."""
     budget, possible = constraints.total, constraints.possible
     if budget > possible:
-        what = "instants" if constraints.sensors == 1 else "possible measurements"
+        what = "instants" if constraints.points.ways == 1 else "possible measurements"
         raise MeasurementTimesError(
             f"measurement_budget must be at most the number of {what}, {possible}, got {budget}"
         )

@@ -38,6 +38,7 @@ class Feasible(Constraints):
     smaller: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_constraints(self)
 
     def accepts(self, times: Times) -> bool:
@@ -97,13 +98,13 @@ class Feasible(Constraints):
 
         Without sensors there are none. Sets that are not feasible are left out.
         """
-        every = tuple(range(self.sensors)) if self.sensors > 1 else ()
-        turns: dict[str, Times] = {f"alone_{self._sensor(sensor)}": (sensor,) for sensor in every}
-        turns |= {"rotation": every} if every else {}
+        names = self.points.sensors
+        turns: dict[str, Times] = {f"alone_{name}": (way,) for way, name in enumerate(names)}
+        turns |= {"rotation": tuple(range(len(names)))} if names else {}
         return {
             name.lower().replace("-", "_"): times
-            for name, sensors in turns.items()
-            if (times := self._in_turn(sensors)) is not None
+            for name, ways in turns.items()
+            if (times := self._in_turn(ways)) is not None
         }
 
     def is_regular(self, times: Times) -> bool:
@@ -300,28 +301,26 @@ class Feasible(Constraints):
         contained = self.with_required(packed[: self.total - len(self.required)])
         return contained if len(contained) == self.total else None
 
-    def _regular_times(self, number: int, sensors: Times = ()) -> Times:
-        """Regular times, feasible or not, at which some sensors measure in turn.
+    def _regular_times(self, number: int, ways: Times = ()) -> Times:
+        """Regular times, feasible or not, measured in some ways in turn.
 
         By default the cheapest sensor measures.
         """
-        if self.clock is not None and not self.clock.is_even:
-            times = self.clock.regular_times(number)
-        else:
-            times = regular(self.horizon, number)
-        turn = cycle(sensors or (self.cheapest,))
-        return tuple(t * self.sensors + sensor for t, sensor in zip(times, turn, strict=False))
+        points, clock = self.points, self.points.clock
+        times = regular(self.horizon, number) if clock.is_even else clock.regular_times(number)
+        turn = cycle(ways or (self.cheapest,))
+        return tuple(points.at(t)[way] for t, way in zip(times, turn, strict=False))
 
-    def _in_turn(self, sensors: Times) -> Times | None:
-        """Some sensors in turn at regular times, or a compatible set like that; None if none is."""
-        own = (t for t in self.allowed if t % self.sensors in sensors)
+    def _in_turn(self, ways: Times) -> Times | None:
+        """Some ways in turn at regular times, or a compatible set like that; None if none is."""
+        own = (t for t in self.allowed if self.points.way(t) in ways)
         usable = tuple(sorted({*self.required, *own}))
         cheap = min((self.units[t] for t in usable), default=1)
         most = min(self.total // cheap, self.horizon + 1, len(usable))
         if self.counted and most < self.total:
             return None
         for number in range(most, self.total - 1 if self.counted else 0, -1):
-            wanted = self._regular_times(number, sensors)
+            wanted = self._regular_times(number, ways)
             with suppress(MeasurementTimesError):
                 times = nearest(wanted, usable, self.required, self.spacing)
                 if self.allows(times):
@@ -330,7 +329,7 @@ class Feasible(Constraints):
 
     @cached_property
     def _nearest_regular(self) -> Times:
-        if self.sensors > 1:
+        if self.points.ways > 1:
             times = self._in_turn((self.cheapest,))
             number = min(self.total, self.horizon + 1)
             start = self._regular_times(number) if times is None else times
@@ -345,8 +344,8 @@ class Feasible(Constraints):
     def _near(self, time: int, reach: int | None) -> Times:
         if reach is None:
             return self.allowed
-        instant = time // self.sensors
-        first, stop = ((instant + far) * self.sensors for far in (-reach, reach + 1))
+        instant = self.points.instant(time)
+        first, stop = (self.points.first(instant + far) for far in (-reach, reach + 1))
         return self.allowed[bisect_left(self.allowed, first) : bisect_left(self.allowed, stop)]
 
     def _exchanged(self, others: set[int], new: int) -> Times | None:
@@ -373,14 +372,14 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
     """
     if first > feasible.horizon:
         return None
-    start = first * feasible.sensors
+    points, start = feasible.points, feasible.points.first(first)
     left = range(start, feasible.possible)
     barred = feasible.spacing.near(taken).union(feasible.forbidden)
     limits = list[Limit]()
     for sensor, limit in enumerate(feasible.limits):
-        own, spacing = feasible.of_sensor(sensor, taken), limit.spacing
+        own, spacing = points.of_way(sensor, taken), limit.spacing
         if spacing is not None:
-            barred |= {t * feasible.sensors + sensor for t in spacing.near(own)}
+            barred |= {points.alike(sensor)[t] for t in spacing.near(own)}
             spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
         most = None if limit.most is None else max(0, limit.most - len(own))
         limits.append(Limit(most, spacing))
@@ -390,7 +389,7 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         feasible,
         horizon=feasible.horizon - first,
         forbidden=tuple(time - start for time in left if time in barred),
-        clock=None if feasible.clock is None else feasible.clock.since(first),
+        points=points.since(first),
         limits=tuple(limits),
     )
     if feasible.price is not None and feasible.total_price is not None:

@@ -35,7 +35,6 @@ from pfdist.problem.sections import (
     FilterSection,
     Model,
 )
-from pfdist.problem.written import validated_instants
 
 if TYPE_CHECKING:  # a job is read without Numba
     from pfdist.models import NamedModel
@@ -318,13 +317,13 @@ class Job(JobSection):
         return self.with_changes(settings={"comparison": {"control": True}})
 
     @model_validator(mode="after")
-    def _compares_sensors(self) -> Self:
-        """Compare with each sensor alone and with rotation, unless the job names its own sets.
+    def _compares_references(self) -> Self:
+        """Compare with all references of the problem, unless the job names its own sets.
 
         The times of all given sets must be those of the clock.
         """
         feasible = self.problem.feasible
-        if self.problem.sensors and self.comparison.sets is None and self.budget is None:
+        if feasible.references and self.comparison.sets is None and self.budget is None:
             sets = {
                 name: (name,)
                 for name, times in feasible.references.items()
@@ -352,7 +351,7 @@ class Job(JobSection):
         return {
             name: None if times == REGULAR
             else references[times[0]] if len(times) == 1 and times[0] in references
-            else validated_instants(times, self.problem.clock, key, key)
+            else self.problem.points.checked(times, key, key)
             for name, (key, times) in {first: own, **written}.items()
         }  # fmt: skip
 

@@ -55,7 +55,7 @@ def read_measurements(
     try:
         check = partial(_check_header, allowed)
         # Each time has one row; the first of a few rows too many is named below.
-        most = _FURTHER + len(clock.times) * max(1, len(sensors))
+        most = _FURTHER + model.points.first(len(clock.times))
         columns = read_user_table(path, check, (), {"sensor": sensors}, clock.readers(), most)
         for row, t in enumerate(columns["t"].tolist(), 1):
             try:

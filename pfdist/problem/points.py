@@ -1,224 +1,154 @@
-"""The points of a sweep: the changes of the job and the name of each run."""
+"""The table of points: all possible measurements of a job, and their texts.
 
-import hashlib
-import itertools
-import json
-import math
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+Everything inside names a possible measurement by its number. This module alone reads a text such as
+``12 x-ray`` and writes it.
+"""
 
-import numpy as np
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
 
-from pfdist.common.dotted_keys import short_names
-from pfdist.common.parsing import parse_toml, whole_numbers
-from pfdist.errors import JobError, shown, shown_text
-
-MOST_POINTS = 10_000
-_LONGEST_VALUE, _LONGEST_NAME = 40, 150  # characters; a folder's name has at most 255
-_STRANGE = re.compile(r"[^A-Za-z0-9.+-]+")  # characters that are replaced in a folder's name
-_RANGE = re.compile(r"[-+0-9:,\s]*:[-+0-9:,\s]*")
-
-Values = Mapping[str, Any]
-"""A value, or a list of values, by the dotted key of a job, as ``problem.measurement_budget``."""
+from pfdist.common.arguments import listed_argument
+from pfdist.common.measurement_times import Times, validated
+from pfdist.common.parsing import as_text
+from pfdist.common.points import PointNumbers
+from pfdist.errors import MeasurementTimesError, shown
+from pfdist.problem.calendar import groups
+from pfdist.problem.clock import Clock, Time
+from pfdist.problem.written import SEPARATOR, instants_written
 
 
-class Point(NamedTuple):
-    """A point of a sweep."""
+@dataclass(frozen=True)
+class Points(PointNumbers):
+    """The points of a clock: one at each instant, or one for each sensor.
 
-    name: str  # of the run's folder, made of the values: ``seed=1_measurement_budget=10``
-    chosen: Values  # a value for each key that the sweep varies
+    >>> points = Points(Clock.counting(3), ("ct", "x-ray"))
+    >>> points.read("0 3 ct, 3 x-ray"), points.written(7), points.number
+    ((0, 6, 7), '3 x-ray', 8)
+    """
+
+    ways: int = field(init=False)
+    clock: Clock
+    sensors: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ways", max(1, len(self.sensors)))
 
     @property
-    def changes(self) -> list[str]:
-        """The changes of the job, in the form that `pfdist.load_job` takes."""
-        return [f"{key}={_text(key, value)}" for key, value in self.chosen.items()]
+    def number(self) -> int:
+        """The number of points."""
+        return len(self.clock.times) * self.ways
 
+    def alike(self, point: int) -> range:
+        """All points of the same sensor, one at each instant."""
+        return range(self.way(point), self.number, self.ways)
 
-def points_of(
-    over: Values, parallel: Sequence[Values] = (), points: Sequence[Values] = ()
-) -> tuple[Point, ...]:
-    """The points of a sweep, in the order in which they are computed.
+    def since(self, first: int) -> "Points":
+        """The points from an instant on; instants and points count from there."""
+        return replace(self, clock=self.clock.since(first))
 
-    Parameters
-    ----------
-    over : mapping of str to list
-        The values of each key; a text such as ``"1:10"`` is a list of whole numbers. Every
-        combination is a point, and the last key changes fastest.
-    parallel : sequence of mappings of str to list
-        Groups of keys whose values change together, so all lists of a group have the same length.
-        Each group is combined with all other keys.
-    points : sequence of mappings of str to value
-        Further points, each with one value for each of its keys.
+    def successors(self, spacing: float) -> Times:
+        """For each point, the first point of an instant that is at least `spacing` later.
 
-    Raises
-    ------
-    JobError
-        Values are not a list, lists that change together differ in length, a point or a key is
-        given twice, or the number of points is not 1 to 10,000.
+        >>> Points(Clock.counting(2), ("ct", "x-ray")).successors(2)
+        (4, 4, 6, 6, 6, 6)
+        """
+        later = self.clock.successors(spacing)
+        return tuple(self.first(t) for t in later for _ in range(self.ways))
 
-    Examples
-    --------
-    >>> [point.name for point in points_of({"seed": [1, 2], "filter.particles": [50]})]
-    ['seed=1_particles=50', 'seed=2_particles=50']
-    """
-    for name, each in (("parallel", parallel), ("points", points)):
-        if not isinstance(each, list | tuple):
-            raise JobError(f"{name} must be a list of mappings, got {shown(each)}")
-    groups = [{key: values} for key, values in dotted(over).items()]
-    groups += [dotted(group) for group in parallel]
-    _check_keys([key for group in groups for key in group])
-    groups = [{key: _values(key, values) for key, values in group.items()} for group in groups]
-    number = math.prod(map(_length, groups)) if groups else 0
-    if not 1 <= number + len(points) <= MOST_POINTS:
-        raise JobError(
-            f"a sweep must have 1..{MOST_POINTS} points, got {number + len(points)}: give values "
-            "of keys, for instance seed=1:10"
-        )
-    # The choices for keys that change together: for each, the values of all keys.
-    choices = [[*zip(*group.values(), strict=True)] for group in groups]
-    keys = [key for group in groups for key in group]
-    products = itertools.product(*choices) if groups else ()
-    chosen = [
-        dict(zip(keys, itertools.chain.from_iterable(each), strict=True)) for each in products
-    ]
-    chosen += [dict(dotted(point)) for point in points]
-    return tuple(_named(chosen))
+    # --- texts ------------------------------------------------------------------------------------
 
+    def sensor(self, point: int) -> str:
+        """The name of the sensor of a point; empty without sensors."""
+        return self.sensors[self.way(point)] if self.sensors else ""
 
-def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
-    """The values of each key from texts such as ``seed=1:10``; see `values_in`.
+    def columns(self, point: int) -> dict[str, str]:
+        """The columns of a table that say how a point measures; none without sensors."""
+        return {"sensor": self.sensor(point)} if self.sensors else {}
 
-    Raises `JobError` if a text is not ``KEY=VALUES``, or if a key is given twice.
-    """
-    pairs = [values_in(text) for text in texts]
-    _check_keys([key for key, _ in pairs])
-    return dict(pairs)
+    def written(self, point: int) -> Any:
+        """A point as users read it: its time, and its sensor if there are any."""
+        if not self.sensors:
+            return self.clock.time(point)
+        time = self.clock.text(self.clock.times[self.instant(point)])
+        return f"{time} {self.sensor(point)}"
 
+    def written_of(self, points: Iterable[int]) -> list[Any]:
+        """Points as users read them, in the same order."""
+        return [self.written(point) for point in points]
 
-def values_in(text: str) -> tuple[str, list[Any]]:
-    """The key and the values of ``seed=1:10`` or ``problem.measurement_budget=10,15,21``.
+    def read(self, written: Any, name: str = "measurement_times", *, of_all: bool = False) -> Times:
+        """The points that a text or several entries list, in the order written.
 
-    Raises `JobError` if the text is not ``KEY=VALUES``.
-    """
-    key, equals, values = text.partition("=")
-    if not equals or not key.strip() or not values.strip():
-        raise JobError(
-            "a sweep goes over KEY=VALUES, for instance seed=1:10 or "
-            f"problem.measurement_budget=10,15,21, got {shown(text)}",
-            argument="over",
-        )
-    return key.strip(), _listed(key, values.strip())
-
-
-def _listed(key: str, text: str) -> list[Any]:
-    if _RANGE.fullmatch(text):
-        return _numbers(key, text)
-    try:
-        values: list[Any] = parse_toml(f"values = [{text}]")["values"]
-    except ValueError:  # bare words: filter.resampling=systematic,stratified
-        return [word.strip() for word in text.split(",")]
-    return values
-
-
-def _numbers(key: str, text: str) -> list[int]:
-    try:
-        return whole_numbers(text)
-    except ValueError as error:
-        raise JobError(f"values of {key} {error}", argument="over") from error
-
-
-def dotted(values: Values, before: str = "") -> dict[str, Any]:
-    """Values by dotted keys, from nested mappings: TOML reads ``filter.particles`` as a section.
-
-    >>> dotted({"seed": 1, "filter": {"particles": 100}})
-    {'seed': 1, 'filter.particles': 100}
-    """
-    if not isinstance(values, Mapping):
-        raise JobError(
-            "a sweep must go over a mapping of keys to values, for instance "
-            f"{{'seed': [1, 2]}}, got {shown(values)}"
-        )
-    joined: dict[str, Any] = {}
-    for key, value in values.items():
-        is_section = isinstance(value, Mapping)
-        added = dotted(value, f"{before}{key}.") if is_section else {f"{before}{key}": value}
-        if twice := joined.keys() & added.keys():
-            raise JobError(f"each key of a sweep must be given once, got {shown(min(twice))} twice")
-        joined |= added
-    return joined
-
-
-def _length(group: Values) -> int:
-    lengths = {key: len(values) for key, values in group.items()}
-    if len(set(lengths.values())) != 1:
-        got = ", ".join(f"{count} of {key}" for key, count in lengths.items()) or "no key"
-        raise JobError(f"keys that change together must have equally many values, got {got}")
-    return next(iter(lengths.values()))
-
-
-def _values(key: str, values: Any) -> Sequence[Any]:
-    if isinstance(values, str) and _RANGE.fullmatch(values):
-        return _numbers(key, values)
-    is_list = isinstance(values, Sequence | np.ndarray) and not isinstance(values, str | bytes)
-    if not is_list or not len(values):
-        raise JobError(
-            f"values of {key} must be a list, or a range such as '1:10', got {shown(values)}"
-        )
-    listed: Sequence[Any] = values
-    return listed
-
-
-def _check_keys(keys: Sequence[str]) -> None:
-    for position, key in enumerate(keys):
-        if key in keys[:position]:
-            raise JobError(f"each key of a sweep must be given once, got {shown(key)} twice")
-        if key.partition(".")[0] == "execution":
-            raise JobError(
-                f"a sweep must go over keys that change results, got {shown(key)}: all points "
-                "share the workers of the job"
+        Without sensors these are instants; see `pfdist.problem.written.instants_written`. With
+        sensors, the name of a sensor follows the times at which it measures. If `of_all`, times
+        without a name mean all sensors. Raises `MeasurementTimesError`, which begins with `name`.
+        """
+        clock = self.clock
+        if not self.sensors:
+            return tuple(instants_written(written, clock, name))
+        if isinstance(written, Iterable) and not isinstance(written, str):
+            return tuple(
+                point for each in written for point in self.read(each, name, of_all=of_all)
             )
+        ways = {sensor: range(way, way + 1) for way, sensor in enumerate(self.sensors)}
+        if of_all:
+            ways[""] = range(self.ways)
+        found, waiting = list[int](), list[str]()
+        for word in [*self._words(str(as_text(written))), ""]:
+            if word and word not in ways:
+                waiting.append(word)
+                continue
+            strange = not clock.calendar and any(each[0].isalpha() for each in waiting)
+            if (waiting or word) and (not waiting or word not in ways or strange):
+                raise MeasurementTimesError(
+                    f"{name} must name times and then their sensor, as '12 {self.sensors[0]}', got "
+                    f"{shown(' '.join(waiting) or word)}; sensors: {', '.join(self.sensors)}"
+                )
+            for t in instants_written(waiting, clock, name):
+                if not 0 <= t <= clock.horizon:
+                    raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
+                found += [self.first(t) + way for way in ways[word]]
+            waiting = []
+        return tuple(found)
 
+    def _words(self, text: str) -> list[str]:
+        """Times and sensors; with dates, all words of an entry that are no sensors are one."""
+        if not self.clock.calendar:
+            return SEPARATOR.split(text.strip(", "))
+        words = list[str]()
+        for entry in groups(text):
+            dates = " ".join(word for word in entry if word not in self.sensors)
+            words += [dates] if dates else []
+            words += [word for word in entry if word in self.sensors]
+        return words
 
-def _named(chosen: Sequence[Values]) -> Iterator[Point]:
-    """Yield the points with their names, which have the short names of the keys."""
-    keys = list(dict.fromkeys(key for values in chosen for key in values))
-    short = short_names(keys)
-    names, seen = set[str](), set[tuple[tuple[str, str], ...]]()
-    for values in chosen:
-        _check_keys(list(values))
-        texts = {key: _text(key, value) for key, value in values.items()}
-        content = tuple(sorted(texts.items()))
-        if content in seen:
-            twice = shown_text(", ".join(f"{key}={value}" for key, value in texts.items()))
-            raise JobError(f"each point of a sweep must be given once, got {twice} twice")
-        name = "_".join(f"{short[key]}={_slug(texts[key])}" for key in values)
-        if name in names or len(name) > _LONGEST_NAME:
-            name = f"{name[:_LONGEST_NAME]}-{_hash(str(texts))}"
-        names.add(name)
-        seen.add(content)
-        yield Point(name, dict(values))
+    def checked(
+        self,
+        written: Iterable[Time | str] | str,
+        name: str = "measurement_times",
+        where: str = "",
+    ) -> Times:
+        """A checked set of measurements, sorted.
 
-
-def _text(key: str, value: Any) -> str:
-    """A value as a job file spells it."""
-    plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-    if isinstance(plain, tuple | list):
-        return f"[{', '.join(_text(key, each) for each in plain)}]"
-    if not isinstance(plain, str | int | float):
-        raise JobError(
-            f"a value of {key} must be a number, a text, true, false or a list, got {shown(value)}"
+        Errors are those of `read`, `pfdist.common.arguments.listed_argument` and
+        `pfdist.common.measurement_times.validated`.
+        """
+        if not isinstance(written, Iterable):
+            raise MeasurementTimesError(f"{name} must be a sequence of times, got {shown(written)}")
+        entries: list[Any] = (
+            [written] if isinstance(written, str) else listed_argument(name, written)
         )
-    if isinstance(plain, str):
-        return json.dumps(plain, ensure_ascii=False)
-    return json.dumps(plain).replace("Infinity", "inf").replace("NaN", "nan")
-
-
-def _slug(text: str) -> str:
-    """A value as the name of a folder spells it."""
-    slug = _STRANGE.sub("_", text.strip('"[]')) or "empty"
-    return slug if len(slug) <= _LONGEST_VALUE else f"{slug[:_LONGEST_VALUE]}-{_hash(text)}"
-
-
-def _hash(text: str) -> str:
-    return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
+        counts = self.clock.counts and not self.sensors
+        if not counts or any(isinstance(entry, str) for entry in entries):
+            entries = [*self.read(entries, name)]
+        if not counts:
+            twice = [t for t, following in pairwise(sorted(entries)) if t == following]
+            if twice:
+                got = self.written(twice[0]) if self.sensors else self.clock.formatted(twice[0])
+                raise MeasurementTimesError(
+                    f"{name} must differ from each other, got {got} twice"
+                    f"{f' ({where})' if where not in ('', name) else ''}"
+                )
+        return validated(entries, self.number - 1, where)

@@ -28,9 +28,10 @@ from pfdist.problem.calendar import SECONDS, Calendar, calendar_of, groups
 from pfdist.problem.clock import Clock, Time, plain_time
 from pfdist.problem.constraints import Limit, Money, money
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.points import Points
 from pfdist.problem.sections import Moment, MomentsAndRanges, is_list_of
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.written import instants_written, measurements_of
+from pfdist.problem.written import instants_written
 
 _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
@@ -234,20 +235,21 @@ class ProblemSection(JobSection):
         return any(value is not None for value in keys)
 
     @cached_property
+    def points(self) -> Points:
+        """The table of all possible measurements; raises as `clock`."""
+        points = Points(self.clock, tuple(self.sensors or ()))
+        if points.number > _MOST_POSSIBLE:
+            raise MeasurementTimesError(
+                f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {points.number:,}"
+            )
+        return points
+
+    @cached_property
     def clock(self) -> Clock:
-        """The time of each instant, and the sensors; without a clock, the number of the instant.
+        """The time of each instant; without a clock, the number of the instant.
 
         Raises `MeasurementTimesError`, which begins with the key, if values contradict each other.
         """
-        clock = replace(self._clock, sensors=tuple(self.sensors or ()))
-        if clock.possible > _MOST_POSSIBLE:
-            raise MeasurementTimesError(
-                f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {clock.possible:,}"
-            )
-        return clock
-
-    @property
-    def _clock(self) -> Clock:
         if calendar_of(self.time_unit or ""):
             raise MeasurementTimesError(
                 f"time_unit must have no start, which is clock.start; got {shown(self.time_unit)}"
@@ -302,11 +304,11 @@ class ProblemSection(JobSection):
             horizon=clock.horizon,
             measurement_budget=self.measurement_budget,
             forbidden=self._forbidden,
-            required=tuple(sorted({*measurements_of(self.required or (), clock, "required")})),
+            required=tuple(sorted({*self.points.read(self.required or (), "required")})),
             minimum_spacing=spacing or 0.0,
             price=self._prices_of_instants,
             total_price=None if self.total_price is None else money(self.total_price),
-            clock=clock if self.has_clock or self.sensors else None,
+            points=self.points,
             # To sets within limits, money left over may buy nothing.
             smaller=bool(limits) and self.total_price is not None,
             limits=limits,
@@ -315,17 +317,17 @@ class ProblemSection(JobSection):
 
     @property
     def _forbidden(self) -> Times:
-        clock = self.clock
-        times = {*measurements_of(self.forbidden or (), clock, "forbidden", of_all=True)}
+        points, clock = self.points, self.clock
+        times = {*points.read(self.forbidden or (), "forbidden", of_all=True)}
         if self.allowed is not None:
-            allowed = measurements_of(self.allowed, clock, "allowed", of_all=True)
-            times.update({*range(clock.possible)} - {*allowed})
-        for number, (name, sensor) in enumerate((self.sensors or {}).items()):
+            allowed = points.read(self.allowed, "allowed", of_all=True)
+            times.update({*range(points.number)} - {*allowed})
+        for way, (name, sensor) in enumerate((self.sensors or {}).items()):
             barred = {*instants_written(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
             if sensor.allowed is not None:
-                allowed = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
-                barred.update({*range(clock.horizon + 1)} - {*allowed})
-            times.update(t * len(clock.sensors) + number for t in barred)
+                others = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
+                barred.update({*range(clock.horizon + 1)} - {*others})
+            times.update(points.first(t) + way for t in barred)
         return tuple(sorted(times))
 
     @property
@@ -382,7 +384,7 @@ class ProblemSection(JobSection):
         The times are instants, or times on the clock. Each sentence begins with the key, for
         instance ``problem.forbidden: 4 is measured``.
         """
-        measured = self.clock.measurements(times)
+        measured = self.points.read(times)
         return [self._said(sentence) for sentence in self.feasible.broken(measured)]
 
     def _said(self, sentence: str) -> str:

@@ -59,11 +59,13 @@ class Replicate:
         return tuple(self.parameters.items()), self.clock.times
 
     def measured(self, model: StateSpaceModel) -> Times:
-        """The possible measurements that were made, as numbers ``t * S + sensor``."""
+        """The possible measurements that were made."""
         parts = [~np.isnan(self.y[:, part.y]).all(axis=1) for part in model.parts]
         return tuple(np.flatnonzero(np.stack(parts, axis=1).ravel()).tolist())
 
-    def nearest(self, wanted: Iterable[tuple[float, int]], measured: Times, within: float) -> Times:
+    def nearest(
+        self, wanted: Iterable[tuple[float, int]], model: StateSpaceModel, within: float
+    ) -> Times:
         """The measurements that are nearest to wanted times, by the same sensors; sorted.
 
         Each is used once, by the earlier wanted time.
@@ -72,8 +74,7 @@ class Replicate:
         ----------
         wanted : iterable of (float, int)
             Times with the number of a sensor.
-        measured : tuple of int
-            Those of `measured`.
+        model : StateSpaceModel
         within : float
             The largest distance in time.
 
@@ -82,12 +83,12 @@ class Replicate:
         MeasurementsError
             There is no measurement within this distance.
         """
-        sensors, chosen = max(1, len(self.clock.sensors)), list[int]()
-        for time, sensor in wanted:
-            free = [each for each in measured if each % sensors == sensor and each not in chosen]
-            away = [abs(self.clock.times[each // sensors] - time) for each in free]
+        points, measured, chosen = model.points, self.measured(model), list[int]()
+        for time, way in wanted:
+            free = [each for each in measured if points.way(each) == way and each not in chosen]
+            away = [abs(self.clock.times[points.instant(each)] - time) for each in free]
             if not away or min(away) > within + self.clock.slack:
-                name = f" by {self.clock.sensors[sensor]}" if self.clock.sensors else ""
+                name = f" by {model.parts[way].name}" if model.sensors else ""
                 at = self.clock.text(time) if self.clock.dates else f"{time:.4g}"
                 raise MeasurementsError(f"no measurement{name} within {within:.4g} of t = {at}")
             chosen.append(free[int(np.argmin(away))])
@@ -216,7 +217,8 @@ def _own_clock(times: list[float], clock: Clock) -> Clock | None:
     if clock.counts:
         return None
     try:
-        clock.instants(times)
+        for time in times:
+            clock.instant(time)
     except MeasurementTimesError:
         for time in times:
             clock.check_is_within(time, "t")

@@ -1,7 +1,7 @@
 """How far apart the measurement times of a set must be, counted in instants."""
 
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, pairwise
@@ -28,17 +28,6 @@ class Spacing:
     def constant(cls, difference: int, horizon: int) -> "Spacing":
         """The spacing in which measurement times differ by at least so many instants."""
         return cls(tuple(t + difference for t in range(horizon + 1)))
-
-    @classmethod
-    def of_sensors(cls, successors: Sequence[int], sensors: int) -> "Spacing":
-        """The spacing of possible measurements, from the successors of instants.
-
-        At most one sensor measures at an instant.
-
-        >>> Spacing.of_sensors((2, 3, 4), sensors=2).successors
-        (4, 4, 6, 6, 8, 8)
-        """
-        return cls(tuple(t * sensors for t in successors for _ in range(sensors)))
 
     @cached_property
     def is_free(self) -> bool:

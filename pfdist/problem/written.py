@@ -3,21 +3,18 @@
 import math
 import re
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from pfdist.common.arguments import listed_argument
-from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parsing import as_text, finite_number, ranges, whole_numbers
 from pfdist.errors import MeasurementTimesError, shown
-from pfdist.problem.calendar import groups, names_dates
-from pfdist.problem.clock import Clock, Time
+from pfdist.problem.calendar import names_dates
+from pfdist.problem.clock import Clock
 
 RANGES = "'20:30', '0:60:3' or '20-30'"
 """Examples of ranges, for errors and help."""
-_SEPARATOR = re.compile(r"[\s,]+")
+SEPARATOR = re.compile(r"[\s,]+")
 _WITH_HYPHEN = re.compile(r"(\d{1,6}(?:\.\d+)?)-(\d{1,6}(?:\.\d+)?)")
 _WHOLE_FLOAT = re.compile(r"(?<=\d)\.0+(?=[\s,:]|$)")  # 2.0 is the instant 2
 _NUMBER = (int, float, np.integer, np.floating)
@@ -49,83 +46,6 @@ def instants_written(written: Any, clock: Clock, name: str = "measurement_times"
             f"{name} must name times, as 20, and ranges, as {RANGES}, got {shown(written)}"
         )
     return [int(written) if clock.counts else clock.instant(float(written), name)]
-
-
-def measurements_of(
-    written: Any, clock: Clock, name: str = "measurement_times", *, of_all: bool = False
-) -> list[int]:
-    """The possible measurements that a text or several entries list.
-
-    Without sensors these are instants; see `instants_written`. With sensors, the name of a sensor
-    follows the times at which it measures. If `of_all`, times without a name mean all sensors.
-
-    >>> clock = Clock((0, 1, 2, 3), counts=True, sensors=("ct", "x-ray"))
-    >>> measurements_of("0 3 ct, 3 x-ray", clock)
-    [0, 6, 7]
-    """
-    if not clock.sensors:
-        return instants_written(written, clock, name)
-    if isinstance(written, Iterable) and not isinstance(written, str):
-        entries = (measurements_of(entry, clock, name, of_all=of_all) for entry in written)
-        return [measurement for entry in entries for measurement in entry]
-    sensors = {sensor: [number] for number, sensor in enumerate(clock.sensors)}
-    if of_all:
-        sensors[""] = [*range(len(clock.sensors))]
-    found, waiting = list[int](), list[str]()
-    for word in [*_words(str(as_text(written)), clock), ""]:
-        if word and word not in sensors:
-            waiting.append(word)
-            continue
-        strange = not clock.calendar and any(each[0].isalpha() for each in waiting)
-        if waiting and (word not in sensors or strange):
-            raise MeasurementTimesError(
-                f"{name} must name times and then their sensor, as '12 {clock.sensors[0]}', got "
-                f"{shown(' '.join(waiting))}; sensors: {', '.join(clock.sensors)}"
-            )
-        for t in instants_written(waiting, clock, name):
-            if not 0 <= t <= clock.horizon:
-                raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
-            found += [t * len(clock.sensors) + sensor for sensor in sensors[word]]
-        waiting = []
-    return found
-
-
-def _words(text: str, clock: Clock) -> list[str]:
-    """Times and sensors; with dates, all words of an entry that are no sensors are one."""
-    if not clock.calendar:
-        return _SEPARATOR.split(text.strip(", "))
-    words = list[str]()
-    for entry in groups(text):
-        dates = " ".join(word for word in entry if word not in clock.sensors)
-        words += [*([dates] if dates else []), *(word for word in entry if word in clock.sensors)]
-    return words
-
-
-def validated_instants(
-    written: Iterable[Time | str] | str,
-    clock: Clock,
-    name: str = "measurement_times",
-    where: str = "",
-) -> Times:
-    """A checked set of measurement times on a clock, as sorted instants.
-
-    Errors are those of `instants_written`, `pfdist.common.arguments.listed_argument` and
-    `pfdist.common.measurement_times.validated`.
-    """
-    if not isinstance(written, Iterable):
-        raise MeasurementTimesError(f"{name} must be a sequence of times, got {shown(written)}")
-    entries: list[Any] = [written] if isinstance(written, str) else listed_argument(name, written)
-    if clock.sensors or not clock.counts or any(isinstance(entry, str) for entry in entries):
-        entries = measurements_of(entries, clock, name)
-    if clock.sensors or not clock.counts:
-        twice = [t for t, following in pairwise(sorted(entries)) if t == following]
-        if twice:
-            got = clock.written(twice[0]) if clock.sensors else clock.formatted(twice[0])
-            raise MeasurementTimesError(
-                f"{name} must differ from each other, got {got} twice"
-                f"{f' ({where})' if where not in ('', name) else ''}"
-            )
-    return validated(entries, clock.possible - 1, where)
 
 
 def clock_of(text: str) -> Clock:

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from pfdist.common.component_names import Component
 from pfdist.common.parts import Page
+from pfdist.common.points import PointNumbers
 from pfdist.common.section import Number, Whole, checked
 from pfdist.common.shown import Shown
 from pfdist.errors import (
@@ -298,11 +299,12 @@ def backtest(
     sets |= {name: f"the set {name}" for name in own}
     result = _result(
         sets,
+        model.points,
         matched,
         errors,
         block,
         data=Path("data") if isinstance(table, pd.DataFrame) else table,
-        plan=() if plan is None else tuple(clock.written_of(plan)),
+        plan=() if plan is None else tuple(built.job.problem.points.written_of(plan)),
         left_out=left_out,
         is_checked=any(each.is_training for each in replicates),
         within=within,
@@ -342,6 +344,7 @@ def _check_columns(built: Built, replicates: Iterable[Replicate]) -> None:
 
 def _result(
     sets: Mapping[str, str],
+    points: PointNumbers,
     matched: Sequence[Matched],
     errors: Sequence[ReplicateErrors],
     block: int,
@@ -378,7 +381,7 @@ def _result(
             matched[place].replicate.name,
             np.array(matched[place].replicate.clock.times, np.float64),
             matched[place].replicate.y if matched[place].is_predicted else matched[place].judged,
-            matched[place].instants_of_plan,
+            points.instants(matched[place].sets[0]),
             errors[place],
         )
         for place in dict.fromkeys(places)

@@ -168,7 +168,7 @@ def bound(
             serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
             built = replace(built, job=serial)
         check_pool(built.job.execution)
-        prover, clock = Prover(built, settings), built.job.problem.clock
+        prover, written_of = Prover(built, settings), built.job.problem.points.written_of
         with own_store(proved, built, tell) as store:
             session = RunSession(built, store, show, tell)
             session.reporter.foresee(prover.steps)
@@ -197,8 +197,8 @@ def bound(
         [
             replace(
                 gap,
-                measurement_times=tuple(clock.written_of(gap.measurement_times)),
-                path=tuple(clock.written_of(gap.path)),
+                measurement_times=tuple(written_of(gap.measurement_times)),
+                path=tuple(written_of(gap.path)),
             )
             for gap in look.gaps
         ],

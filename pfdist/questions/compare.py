@@ -8,8 +8,8 @@ from typing import Any, Unpack
 
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.errors import JobError, shown
-from pfdist.problem.clock import Clock
 from pfdist.problem.job import Job
+from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
@@ -44,7 +44,7 @@ class SetsToCompare:
     def __init__(self, job: Job) -> None:
         self._job = job
         self.differences: list[str] = []
-        self._clock = job.problem.clock
+        self._points = job.problem.points
         self._regular: Times = job.problem.feasible.regular()
         self._written: dict[str, Any] = {}
         self._instants: dict[str, Times] = {}
@@ -153,7 +153,7 @@ class SetsToCompare:
 
     def _add(self, name: str, instants: Times) -> None:
         is_regular = name == REGULAR and instants == self._regular
-        times = self._clock.written_of(instants)
+        times = self._points.written_of(instants)
         self._written[name] = REGULAR if is_regular else times
         self._instants[name] = instants
 
@@ -171,10 +171,11 @@ class SetsToCompare:
         return free_name
 
     def _check_clock(self, run: Run) -> None:
-        own, first = problem_of(run).clock, self._clock
-        must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
-        if _counted(own) != _counted(first):
-            raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
+        points, described = problem_of(run).points, _counted(self._points)
+        must = f"sets of all runs must have times of the first problem, which {described}"
+        if described != (got := _counted(points)):
+            raise JobError(f"{must}, got a run that {got} ({run.path})")
+        own, first = points.clock, self._points.clock
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
             if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
                 raise JobError(
@@ -207,10 +208,11 @@ def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
     return None if weights is None or len({*weights}) == 1 else weights
 
 
-def _counted(clock: Clock) -> str:
+def _counted(points: Points) -> str:
+    clock, names = points.clock, points.sensors
     text = f"has a clock in {clock.time_unit}" if clock.unit else "has a clock without a unit"
     text = "counts instants" if clock.counts else text
-    return text + f" and has the sensors {', '.join(clock.sensors)}" * bool(clock.sensors)
+    return text + f" and has the sensors {', '.join(names)}" * bool(names)
 
 
 # --- the comparison -------------------------------------------------------------------------------

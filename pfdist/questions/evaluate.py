@@ -21,7 +21,6 @@ from pfdist.models import squared_error
 from pfdist.problem.clock import Time
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.written import validated_instants
 from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import following
 from pfdist.questions.subject import change_of, is_clear, mse_cell, number_of
@@ -141,7 +140,7 @@ def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str)
         return job.problem.feasible.regular()
     place = f"times of {name}" if name else "measurement_times"
     try:
-        return validated_instants(written, job.problem.clock, place, where=name and place)
+        return job.problem.points.checked(written, place, where=name and place)
     except MeasurementTimesError as error:
         error.argument = "times"
         raise
@@ -176,7 +175,7 @@ def _evaluated(
         mse, degenerate, errors = result.mse.T.copy(), result.degenerate.T, result.errors
     found = {
         name: Evaluation(
-            tuple(built.job.problem.clock.written_of(sets[name])),
+            tuple(built.job.problem.points.written_of(sets[name])),
             mse_of_set,
             exact=exact_mse,
             purpose="evaluate",

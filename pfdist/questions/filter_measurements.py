@@ -234,8 +234,9 @@ def filter_measurements(
     table = table_argument("measurements", measurements)
     files = files_beside(table, out, "measurements", "filtered")[: 3 if report else 2]
     plan = planned_run(job, results, changes, say, planned, prior)
-    clock = plan.built.job.problem.clock
-    columns = time_columns(clock)
+    points = plan.built.job.problem.points
+    clock = points.clock
+    columns = time_columns(points)
     believed = plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
@@ -246,20 +247,20 @@ def filter_measurements(
         check(file)
     filtering = filter_of(plan.built, plan.prior)
     rows = read_measurements(table, believed, clock, filtering.now.t)
-    sensors, made = len(believed.parts), rows.made_with(believed)
-    wanted = [t for t in plan.times if t >= filtering.now.t * sensors]
+    made = rows.made_with(believed)
+    wanted = [t for t in plan.times if t >= points.first(filtering.now.t)]
     estimates = _table(_estimates(filtering, rows), quantities, believed.is_angle, schema)
     estimates = columns.table(estimates)
     collapsed = filtering.now.collapsed
-    last = (max((*rows.t, *rows.missed), default=-1) + 1) * sensors - 1
+    after = points.first(max((*rows.t, *rows.missed), default=-1) + 1)
     result = FilteredMeasurements(
         plan.run.path,
         Path("measurements") if isinstance(table, pd.DataFrame) else table,
         plan.name,
-        tuple(clock.written_of(made)),
-        tuple(clock.written_of(t for t in wanted if t <= last and t not in made)),
-        tuple(clock.written_of(t for t in made if t not in wanted)),
-        tuple(clock.written_of(t for t in wanted if t > last)),
+        tuple(points.written_of(made)),
+        tuple(points.written_of(t for t in wanted if t < after and t not in made)),
+        tuple(points.written_of(t for t in made if t not in wanted)),
+        tuple(points.written_of(t for t in wanted if t >= after)),
         frame_of(estimates),
         filtering.log_evidence,
         filtering.why_no_evidence,

@@ -105,15 +105,15 @@ def check_loaded(
         yield Check(name, "wrong", f"{error}{advice}")
         return
     for part in model.parts:  # the system with each sensor alone
-        if model.sensors:
+        if part.name:
             yield Check("load", "ok", part.model.name)
         for check in _computed(part.model, horizon, Estimation(particles)):
             yield check
         if check.name != EVERY_INSTANT:
             return
     if filtered:  # the sensors measure in turn
-        spread, sensors = regular(horizon, max(2, (horizon + 1) // 3)), len(model.parts)
-        in_turn = tuple(t * sensors + number % sensors for number, t in enumerate(spread))
+        spread = regular(horizon, max(2, (horizon + 1) // 3))
+        in_turn = tuple(model.points.at(t)[k % len(model.parts)] for k, t in enumerate(spread))
         made = partial(Evaluator, horizon=horizon)
         yield from check_filter_model(made, (model,), in_turn, Estimation(particles))
 

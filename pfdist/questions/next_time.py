@@ -232,10 +232,10 @@ def next_time(
     table = table_argument("measurements", measurements)
     plan = planned_run(job, results, changes, say, planned, prior)
     believed = plan.built.evaluator.believed
-    clock = plan.built.job.problem.clock
-    planner = Planner(plan.built, clock.written_of(plan.times), prior=plan.prior)
+    clock, points = plan.built.job.problem.clock, plan.built.job.problem.points
+    planner = Planner(plan.built, points.written_of(plan.times), prior=plan.prior)
     feasible = planner.feasible
-    start = clock.instants([planner.estimate().t])[0]
+    start = clock.instant(planner.estimate().t)
     rows = read_measurements(table, believed, clock, start)
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
         last, surprise = _tell(planner, rows)
@@ -245,11 +245,11 @@ def next_time(
             planner.missed(clock.time(instant))
         last = instant
     left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
-    first = max(last + 1, start) * feasible.sensors
+    first = points.first(max(last + 1, start))
     before = tuple(time for time in plan.times if time >= first)[:left]
-    still = _is_possible(feasible, clock.measurements(planner.measured), before)
+    still = _is_possible(feasible, points.read(planner.measured), before)
     expected, *expected_before = planner.expected(
-        planner.plan(), *([clock.written_of(before)] if still else [])
+        planner.plan(), *([points.written_of(before)] if still else [])
     )
     result = NextTime(
         plan.run.path,
@@ -258,7 +258,7 @@ def next_time(
         planner.estimate().t,
         planner.plan(),
         left,
-        tuple(clock.written_of(before)),
+        tuple(points.written_of(before)),
         expected,
         expected_before[0] if expected_before else None,
         surprise,

@@ -22,7 +22,6 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import instant_on
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.written import validated_instants
 from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
@@ -88,7 +87,8 @@ class Planner:
         start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)
         planning = planning_of(built.job, built.evaluator.variance_is_error)
         stream = stream_of("online", built.job.seed, "planner")
-        planned = None if times is None else validated_instants(times, clock, "times", "times")
+        self._points = built.job.problem.points
+        planned = None if times is None else self._points.checked(times, "times", "times")
         feasible = _feasible(built, planned)
         self._replanner = Replanner(built.evaluator, feasible, planning, stream)
         self._filter = filter_of(built, start, draw)
@@ -99,7 +99,7 @@ class Planner:
         if planned is None:
             first = replace(self._replanner, planning=first_planning(planning))
             planned = first.plan(self._now, (), (), self._draw)
-        first_left = self._now.first * feasible.sensors
+        first_left = self._points.first(self._now.first)
         self._plan = tuple(time for time in planned if time >= first_left)
         self._before = tuple(time for time in planned if time < first_left)
 
@@ -109,7 +109,7 @@ class Planner:
 
     def plan(self) -> tuple[Time, ...]:
         """All planned times that are left, the next first."""
-        return tuple(self.clock.written_of(self._plan))
+        return tuple(self._points.written_of(self._plan))
 
     @property
     def clock(self) -> Clock:
@@ -124,7 +124,7 @@ class Planner:
     @property
     def measured(self) -> tuple[Time, ...]:
         """The times that were measured."""
-        return tuple(self.clock.written_of(self._taken))
+        return tuple(self._points.written_of(self._taken))
 
     def update(
         self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None
@@ -219,11 +219,11 @@ class Planner:
             The number of draws is below 2.
         """
         first = self._now.first
-        wanted = [validated_instants(plan, self.clock) for plan in plans or (self.plan(),)]
+        wanted = [self._points.checked(plan) for plan in plans or (self.plan(),)]
         for plan in wanted:
-            if plan and plan[0] < first * self.feasible.sensors:
+            if plan and plan[0] < self._points.first(first):
                 least = self.clock.text(self.clock.times[first])
-                got = self.clock.text(self.clock.written(plan[0]))
+                got = self.clock.text(self._points.written(plan[0]))
                 raise MeasurementTimesError(
                     f"times that are left must be at least {least}, got {got}"
                 )
@@ -235,7 +235,7 @@ class Planner:
             self._now, wanted, draws, self._built.comparing, self._draw, clouds
         )
         return [
-            replace(each, measurement_times=tuple(self.clock.written_of(plan)))
+            replace(each, measurement_times=tuple(self._points.written_of(plan)))
             for each, plan in zip(evaluations, wanted, strict=True)
         ]
 
@@ -260,14 +260,14 @@ class Planner:
                 f"no measurement is left of the plan, got one without t (measured: "
                 f"{shown(self.measured)})"
             )
-        return self._plan[0] // self.feasible.sensors
+        return self._points.instant(self._plan[0])
 
     def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
         """Plan the remaining times after an instant, which was measured if y is given."""
         prior, self._truths = with_truths(self._filter.cloud, self._truths, time, y)
         self._seen.append((time, y))
         self._now = Now(prior, measured=True)
-        left = tuple(planned for planned in self._plan if planned // self.feasible.sensors > time)
+        left = tuple(planned for planned in self._plan if self._points.instant(planned) > time)
         taken = (*self._before, *self._taken)
         self._plan = self._replanner.plan(self._now, taken, left, self._draw)
 
@@ -290,7 +290,7 @@ def _feasible(built: Built, planned: Times | None) -> Feasible:
         return feasible
     if job.budget is not None and planned:
         feasible = job.feasible(len(planned))
-    times = tuple(job.problem.clock.written_of(planned))
+    times = tuple(job.problem.points.written_of(planned))
     if broken := feasible.broken(planned):
         raise MeasurementTimesError(
             f"times must satisfy the constraints of the job, got {shown(times)}: "

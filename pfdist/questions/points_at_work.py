@@ -23,7 +23,7 @@ _MORE = 2  # points at work than workers: some wait for others, and some are at 
 _MOST = 16  # points at work: each needs memory
 
 
-class Points(NamedTuple):
+class SweepPoints(NamedTuple):
     """The points of a sweep when a process has done what it can.
 
     Parameters
@@ -83,13 +83,13 @@ class PointsAtWork:
         for name, why in self._busy.items():
             heard(self._say, f"{name}: left out: {why}")
 
-    def points(self) -> Points:
+    def points(self) -> SweepPoints:
         """The points when all drivers have ended."""
         left = self._failed | self._busy
         jobs = {name: job for name, job in self._sweep.jobs.items() if name not in left}
         runs = {name: Run(self._path / name, job) for name, job in jobs.items()}
         failed = {name: one_line(why) for name, why in self._failed.items()}
-        return Points(runs, failed, [*self._busy])
+        return SweepPoints(runs, failed, [*self._busy])
 
     @property
     def at_once(self) -> int:

@@ -12,9 +12,9 @@ from pfdist.common.parts import Page, Section, Text
 from pfdist.common.section import checked
 from pfdist.errors import ArgumentError, SweepError
 from pfdist.problem.job import Job
-from pfdist.problem.points import Values
 from pfdist.problem.problem import JobSource
 from pfdist.problem.sweep import Part, SweepJob, read_sweep
+from pfdist.problem.sweep_points import Values
 from pfdist.questions.at_work import at_work
 from pfdist.questions.model_checks import seconds_a_step
 from pfdist.questions.options import Chosen, Options, following, with_options

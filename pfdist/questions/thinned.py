@@ -19,6 +19,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError, shown
 from pfdist.pools.base import Pool
 from pfdist.problem.clock import Clock
+from pfdist.problem.points import Points
 from pfdist.problem.replicates import Replicate
 from pfdist.questions.planner import first_planning
 from pfdist.runner.backtesting import (
@@ -51,12 +52,6 @@ class Matched(NamedTuple):
         """Whether measurements are judged, and not known quantities of interest."""
         return self.replicate.z is None
 
-    @property
-    def instants_of_plan(self) -> tuple[int, ...]:
-        """The instants at which the plan measures."""
-        sensors = max(1, len(self.replicate.clock.sensors))
-        return tuple(number // sensors for number in self.sets[0])
-
 
 Plans = Times | Mapping[str, Times | None]
 
@@ -80,17 +75,14 @@ def plans_of(
         if each.is_training:
             continue
         measured = {*each.measured(built.evaluator.model)}
-        on = each.clock if each.has_own_clock or feasible.clock else None
-        possible = range(len(each.y) * feasible.sensors)
-        lacking = tuple(number for number in possible if number not in measured)
+        points, rest = replace(feasible.points, clock=each.clock), feasible
         if each.has_own_clock:
             rest = replace(
-                feasible, horizon=each.clock.horizon, clock=on, forbidden=(), required=()
+                feasible, horizon=each.clock.horizon, points=points, forbidden=(), required=()
             )
-        else:
-            rest = feasible
         with suppress(MeasurementTimesError):  # too few measurements
-            rest = replace(rest, forbidden=tuple(sorted({*rest.forbidden, *lacking})))
+            barred = {*rest.forbidden} | ({*range(points.number)} - measured)
+            rest = replace(rest, forbidden=tuple(sorted(barred)))
             evaluator = evaluator_for(built, each, is_predicted=False)
             stream = stream_of("backtest", job.seed, "plan", each.name)
             works[each.name] = PlanWork(evaluator, rest, planning, stream)
@@ -116,25 +108,24 @@ def matched_of(
 
     `plans` is the plan on the clock of the job, or the plan of each replicate on its own clock.
     """
-    clock, model = built.job.problem.clock, built.evaluator.model
+    points, model = built.job.problem.points, built.evaluator.model
     matched, left_out = list[Matched](), dict[str, str]()
     for each in replicates:
         plan = plans.get(each.name) if isinstance(plans, Mapping) else plans
-        on = each.clock if isinstance(plans, Mapping) else clock
+        on = replace(points, clock=each.clock) if isinstance(plans, Mapping) else points
         if each.is_training or plan is None:
             why = "the model was fitted to it", "it has too few measurements for a plan"
             left_out[each.name] = why[plan is None and not each.is_training]
             continue
-        wanted = [_wanted(plan, on), *_grids(on, len(plan), built.feasible.cheapest)]
-        wanted += [_wanted(times, clock) for times in own.values()]
-        measured = each.measured(model)
+        wanted = [_wanted(plan, on), *_grids(on.clock, len(plan), built.feasible.cheapest)]
+        wanted += [_wanted(times, points) for times in own.values()]
         try:
-            sets = tuple(each.nearest(times, measured, within) for times in wanted)
+            sets = tuple(each.nearest(times, model, within) for times in wanted)
         except MeasurementsError as error:
             left_out[each.name] = str(error)
             continue
         judged = (each.y if each.z is None else each.z).copy()
-        judged[sorted({number // len(model.parts) for number in chain(*sets)})] = np.nan
+        judged[[*points.instants(chain(*sets))]] = np.nan
         if np.isnan(judged).all():
             left_out[each.name] = "no value is left to judge"
             continue
@@ -142,12 +133,11 @@ def matched_of(
     return matched, left_out
 
 
-def _wanted(times: Times, clock: Clock) -> list[tuple[float, int]]:
-    sensors = max(1, len(clock.sensors))
-    return [(clock.times[number // sensors], number % sensors) for number in times]
+def _wanted(times: Times, points: Points) -> list[tuple[float, int]]:
+    return [(points.clock.times[points.instant(time)], points.way(time)) for time in times]
 
 
-def _grids(clock: Clock, number: int, sensor: int) -> Iterator[list[tuple[float, int]]]:
+def _grids(clock: Clock, number: int, way: int) -> Iterator[list[tuple[float, int]]]:
     """Yield the beginnings and the middles of equal parts of the horizon.
 
     On an even clock, the last instant is a step long, too.
@@ -155,7 +145,7 @@ def _grids(clock: Clock, number: int, sensor: int) -> Iterator[list[tuple[float,
     first, last = clock.times[0], clock.times[-1]
     whole = (last - first) * (1 + clock.is_even / clock.horizon)
     for offset in (0.0, 0.5):
-        yield [(first + whole * (part + offset) / number, sensor) for part in range(number)]
+        yield [(first + whole * (part + offset) / number, way) for part in range(number)]
 
 
 def judged_errors(

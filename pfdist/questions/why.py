@@ -16,7 +16,7 @@ from pfdist.common.parts import Page
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError
-from pfdist.problem.clock import Clock
+from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource
 from pfdist.problem.sections import Execution
 from pfdist.questions.at_work import release_the_lock
@@ -197,33 +197,30 @@ def _examine(session: RunSession, run: Run, draws: int) -> Generator[WorkBatch, 
     """Driver that computes all tables and publishes them at the end; it draws no figure."""
     built, store, rows = session.built, session.store, {part: list[Any]() for part in _PARTS}
     answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws
+    points = built.job.problem.points
     for position, (name, numbers) in enumerate(measured_of(run).items()):
         session.reporter.note(phase=f"why {name}", done=_STEPS * position)
-        clock = built.job.problem.clock
-        times = validated(numbers, clock.possible - 1, f"{run.path}: {name}")
+        times = validated(numbers, points.number - 1, f"{run.path}: {name}")
         summary, *parts = yield from worth_of(session, name, times, draws)
         windows = yield from sampling_windows(session, name, times, draws)
         answers.append({"name": name, "measurement_times": list(run.sets[name])} | summary)
         about = {"position": position, "name": name, "draws": drawn}
         for part, of_a_part in zip(_PARTS, (*parts, windows), strict=True):
-            rows[part] += [about | _by_sensor(row, part, clock) for row in of_a_part]
+            rows[part] += [about | _at_instant(row, part, points) for row in of_a_part]
     tables = {name: store.timed(_table(name, rows[name])) for name in rows}
     store.publish_together(WHY_PHASE, {name: [table] for name, table in tables.items()})
     frames = {name: frame_of(table) for name, table in tables.items()}
     return Why(run.path, drawn, pd.DataFrame(answers), **frames, figures=[])
 
 
-def _by_sensor(row: dict[str, Any], part: str, clock: Clock) -> dict[str, Any]:
-    """A row of a single measurement, with its instant and its sensor if there are sensors."""
-    sensors = clock.sensors
-    if not sensors or part not in ("worth", "sampling_windows"):
+def _at_instant(row: dict[str, Any], part: str, points: Points) -> dict[str, Any]:
+    """A row of a table; one of a single measurement has its instants, and how it was measured."""
+    if part not in ("worth", "sampling_windows"):
         return row
-    instant, sensor = divmod(row["t"], len(sensors))
-    moved = {key: row[key] // len(sensors) for key in row if key.startswith("moved_to")}
-    return row | moved | {"t": instant, "sensor": sensors[sensor]}
+    moved = {key: points.instant(row[key]) for key in row if key == "t" or key[:5] == "moved"}
+    return row | moved | points.columns(row["t"])
 
 
 def _table(name: str, rows: list[dict[str, Any]]) -> pa.Table:
-    has_sensors = bool(rows) and "sensor" in rows[0]
-    own = with_sensors(schema(name)) if has_sensors else schema(name)
+    own = with_sensors(schema(name)) if rows and "sensor" in rows[0] else schema(name)
     return pa.Table.from_pandas(pd.DataFrame(rows), schema=own, preserve_index=False)

@@ -52,8 +52,8 @@ def worth_of(
     built = session.built
     evaluator, instants = built.evaluator, built.evaluator.horizon + 1
     changed = list(_changes(times, built.job.problem.feasible))
-    sensors = evaluator.sensors
-    sets = [tuple(t for t in times if t // sensors <= end) for end in range(instants)]
+    after = evaluator.points.first
+    sets = [tuple(t for t in times if t < after(end + 1)) for end in range(instants)]
     sets += [other for _, _, other in changed]
     ends = (*range(instants), *(evaluator.horizon,) * len(changed))
     work = _work(session, name, sets, draws, ends=ends)
@@ -109,12 +109,12 @@ def _work(
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
     """Yield each measurement with each change of it, and the changed set.
 
-    Every measurement may be removed. It moves only to instants that the job allows, and keeps its
-    sensor.
+    Every measurement may be removed. It moves only to instants that the job allows.
     """
+    step = feasible.points.ways
     for t in times:
         yield t, "removed", tuple(other for other in times if other != t)
-        for change, to in (("earlier", t - feasible.sensors), ("later", t + feasible.sensors)):
+        for change, to in (("earlier", t - step), ("later", t + step)):
             changed = feasible.moved(times, t, to)
             if changed is not None:
                 yield t, change, changed
@@ -215,13 +215,14 @@ def sampling_windows(
 
 def _sides(times: Times, feasible: Feasible) -> list[list[tuple[Move, Times]]]:
     """The feasible moves of each measurement to one side, outwards, with the moved sets."""
-    step, sides = feasible.sensors, list[list[tuple[Move, Times]]]()
+    sides = list[list[tuple[Move, Times]]]()
     for t in times:
-        own = [other for other in times if other % step == t % step]  # of the same sensor
-        ends = (-1, *own, feasible.possible)
-        before, _, after = ends[own.index(t) :][:3]
-        for instants in (range(t - step, before, -step), range(t + step, after, step)):
-            sets = (((t, to), feasible.moved(times, t, to)) for to in instants)
+        alike = feasible.points.alike(t)
+        own = [-1, *(alike.index(other) for other in times if other in alike), len(alike)]
+        place = alike.index(t)
+        before, _, after = own[own.index(place) - 1 :][:3]
+        for side_of_t in (alike[before + 1 : place][::-1], alike[place + 1 : after]):
+            sets = (((t, to), feasible.moved(times, t, to)) for to in side_of_t)
             side = [(move, changed) for move, changed in sets if changed is not None]
             sides += [side] if side else []
     return sides

@@ -47,12 +47,11 @@ def export_plan(run: "Run", path: str | Path) -> Path:
     """Write the plan of a run, with its sampling windows where `pfdist.why` was asked."""
     import pandas as pd  # noqa: PLC0415  a run is opened without it
 
-    clock = problem_of(run).clock
-    file = checked_export(path, clock)
-    measurements, number = measured_of(run)[run.best.name], len(clock.sensors) or 1
-    rows = _rows(run, clock, measurements)
+    points = problem_of(run).points
+    clock, measured = points.clock, measured_of(run)[run.best.name]
+    file, rows = checked_export(path, clock), _rows(run, measured)
     if file.suffix.lower() == ".ics" and clock.calendar:
-        dates = [clock.dates[each // number] for each in measurements]
+        dates = [clock.dates[points.instant(each)] for each in measured]
         text = _in_icalendar(run, rows, dates, clock.calendar.by_days)
     else:
         columns = None if rows else ["measurement", "t"]
@@ -61,29 +60,30 @@ def export_plan(run: "Run", path: str | Path) -> Path:
     return file
 
 
-def _rows(run: "Run", clock: Clock, measurements: Times) -> Rows:
+def _rows(run: "Run", measured: Times) -> Rows:
     """A row for each measurement of the plan, in order of time."""
-    best, rows, number = run.best, Rows(), len(clock.sensors) or 1
+    best, rows, problem = run.best, Rows(), problem_of(run)
+    points, clock = problem.points, problem.clock
     windows = dict[int, dict[str, Any]]()
     if "sampling_windows" in run.tables:
         moved = run.table("sampling_windows")
         of_plan = moved[moved["name"] == best.name].to_dict("records")
-        allowed = sorted({each // number for each in problem_of(run).feasible.allowed})
+        allowed = points.instants(problem.feasible.allowed)
         order = {instant: place for place, instant in enumerate(allowed)}
         for percent in (STRICT, WIDE):
             for window in windows_of(of_plan, percent, clock):
+                [at] = points.read([window.measurement])
                 # Instants that are not allowed, such as weekends, end no window.
                 inside = {t: order.get(instant, -2) for t, instant in window.inside.items()}
                 [stretch] = [each for each in runs_of(inside) if window.t in each]
                 ends = map(clock.text, (stretch[0], stretch[-1]))
                 keys = f"earliest_{percent}", f"latest_{percent}"
-                windows.setdefault(window.number, {}).update(zip(keys, ends, strict=True))
-    for place, measurement in enumerate(measurements, 1):
-        instant, sensor = divmod(measurement, number)
+                windows.setdefault(at, {}).update(zip(keys, ends, strict=True))
+    for place, point in enumerate(measured, 1):
+        instant = points.instant(point)
         row: dict[str, Any] = {"measurement": place, "t": unrounded(clock.times[instant])}
         row |= {"date": clock.time(instant)} if clock.dates else {}
-        row |= {"sensor": clock.sensors[sensor]} if clock.sensors else {}
-        rows.append(row | windows.get(measurement, {}))
+        rows.append(row | points.columns(point) | windows.get(point, {}))
     return rows
 
 

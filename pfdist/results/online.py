@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
-from pfdist.problem.clock import Clock
+from pfdist.problem.points import Points
 from pfdist.results.moments import Array, Gain, Moments
 from pfdist.results.stored_run import StoredRun, problem_of
 
@@ -30,15 +30,15 @@ class OnlineDraws:
     rows : DataFrame
         A row for each draw: draw, measurement_times, estimate, mse_online and degenerate, and
         mse_<name> and degenerate_<name> for the reference and the plan.
-    clock : Clock
-        The clock of all these times.
+    points : Points
+        The table of all possible measurements.
     """
 
     reference: str
     plan: str
     planned_times: Times
     rows: pd.DataFrame
-    clock: Clock
+    points: Points
 
     def mse(self, name: str) -> Array:
         """Per-draw MSE."""
@@ -115,4 +115,4 @@ def online_draws(run: StoredRun) -> OnlineDraws:
     compared = run.table("comparison", int(chosen["draw"].max()) + 1)
     columns = [f"{start}_{name}" for name in (reference, plan) for start in ("mse", "degenerate")]
     rows = chosen.merge(compared[["draw", *columns]], on="draw")
-    return OnlineDraws(reference, plan, run.sets[plan], rows, problem_of(run).clock)
+    return OnlineDraws(reference, plan, run.sets[plan], rows, problem_of(run).points)

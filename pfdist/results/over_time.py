@@ -110,14 +110,13 @@ def profile_of(
 ) -> pd.DataFrame:
     """A row for each instant, with the error of the set at a place of some ranges.
 
-    The columns are those of `error_over_time` but the name. The times are possible measurements of
-    the problem's clock.
+    The columns are those of `error_over_time` but the name. The times are points of the problem.
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
     clock = problem.clock
     error, standard_error = errors_over_time_of(ranges, place)
-    at = {time // max(1, len(clock.sensors)) for time in times}
+    at = problem.points.instants(times)
     table = pd.DataFrame(
         {
             **clock.columns(range(len(clock.times))),

@@ -57,12 +57,6 @@ class SamplingWindow:
         return self.clock.of_row({"t": self.t, "sensor": self.sensor})
 
     @property
-    def number(self) -> int:
-        """The number of the possible measurement."""
-        sensors = self.clock.sensors or ("",)
-        return self.inside[self.t] * len(sensors) + sensors.index(self.sensor)
-
-    @property
     def is_wide(self) -> bool:
         """Whether another instant is inside."""
         return len(self.inside) > 1

@@ -156,7 +156,7 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
         ``description``, a phrase, and ``broken_constraints``, a list of sentences.
     """
     problem = ProblemSection.model_validate(job["problem"])
-    feasible, instants = problem.feasible, problem.clock.measurements(times)
+    feasible, instants = problem.feasible, problem.points.read(times)
     number = f"N = {len(times)}"
     if not feasible.counted:
         number += f", spends {feasible.price_of(instants)} of {feasible.total_price}"

@@ -107,8 +107,8 @@ class StoredRun:
 
     @cached_property
     def _measured(self) -> dict[str, Times]:
-        clock = self._problem.clock
-        return {name: clock.measurements(times) for name, times in self.sets.items()}
+        points = self._problem.points
+        return {name: points.read(times) for name, times in self.sets.items()}
 
     @cached_property
     def _problem(self) -> ProblemSection:
@@ -210,7 +210,7 @@ def problem_of(run: StoredRun) -> ProblemSection:
 
 
 def measured_of(run: StoredRun) -> dict[str, Times]:
-    """The possible measurements of each compared set, by name, as numbers."""
+    """The points of each compared set, by name."""
     return run._measured
 
 

@@ -197,14 +197,14 @@ def _filtered(evaluator: Evaluator, draws: Draws, work: ReplicateWork) -> list[F
 
 def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:
     """The p-value of each measurement of the plan, in the order of time."""
-    model, sensors, plan = evaluator.believed, evaluator.sensors, work.sets[0]
+    model, points, plan = evaluator.believed, evaluator.points, work.sets[0]
     following = Filter(
         model, work.estimation.particles, work.streams[1] - _SIGNED,
         engine=evaluator.engine, horizon=evaluator.horizon,
     )  # fmt: skip
     surprises = list[float]()
-    for t in sorted({number // sensors for number in plan}):
-        here = tuple(number for number in plan if number // sensors == t)
+    for t in points.instants(plan):
+        here = tuple(point for point in plan if point in points.at(t))
         try:
             estimate = following.update(t, seen(model, work.y[t], here), warn=False)
         except MeasurementsError:  # no particle explains it
@@ -236,8 +236,8 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     if replicate.has_own_clock:
         clock = replicate.clock
         problem = {"times": [*clock.times], "measurement_budget": 1}
-        sensors = [*clock.sensors]
-        problem |= {"time_unit": clock.unit or None, "sensors": sensors or None}
+        problem |= {"time_unit": clock.unit or None}
+        problem |= {"sensors": [*job.problem.points.sensors] or None}
         given = {name: value for name, value in problem.items() if value is not None}
         compared = {"sets": {"regular": "regular"}}  # a job without a search compares a set
         others: dict[str, Any] = {"search": [], "budget": None, "online": None}

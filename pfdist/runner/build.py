@@ -184,7 +184,7 @@ def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel
 
 def _check_sensors(job: Job, model: StateSpaceModel) -> None:
     """Raise a `JobError` unless the job names the sensors of the model, in their order."""
-    named, sensors = job.problem.clock.sensors, tuple(model.sensors)
+    named, sensors = job.problem.points.sensors, tuple(model.sensors)
     if named != sensors:
         raise JobError(
             f"problem.sensors must name the sensors of the model {model.name}, in their order: "
@@ -298,10 +298,10 @@ def _proposal_of(run: Path) -> str:
 
 def _with_long_gap(job: Job) -> Times:
     """A feasible set with a long gap, if possible at most twice the longest of regular times."""
-    feasible, sensors = job.problem.feasible, job.problem.feasible.sensors
+    feasible = job.problem.feasible
 
     def longest(times: Times) -> int:
-        return int(np.diff(sorted({time // sensors for time in times})).max(initial=0))
+        return int(np.diff(feasible.points.instants(times)).max(initial=0))
 
     most = 2 * longest(feasible.regular())
     sets = feasible.random(_MOST_TRIED, generator("proposal", job.seed))

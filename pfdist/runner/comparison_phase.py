@@ -177,7 +177,7 @@ def comparison_steps(built: Built) -> int:
 def _work(built: Built, sets: Mapping[str, Times]) -> FilterWork:
     """All sets on the same draws, each with filter noise of its own; the draws are still open."""
     seed, purpose = built.job.seed, built.study.purpose
-    last = built.job.problem.clock.possible - 1
+    last = built.job.problem.points.number - 1
     checked = [validated(times, last, name) for name, times in sets.items()]
     streams = tuple(stream_of(purpose, seed, "filter", name) for name in sets)
     return built.evaluator.work(

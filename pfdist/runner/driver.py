@@ -46,8 +46,8 @@ def drive(session: RunSession) -> Generator[WorkBatch, None, None]:
         if not has or unpublished(store, built.phases):
             sets = yield from _search(session)
         else:
-            written, clock = store.compared_sets(), built.job.problem.clock
-            sets = {name: clock.measurements(times) for name, times in written.items()}
+            written, points = store.compared_sets(), built.job.problem.points
+            sets = {name: points.read(times) for name, times in written.items()}
             reporter.note(done=_searching_steps(built))
         yield from run_comparison(session, sets)
         if built.job.online is not None:
@@ -170,7 +170,7 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
         planning=planning_of(job, built.evaluator.variance_is_error),
         planning_stream=stream_of(purpose, job.seed, "planning"),
         shown=TRAJECTORIES,
-        sensors=built.evaluator.sensors,
+        sensors=built.evaluator.points.ways,
     )
 
 

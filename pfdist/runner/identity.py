@@ -16,8 +16,8 @@ from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.models.parameters import CLOCK
 from pfdist.models.recorded import differences
 from pfdist.models.written import text_of_models
-from pfdist.problem.clock import Clock
 from pfdist.problem.job import Job, job_toml
+from pfdist.problem.points import Points
 from pfdist.results import open_run, read_recorded
 from pfdist.runner.build import Built
 from pfdist.runner.provenance import provenance
@@ -99,25 +99,24 @@ def is_sealed(path: Path, built: Built) -> bool:
     return run.job == built.job.identity() and run.state == "finished"
 
 
-def time_columns(clock: Clock) -> TimeColumns:
-    """The times and texts in place of instants and possible measurements in tables.
+def time_columns(points: Points) -> TimeColumns:
+    """The times and texts in place of instants and points in tables.
 
     Here the unit of a clock and the start of its dates become a text, that of the CF conventions;
     `pfdist.pages.panel.clock_of_table` reads it.
     """
-    has_texts = clock.sensors or clock.dates
-    written = clock.written_of(range(clock.possible)) if has_texts else ()
+    clock = points.clock
+    written = points.written_of(range(points.number)) if points.sensors or clock.dates else ()
     dates = map(clock.text, clock.times) if clock.dates else ()
     return TimeColumns(clock.times, clock.time_unit, tuple(written), tuple(dates), clock.counts)
 
 
 def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
     """The store of a run of this job, whose tables have times on the job's clock."""
-    problem = built.job.problem
-    clock = problem.clock
-    if clock.counts and not clock.sensors:
+    points = built.job.problem.points
+    if points.clock.counts and not points.sensors:
         return Store(path, run_key)
-    return Store(path, run_key, time_columns(clock))
+    return Store(path, run_key, time_columns(points))
 
 
 def _committed(store: Store) -> int:

@@ -71,10 +71,10 @@ class OnlineWork(FilterWork):
         engine, noise = evaluator.computed_by.name, self.filter_streams[0]
         filtering = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
         truths = filter_of_truths(filtering)
-        taken, (plan,) = Times(), self.measurement_times
+        taken, (plan,), points = Times(), self.measurement_times, self.feasible.points
         while plan:
-            t = plan[0] // self.sensors
-            here = tuple(time for time in plan if time // self.sensors == t)
+            t = points.instant(plan[0])
+            here = tuple(point for point in plan if point in points.at(t))
             taken, plan = (*taken, *here), plan[len(here) :]
             if plan or not self.feasible.counted:  # else nothing is left to plan
                 measured = seen(evaluator.model, y[t], here)
@@ -88,11 +88,10 @@ class OnlineWork(FilterWork):
 
 
 def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArray[np.float64]:
-    """The measurement y, (m,), with NaN for the sensors that do not measure at these times."""
-    sensors, measured = {time % len(model.parts) for time in times}, y.copy()
-    for number, part in enumerate(model.parts):
-        if number not in sensors:
-            measured[part.y] = np.nan
+    """The measurement y, (m,), with NaN for what is not measured at these times of an instant."""
+    measured = np.full_like(y, np.nan)
+    for part in (model.parts[model.points.way(time)] for time in times):
+        measured[part.y] = y[part.y]
     return measured
 
 
@@ -105,7 +104,7 @@ def _steps(feasible: Feasible, planning: Planning) -> int:
     planning.optimiser(feasible)  # checks that the method can search; any rest has fewer sets
     times, steps = feasible.regular(), 0.0
     for number in range(1, len(times)):
-        rest = rest_of(feasible, times[:number], times[number - 1] // feasible.sensors + 1)
+        rest = rest_of(feasible, times[:number], feasible.points.instant(times[number - 1]) + 1)
         if rest is not None:
             sets = planning.optimiser(rest).evaluations * planning.draws
             steps += (rest.horizon + 1) * (sets + 2 * planning.judging_draws)

@@ -50,7 +50,7 @@ def work_of_loss(
     ends = (evaluator.horizon,)
     return FilterWork(
         (times,), ends, (streams["filter"],), streams["draws"], (0, draws), estimation,
-        sensors=evaluator.sensors,
+        sensors=evaluator.points.ways,
     )  # fmt: skip
 
 
@@ -127,7 +127,7 @@ def mean_effective_sizes(evaluator: Evaluator, work: FilterWork) -> "pd.Series[f
         for draws in cut(range(first, min(last, first + _SIZE_DRAWS)), at_once)
     ]
     sizes = np.concatenate([evaluator.filtered(piece).sizes[0] for piece in pieces])
-    at = sorted({time // work.sensors - evaluator.start for time in times})
+    at = [t - evaluator.start for t in evaluator.points.instants(times)]
     return pd.DataFrame(sizes).mean()[at].rename(lambda k: k + evaluator.start)
 
 

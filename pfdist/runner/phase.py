@@ -159,8 +159,7 @@ class Phase:
         """
         times, end, draws, individual, _ = candidate
         last = self.built.job.problem.feasible.horizon if end is None else end
-        sensors = self.built.evaluator.sensors
-        validated(times, (last + 1) * sensors - 1, f"search {self.name}")
+        validated(times, self.built.evaluator.points.at(last)[-1], f"search {self.name}")
         fresh = [generation, times if individual is None else individual]
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)

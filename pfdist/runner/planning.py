@@ -123,7 +123,7 @@ class Replanner:
         if rest is None:
             return ()
         stream = stream_key(self.stream, draw, now.first, len(taken))
-        first = now.first * self.evaluator.sensors
+        first = self.feasible.points.first(now.first)
         at_hand, outlook = tuple(time - first for time in plan), _Outlook(self, now, stream)
         start, keep = at_hand, rest.accepts(at_hand)
         if not keep:  # as much of it as can be, or regular times
@@ -225,7 +225,7 @@ class _Outlook:
         """Evaluations of candidates on common draws with common noise."""
         evaluator, last = self.evaluator, self.evaluator.horizon
         first = self.now.first
-        skipped = first * evaluator.sensors
+        skipped = evaluator.points.first(first)
         sets = [tuple(skipped + time for time in each.measurement_times) for each in candidates]
         ends = [last if each.end is None else first + each.end for each in candidates]
         if draws is not None:

@@ -56,7 +56,7 @@ class RankWork(FilterWork):
             below, equal = evaluator.computed_by.filters.filter_checked_draws(
                 evaluator.believed, draws, times, stream, settings, trajectories=True
             ).ranks
-            for t in sorted({time // self.sensors for time in times}):
+            for t in evaluator.points.instants(times):
                 for c in range(below.shape[2]):
                     index = np.array(draws.index)
                     uniform = variates("uniform", 1, stream, index, t, TRUTH_RANK, c)[:, 0]

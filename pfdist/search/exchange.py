@@ -43,7 +43,7 @@ def shifts(feasible: Feasible, times: Times) -> list[Times]:
         for stop in range(first + 1, min(first + _LONGEST_RUN, len(times)) + 1)
     )
     for first, stop in runs:
-        for step in (-feasible.sensors, feasible.sensors):
+        for step in (-feasible.points.ways, feasible.points.ways):
             moved = [place + step for place in places[first:stop]]
             if moved[0] >= 0 and moved[-1] < len(allowed):
                 run = (allowed[place] for place in moved)

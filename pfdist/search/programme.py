@@ -8,7 +8,7 @@ that the set does not contain. So each of its windows grows by a measurement, an
 error is closer to the set's own error. If all windows of a set are whole beginnings, its relaxed
 error is its own error. If it is still the best, it is proved to be optimal.
 
-The largest numbers of measurements of single sensors are relaxed by Lagrange multipliers.
+Largest numbers of measurements are relaxed by Lagrange multipliers.
 
 Sources: Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
 procedures for the computation of bounds to routing problems", Networks 11, 1981.
@@ -40,7 +40,7 @@ class Programme:
 
     If measurements are counted, a set makes exactly the number of the sum. Money may be left over.
 
-    Each measurement adds the multiplier of its sensor to the sum of errors, and multipliers times
+    Each measurement adds the multiplier of its limit to the sum of errors, and multipliers times
     the largest numbers of measurements are subtracted at the end. With multipliers of at least 0,
     the relaxed error of a set that keeps these numbers is at most its own error, so the minimum is
     still a lower bound.
@@ -49,7 +49,7 @@ class Programme:
     relaxation: Relaxation
     errors: Array
     most: int
-    multipliers: tuple[float, ...] = ()  # (S,): 0 for a sensor without a largest number; or empty
+    multipliers: tuple[float, ...] = ()  # of each limit: 0 without a largest number; or empty
 
     @property
     def mse(self) -> Array:
@@ -127,14 +127,14 @@ class Programme:
 
     def _until(self, moves: Moves) -> Array:
         """Sums of errors from the last measurement of each window up to and with a measurement."""
-        sensor = moves.time % self.relaxation.constraints.sensors
-        multiplier = self.multipliers[sensor] if self.multipliers else 0.0
+        way = self.relaxation.constraints.points.way(moves.time)
+        multiplier = self.multipliers[way] if self.multipliers else 0.0
         return self._between(moves.before, self._instant(moves.time)) + multiplier
 
     def _mean(self, sums: Array) -> Array:
         """Expected MSEs, or their bounds, from sums of errors and multipliers."""
         most = self.relaxation.constraints.most if self.multipliers else {}
-        left: Array = sums - sum(self.multipliers[sensor] * most[sensor] for sensor in most)
+        left: Array = sums - sum(self.multipliers[way] * most[way] for way in most)
         return left / (self.relaxation.horizon + 1)
 
     def _between(self, windows: Indices, until: Indices | int) -> Array:
@@ -172,7 +172,7 @@ class Programme:
 
     def _instant(self, time: int) -> int:
         """The instant of a measurement, whose own error counts after it."""
-        return time // self.relaxation.constraints.sensors
+        return self.relaxation.constraints.points.instant(time)
 
     @cached_property
     def _moves_by_time(self) -> dict[int, Moves]:
@@ -208,19 +208,20 @@ def with_multipliers(
     Any multipliers give a lower bound. Each is limited to the sum of errors of a feasible set of
     this sum, whose expected MSE is `known_mse`.
     """
-    most, sensors = relaxation.constraints.most, relaxation.constraints.sensors
+    most, points = relaxation.constraints.most, relaxation.constraints.points
     unlimited = Programme(relaxation, errors, spent)
     if not (most and 0 < known_mse < np.inf):
         return unlimited
     largest = known_mse * (relaxation.horizon + 1)
 
     def programme(shares: Array) -> Programme:
-        of_sensor = dict(zip(most, (largest * shares).tolist(), strict=True))
-        return replace(unlimited, multipliers=tuple(of_sensor.get(s, 0.0) for s in range(sensors)))
+        of_way = dict(zip(most, (largest * shares).tolist(), strict=True))
+        every = tuple(of_way.get(way, 0.0) for way in range(points.ways))
+        return replace(unlimited, multipliers=every)
 
     def lowest(shares: Array) -> tuple[float, Array]:
         path = programme(shares).path(spent)
-        own = [sum(time % sensors == sensor for time in path) for sensor in most]
+        own = [len(points.of_way(way, path)) for way in most]
         return unlimited.of_set(path) / known_mse, np.array(own) - [*most.values()]
 
     return programme(highest(lowest, np.zeros(len(most))))

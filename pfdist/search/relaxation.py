@@ -65,9 +65,9 @@ class Moves(NamedTuple):
 class Relaxation:
     """The known windows of a relaxed filter, and the moves between them by measurements.
 
-    Every path satisfies the constraints, except for the number of measurements, which is free. The
-    limits of a sensor are checked only for a window with the next measurement. Raises
-    `MeasurementTimesError` if the longest gap is less than 1.
+    Every path satisfies the constraints, except for the number of measurements, which is free.
+    Limits are checked only for a window with the next measurement. Raises `MeasurementTimesError`
+    if the longest gap is less than 1.
     """
 
     constraints: Constraints
@@ -115,7 +115,7 @@ class Relaxation:
     @cached_property
     def first(self) -> Indices:
         """The first instant at which the error of each window counts, (W,)."""
-        return np.maximum(self.last, 0) // self.constraints.sensors
+        return self.constraints.points.instant(np.maximum(self.last, 0))
 
     @cached_property
     def ends(self) -> Indices:
@@ -202,9 +202,9 @@ class Relaxation:
     def grown(self, windows: Iterable[Window], far: Iterable[Window] = ()) -> "Relaxation":
         """The relaxation with these windows and their beginnings added.
 
-        Windows that break the limits of a sensor are left out. The errors of the known windows
-        `far` count up to T. A new window is far if the longest known window that it ends with is
-        far; otherwise errors of a set could become lower.
+        Windows that break limits are left out. The errors of the known windows `far` count up to T.
+        A new window is far if the longest known window that it ends with is far; otherwise errors
+        of a set could become lower.
         """
         beginnings = {window[:size] for window in windows for size in range(1, len(window) + 1)}
         beginnings = {window for window in beginnings if keeps_limits(self.constraints, window)}
@@ -232,7 +232,7 @@ class Relaxation:
         return [
             self.windows[number]
             for number, until in zip(numbers, following, strict=True)
-            if self.ends[number] + 1 < until // self.constraints.sensors
+            if self.ends[number] + 1 < self.constraints.points.instant(until)
         ]
 
     def without(self, windows: Collection[Window]) -> "Relaxation":
@@ -258,17 +258,11 @@ class Relaxation:
 
     @cached_property
     def _within_limits(self) -> NDArray[np.bool_]:
-        """Whether a time keeps the limits of its sensor, after those of each window, (W, T+1)."""
-        constraints, sensors = self.constraints, self.constraints.sensors
-        within = np.ones((len(self.windows), constraints.possible), np.bool_)
-        for sensor, limit in enumerate(constraints.limits):
-            for number, window in enumerate(self.windows):
-                own = [time for time in window if time >= 0 and time % sensors == sensor]
-                if limit.most is not None and len(own) >= limit.most:
-                    within[number, sensor::sensors] = False
-                elif own and limit.spacing is not None:
-                    until = limit.spacing.after(own[-1] // sensors) * sensors
-                    within[number, own[-1] : until : sensors] = False
+        """Whether a time keeps the limits, after those of each window, (W, T+1)."""
+        within = np.ones((len(self.windows), self.constraints.possible), np.bool_)
+        if self.constraints.limits:
+            for row, window in zip(within, self.windows, strict=True):
+                row[self.constraints.beyond_limits(_measured(window))] = False
         return within
 
     def _suffix(self, window: Window) -> int:
@@ -285,8 +279,12 @@ def followers(constraints: Constraints, last: int) -> Iterator[int]:
 
 
 def keeps_limits(constraints: Constraints, window: Window) -> bool:
-    """Whether the measurements of a window satisfy the constraints on each sensor."""
-    return constraints.is_within_limits(window[window[0] == NOTHING :])
+    """Whether the measurements of a window satisfy the limits."""
+    return constraints.is_within_limits(_measured(window))
+
+
+def _measured(window: Window) -> Times:
+    return window[window[0] == NOTHING :]
 
 
 def in_order(windows: Iterable[Window]) -> tuple[Window, ...]:
@@ -320,10 +318,10 @@ def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> 
         if len(shorter) == window:
             continue
         last = shorter[-1]
-        sensors = constraints.sensors
-        until = constraints.horizon if last == NOTHING else last // sensors + longest_gap
+        instant = constraints.points.instant
+        until = constraints.horizon if last == NOTHING else instant(last) + longest_gap
         longer = [
-            (*shorter, time) for time in followers(constraints, last) if time // sensors <= until
+            (*shorter, time) for time in followers(constraints, last) if instant(time) <= until
         ]
         longer = [window for window in longer if keeps_limits(constraints, window)]
         new += longer
@@ -381,9 +379,9 @@ def _longest_gap(
 
 
 def _cells(constraints: Constraints, window: int, longest_gap: int) -> int:
-    instants, sensors = constraints.horizon + 1, constraints.sensors
-    windows = instants * sensors * (longest_gap * sensors) ** (window - 1)
-    return int(windows * longest_gap) + instants**2 * sensors
+    instants, points = constraints.horizon + 1, constraints.points
+    windows = points.number * points.first(longest_gap) ** (window - 1)
+    return int(windows * longest_gap) + instants * points.number
 
 
 def _relaxation(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:

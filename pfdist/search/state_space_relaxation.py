@@ -73,7 +73,7 @@ class RelaxationState:
         return {window for window, errors in self.errors.items() if np.isnan(errors).any()}
 
     def programmes(self, sums: Sequence[int]) -> dict[int, Programme]:
-        """The programme for each sum; a single one if no sensor has a limit on its number."""
+        """The programme for each sum; a single one if no limit has a largest number."""
         relaxation = self.relaxation
         passable = (relaxation.windows[number] for number in np.flatnonzero(relaxation.passable))
         errors = np.concatenate([self.errors[window] for window in passable])
@@ -245,7 +245,7 @@ class StateSpaceRelaxation:
     def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
         """The paths that can be paid for, completed to feasible sets.
 
-        Paths may break the limits of sensors; then they are repaired.
+        Paths may break limits; then they are repaired.
 
         Where prices are rounded down, all paths may be too expensive. Then paths of smaller and
         smaller sums are tried, until one can be paid for.

@@ -105,8 +105,8 @@ class Survivors:
         near = [(*times, t) for times in state.front for t in self._next(state, times)]
         every = ((*times, t) for times in state.front for t in self.feasible.extensions(times))
         # If the limits leave nothing, they do not apply.
-        sensors = self.feasible.sensors
-        return [Candidate(times, times[-1] // sensors) for times in near or every]
+        instant = self.feasible.points.instant
+        return [Candidate(times, instant(times[-1])) for times in near or every]
 
     def tell(self, state: SurvivorState, evaluations: Sequence[Evaluation]) -> SurvivorState:
         """Keep the best prefixes of each state; at the end, widen the limits that a set reaches."""

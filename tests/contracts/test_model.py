@@ -75,7 +75,7 @@ def test_there_is_a_job_of_it(name: str) -> None:
 )
 def test_a_job_is_evaluated_and_runs(path: Path, tmp_path: Path) -> None:
     job = _small(path)
-    times = job.problem.clock.written_of(job.problem.feasible.regular())
+    times = job.problem.points.written_of(job.problem.feasible.regular())
     assert 0 < pfdist.evaluate(job, times).expected_mse < np.inf
     figures = path.stem not in QUICK_JOBS  # others draw those of the quick jobs
     run = pfdist.run(job, tmp_path / "run", pool="serial", figures=figures)

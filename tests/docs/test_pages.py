@@ -197,7 +197,7 @@ def test_the_page_about_jobs_shows_a_clock_and_sets_that_a_job_may_have(tmp_path
     problem = pfdist.load_job(file).problem
     assert problem.clock.time_unit == "min since 2026-04-01T08:00 Europe/Brussels"
     assert problem.clock.horizon * 30 == problem.horizon == 20160  # the page says so
-    allowed = problem.clock.written_of(problem.feasible.allowed)
+    allowed = problem.points.written_of(problem.feasible.allowed)
     assert (allowed[0], allowed[-1]) == ("2026-04-01T08:00", "2026-04-15T08:00")
     assert "2026-04-06T12:00" not in allowed  # Easter Monday
 

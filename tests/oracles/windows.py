@@ -128,7 +128,7 @@ def relaxed_errors(relaxation: Relaxation, errors: Array, times: Times) -> Array
     times : tuple of int
     """
     only = relaxation.windows if relaxation.only is None else relaxation.only
-    columns, sensors = [], relaxation.constraints.sensors
+    columns, sensors = [], relaxation.constraints.points.ways
     for t in range(relaxation.horizon + 1):
         until = tuple(time for time in times if time // sensors <= t)
         window = longest_end(relaxation.index, until)

@@ -30,6 +30,7 @@ from pfdist.pages.plots import (
 from pfdist.pages.searches import legend_inches
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED, styled
 from pfdist.problem.clock import Clock
+from pfdist.problem.points import Points
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Gain, Run, open_run
 from pfdist.results.online import OnlineDraws
@@ -297,7 +298,7 @@ def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours()
     measured = measured_marks(times, 4)
     assert [tuple(np.flatnonzero(row)) for row in measured] == times
     table = pd.DataFrame({"measurement_times": times})
-    draws = OnlineDraws("regular", "survivors", (0, 3), table, Clock.counting(4))
+    draws = OnlineDraws("regular", "survivors", (0, 3), table, Points(Clock.counting(4)))
     axes = online_raster(draws, ax=_axes())
     (image,) = axes.get_images()
     rows = [tuple(np.flatnonzero(row).tolist()) for row in np.asarray(image.get_array())]
@@ -312,7 +313,7 @@ def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours()
 def test_online_times_on_a_clock_stand_at_their_times(times: tuple[float, ...]) -> None:
     clock = Clock(times, "h")
     rows = pd.DataFrame({"measurement_times": [(0.0, 0.5), (0.5, times[-1])]})
-    draws = OnlineDraws("regular", "survivors", (0.0, 1.0), rows, clock)  # type: ignore[arg-type]
+    draws = OnlineDraws("regular", "survivors", (0.0, 1.0), rows, Points(clock))  # type: ignore[arg-type]
     axes = online_shares(draws, ax=_axes())
     middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
     np.testing.assert_allclose(middles, times)
@@ -324,9 +325,9 @@ def test_online_times_on_a_clock_stand_at_their_times(times: tuple[float, ...]) 
 
 
 def test_online_times_of_two_sensors_stand_beside_each_other_in_two_shades() -> None:
-    clock = Clock((0, 1, 2), sensors=("probe", "core"))
+    points = Points(Clock((0, 1, 2)), ("probe", "core"))
     rows = pd.DataFrame({"measurement_times": [("0 core", "2 probe"), ("0 core", "0 probe")]})
-    draws = OnlineDraws("regular", "plan", ("0 core",), rows, clock)  # type: ignore[arg-type]
+    draws = OnlineDraws("regular", "plan", ("0 core",), rows, points)  # type: ignore[arg-type]
     axes = online_shares(draws, ax=_axes())
     assert [bar.get_height() for bar in axes.patches] == [50, 0, 50, 100, 0, 0]
     probe, core = axes.patches[0], axes.patches[3]

@@ -26,6 +26,7 @@ from pfdist.pages.figure import FIGURES, Tables, drawn
 from pfdist.pages.panel import label_ends, styles_of
 from pfdist.pages.style import BLUE, GREY, OCHRE, PRINT, RED, SCREEN, styled
 from pfdist.problem.clock import Clock
+from pfdist.problem.points import Points
 from pfdist.results import Run
 from pfdist.results.online import OnlineDraws
 from pfdist.results.runs_table import RESULTS
@@ -149,6 +150,14 @@ def test_each_sensor_has_a_marker_at_the_worth_of_its_measurements() -> None:
     assert [t for (shape, _), at in rows.items() for t in at if shape == "s"] == [
         pytest.approx(1.2)
     ]
+
+
+def test_with_more_sensors_than_markers_the_markers_come_again() -> None:
+    names = [f"s{number:02d}" for number in range(20)]
+    worth = pd.DataFrame({"name": "mine", "t": range(20), "sensor": names})
+    axes = plots.worth(worth.assign(removed=1.0, removed_error=0.1), ax=_axes())
+    shapes = {line.get_label(): line.get_marker() for line in axes.get_lines()}
+    assert shapes["s00"] == shapes["s08"] == shapes["s16"] != shapes["s01"]
 
 
 def _trajectory() -> pd.DataFrame:
@@ -522,7 +531,9 @@ def _with_costly_names() -> dict[str, Draw]:
         "error_profile": call(profile),
         "gain": call(comparison, COSTLY, reference="a$b", beside="$"),
         "one_draw": call(trajectory, sets),
-        "online_shares": call(OnlineDraws("regular", COSTLY, (1,), rows, Clock.counting(12))),
+        "online_shares": call(
+            OnlineDraws("regular", COSTLY, (1,), rows, Points(Clock.counting(12)))
+        ),
         "times": call(sets),
         "worth": call(worth),
     }

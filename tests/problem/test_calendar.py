@@ -20,8 +20,9 @@ from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.problem.calendar import calendar_of
 from pfdist.problem.clock import Clock
 from pfdist.problem.job import Job, job_toml
+from pfdist.problem.points import Points
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.problem.written import instants_written, measurements_of
+from pfdist.problem.written import instants_written
 
 ZONE = "Europe/Brussels"
 SPRING, AUTUMN = "2026-03-27T09:00", "2026-10-23T09:00"  # two days before the clocks change
@@ -85,7 +86,7 @@ def test_a_text_means_the_instants_whose_local_date_matches(
 @given(ends=st.tuples(st.integers(0, DAYS), st.integers(0, DAYS)).map(sorted))
 def test_a_range_of_dates_has_both_ends(start: str, ends: list[int]) -> None:
     clock, (first, last) = half_hours(start, ZONE), ends
-    written = clock.written_of(range(DAYS + 1))
+    written = Points(clock).written_of(range(DAYS + 1))
     assert instants_written(f"{written[first]}..{written[last]}", clock) == [
         *range(first, last + 1)
     ]
@@ -100,10 +101,10 @@ def test_each_instant_has_one_date_also_in_the_hour_that_occurs_twice(
     start: str, zone: str
 ) -> None:
     clock = half_hours(start, zone)
-    written = clock.written_of(range(DAYS + 1))
+    written = Points(clock).written_of(range(DAYS + 1))
     assert len({*written}) == DAYS + 1
     assert [clock.instant(text) for text in written] == [*range(DAYS + 1)]
-    assert list(clock.measurements(written)) == [*range(DAYS + 1)]
+    assert list(Points(clock).read(written)) == [*range(DAYS + 1)]
     fresh = replace(clock)  # read by the grammar, not as written before
     assert [t for text in written for t in fresh.dated(f" {text}")] == [*range(DAYS + 1)]
     assert [text[:16] for text in written] == [
@@ -113,7 +114,7 @@ def test_each_instant_has_one_date_also_in_the_hour_that_occurs_twice(
 
 def test_the_hour_that_occurs_twice_has_its_offset_and_the_skipped_one_does_not_exist() -> None:
     clock = half_hours(AUTUMN, ZONE)
-    twice = [text for text in clock.written_of(range(DAYS + 1)) if "T02:" in str(text)]
+    twice = [text for text in Points(clock).written_of(range(DAYS + 1)) if "T02:" in str(text)]
     assert "2026-10-25T02:30+02:00" in twice
     assert "2026-10-25T02:30+01:00" in twice
     early, late = (clock.instant(f"2026-10-25T02:30+0{hour}:00") for hour in (2, 1))
@@ -146,11 +147,11 @@ def test_a_unit_names_its_start_and_zone(start: datetime, step: str, zone: str) 
 
 def test_days_from_midnight_are_written_without_an_hour() -> None:
     clock = section().clock
-    assert clock.written_of([0, 10]) == ["2026-04-01", "2026-04-11"]
+    assert Points(clock).written_of([0, 10]) == ["2026-04-01", "2026-04-11"]
     assert clock.formatted(30) == "2026-05-01"
-    assert section("2026-04-01", "6 h").clock.written(0) == "2026-04-01T00:00"
-    assert section("2026-04-01", zone=ZONE).clock.written(0) == "2026-04-01T00:00"
-    assert section("2026-04-01T08:00").clock.written(1) == "2026-04-02T08:00"
+    assert section("2026-04-01", "6 h").points.written(0) == "2026-04-01T00:00"
+    assert section("2026-04-01", zone=ZONE).points.written(0) == "2026-04-01T00:00"
+    assert section("2026-04-01T08:00").points.written(1) == "2026-04-02T08:00"
 
 
 def test_times_may_be_numbers_texts_and_objects_of_python_and_pandas() -> None:
@@ -163,7 +164,7 @@ def test_times_may_be_numbers_texts_and_objects_of_python_and_pandas() -> None:
 
 def test_allowed_entries_are_united_words_of_an_entry_intersected() -> None:
     problem = section(allowed=["mon 00:00..12:00", "2026-04-02"], forbidden=["2026-04-13"])
-    assert problem.clock.written_of(problem.feasible.allowed) == [
+    assert problem.points.written_of(problem.feasible.allowed) == [
         "2026-04-02", "2026-04-06", "2026-04-20", "2026-04-27",
     ]  # fmt: skip
     counted = ProblemSection(horizon=9, measurement_budget=2, allowed=[0, "4:6"])
@@ -173,10 +174,10 @@ def test_allowed_entries_are_united_words_of_an_entry_intersected() -> None:
 def test_sensors_follow_the_dates_of_their_entry() -> None:
     sensors = {"ct": {"allowed": ["sat..sun"]}, "x-ray": {"forbidden": ["2026-04-02"]}}
     problem = section(sensors=sensors, required=["2026-04-04 ct, mon 2026-04-01..2026-04-08 x-ray"])
-    clock = problem.clock
-    assert clock.written_of(problem.feasible.required) == ["2026-04-04 ct", "2026-04-06 x-ray"]
-    assert measurements_of("2026-04-04, 2026-04-05 ct", clock) == [6, 8]
-    barred = clock.written_of(problem.feasible.forbidden)
+    points = problem.points
+    assert points.written_of(problem.feasible.required) == ["2026-04-04 ct", "2026-04-06 x-ray"]
+    assert points.read("2026-04-04, 2026-04-05 ct") == (6, 8)
+    barred = points.written_of(problem.feasible.forbidden)
     assert "2026-04-02 x-ray" in barred
     assert "2026-04-03 ct" in barred
     assert "2026-04-04 ct" not in barred
@@ -185,7 +186,7 @@ def test_sensors_follow_the_dates_of_their_entry() -> None:
 def test_the_horizon_and_the_times_of_a_clock_may_be_dates() -> None:
     assert section(horizon="2026-04-11").clock.horizon == 10
     uneven = section(horizon=None, times=["2026-04-01", "2026-04-08", 10])
-    assert uneven.clock.written_of([0, 1, 2]) == ["2026-04-01", "2026-04-08", "2026-04-11"]
+    assert uneven.points.written_of([0, 1, 2]) == ["2026-04-01", "2026-04-08", "2026-04-11"]
     assert uneven.horizon is None
 
 

@@ -11,6 +11,7 @@ from pfdist.common.measurement_times import regular
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.points import Points
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.written import clock_of, instants_written
 
@@ -38,7 +39,7 @@ def test_a_clock_of_equal_steps_is_even_and_every_multiple_is_an_instant(
     assert clock.is_even
     assert clock.since(1).is_even
     assert clock.since(clock.horizon).is_even  # a single instant
-    assert clock.instants(k * horizon / steps for k in range(steps + 1)) == tuple(range(steps + 1))
+    assert [clock.instant(k * horizon / steps) for k in range(steps + 1)] == [*range(steps + 1)]
     assert clock.successors(2 * horizon / steps)[:-1] == (*range(2, steps + 1), steps + 1)
     assert len(Clock.regular(24, 0.0166666666667).times) == 1441  # as a person types 1/60
     assert not Clock((0.0, 1.0, 2.0, 3.001)).is_even
@@ -63,12 +64,12 @@ def test_the_tolerance_is_a_part_of_the_step_and_not_of_the_time(begin: float, s
 
 def test_whole_numbers_alone_count_instants() -> None:
     clock = Clock.counting(12)
-    assert clock.instants([3, 4.0, np.int64(20), np.float64(5)]) == (3, 4, 20, 5)
+    assert Points(clock).read([3, 4.0, np.int64(20), np.float64(5)]) == (3, 4, 20, 5)
     for wrong in (0.7, np.nan, np.inf):
-        with pytest.raises(MeasurementTimesError, match="must be whole numbers without a clock"):
-            clock.instants([wrong])
+        with pytest.raises(MeasurementTimesError, match=r"must name times, as 20, .*, got "):
+            Points(clock).read([wrong])
     with pytest.raises(MeasurementTimesError, match="must be times, got '3'"):
-        clock.instants(["3"])  # type: ignore[list-item]
+        clock.instant("3")
 
 
 def test_a_range_of_a_clock_may_span_many_units_but_no_clock_has_so_many_instants() -> None:
@@ -166,7 +167,7 @@ def test_the_feasible_sets_of_a_clock_are_those_of_brute_force(
         if all(clock.times[b] - clock.times[a] >= least for a, b in pairwise(times))
     ]
     try:
-        feasible = Feasible(clock.horizon, number, minimum_spacing=least, clock=clock)
+        feasible = Feasible(clock.horizon, number, minimum_spacing=least, points=Points(clock))
     except MeasurementTimesError:
         assert not expected
         return
@@ -179,14 +180,14 @@ def test_the_feasible_sets_of_a_clock_are_those_of_brute_force(
 
 def test_regular_times_of_an_even_clock_are_those_of_the_paper() -> None:
     clock = Clock.regular(15.0, 0.25, "h")
-    assert Feasible(60, 21, clock=clock, minimum_spacing=0.0).regular() == regular(60, 21)
+    assert Feasible(60, 21, points=Points(clock), minimum_spacing=0.0).regular() == regular(60, 21)
 
 
 def test_regular_times_of_an_uneven_clock_are_nearest_to_evenly_spaced_times() -> None:
     assert UNEVEN.times_of(UNEVEN.regular_times(4)) == [0.0, 4.0, 8.0, 12.0]
     assert UNEVEN.regular_times(7) == tuple(range(7))  # every instant once
     nearest = min(range(7), key=lambda t: abs(UNEVEN.times[t] - UNEVEN.times[-1] / 2))
-    assert UNEVEN.regular_times(1) == Feasible(6, 1, clock=UNEVEN).regular() == (nearest,)
+    assert UNEVEN.regular_times(1) == Feasible(6, 1, points=Points(UNEVEN)).regular() == (nearest,)
 
 
 def test_trapezoids_integrate_straight_lines_exactly() -> None:
@@ -196,7 +197,7 @@ def test_trapezoids_integrate_straight_lines_exactly() -> None:
 
 
 def test_a_broken_constraint_is_told_in_times_of_the_clock() -> None:
-    feasible = Feasible(6, 2, forbidden=(5,), minimum_spacing=1.0, clock=UNEVEN)
+    feasible = Feasible(6, 2, forbidden=(5,), minimum_spacing=1.0, points=Points(UNEVEN))
     assert feasible.broken((0, 1, 5)) == [
         "measurement_budget is 2, got 3 times",
         "forbidden: 8 is measured",

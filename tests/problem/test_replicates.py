@@ -21,7 +21,6 @@ from pfdist.store import user_tables
 MODEL = lake()
 COUNTS = Clock.counting(4)
 HOURS = Clock.regular(24, 6, "h")
-SENSORS = replace(HOURS, sensors=("moving", "still"))
 
 
 def read(
@@ -95,7 +94,7 @@ def test_times_beside_the_clock_make_a_clock_of_the_replicate(tmp_path: Path) ->
 
 def test_sensors_have_a_row_each(tmp_path: Path) -> None:
     text = "day,t,sensor,y0\na,6,still,1\na,6,moving,2\na,0,still,3\nb,1.5,moving,4\n"
-    a, b = read(text, tmp_path, SENSORS, two_platforms())
+    a, b = read(text, tmp_path, HOURS, two_platforms())
     assert a.measured(two_platforms()) == (1, 2, 3)  # t * 2 + sensor
     assert a.y[1].tolist() == [2.0, 1.0]
     assert b.measured(two_platforms()) == (2,)
@@ -104,18 +103,17 @@ def test_sensors_have_a_row_each(tmp_path: Path) -> None:
 
 def test_the_nearest_measurement_is_used_once_and_by_its_sensor(tmp_path: Path) -> None:
     (found,) = read("day,t,y0\n" + "".join(f"a,{t},1\n" for t in (1, 7, 13, 23)), tmp_path, HOURS)
-    measured = found.measured(MODEL)
-    assert found.nearest([(0.0, 0), (12.0, 0)], measured, 1.0) == (1, 3)
-    assert found.nearest([(6.9, 0), (7.1, 0)], measured, 6.0) == (2, 3)  # the next nearest
+    assert found.nearest([(0.0, 0), (12.0, 0)], MODEL, 1.0) == (1, 3)
+    assert found.nearest([(6.9, 0), (7.1, 0)], MODEL, 6.0) == (2, 3)  # the next nearest
     with pytest.raises(MeasurementsError, match=r"no measurement within 0\.5 of t = 12"):
-        found.nearest([(1.0, 0), (12.0, 0)], measured, 0.5)
+        found.nearest([(1.0, 0), (12.0, 0)], MODEL, 0.5)
     with pytest.raises(MeasurementsError, match=r"within 100 of t = 2$"):
-        found.nearest([(2.0, 0)] * 5, measured, 100.0)
+        found.nearest([(2.0, 0)] * 5, MODEL, 100.0)
     text = "day,t,sensor,y0\na,0,still,1\na,6,moving,2\n"
-    (seen,) = read(text, tmp_path, SENSORS, two_platforms())
-    assert seen.nearest([(5.0, 1)], seen.measured(two_platforms()), 5.0) == (1,)
+    (seen,) = read(text, tmp_path, HOURS, two_platforms())
+    assert seen.nearest([(5.0, 1)], two_platforms(), 5.0) == (1,)
     with pytest.raises(MeasurementsError, match="no measurement by still within 3 of t = 5"):
-        seen.nearest([(5.0, 1)], seen.measured(two_platforms()), 3.0)
+        seen.nearest([(5.0, 1)], two_platforms(), 3.0)
 
 
 HEAD = "day,t,y0"
@@ -177,7 +175,7 @@ def test_a_wrong_table_is_one_line(text: str, said: str, tmp_path: Path) -> None
 )  # fmt: skip
 def test_a_wrong_table_of_sensors_is_one_line(text: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(MeasurementsError) as error:
-        read(text, tmp_path, SENSORS, two_platforms())
+        read(text, tmp_path, HOURS, two_platforms())
     assert said in str(error.value), str(error.value)
     assert "\n" not in str(error.value)
 

@@ -11,16 +11,16 @@ from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
 from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.points import Points
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.written import measurements_of
 
-CLOCK = Clock(tuple(range(5)), counts=True, sensors=("ct", "x-ray"))
-FREE = Feasible(4, 3, minimum_spacing=0, clock=CLOCK)
+POINTS = Points(Clock.counting(4), ("ct", "x-ray"))
+FREE = Feasible(4, 3, minimum_spacing=0, points=POINTS)
 LIMITED = replace(
     FREE, limits=(Limit(most=1), Limit(spacing=Spacing.constant(2, 4))), forbidden=(3,)
 )
 PRICED = Feasible(
-    4, None, minimum_spacing=0, clock=CLOCK, price=(1, 3) * 5, total_price=5, cheapest=0
+    4, None, minimum_spacing=0, points=POINTS, price=(1, 3) * 5, total_price=5, cheapest=0
 )
 LIMITED_MONEY = replace(PRICED, limits=(Limit(most=2), Limit()), smaller=True)
 
@@ -111,10 +111,9 @@ def test_one_sensor_alone_and_rotation_are_references() -> None:
 @in_turn(("t", "sensor"), [*product(range(5), range(2))])
 def test_a_measurement_is_read_as_it_is_written(t: int, sensor: int) -> None:
     number = 2 * t + sensor
-    written = CLOCK.written(number)
-    assert written == f"{t} {CLOCK.sensors[sensor]}"
-    assert CLOCK.measurements([written]) == (number,)
-    assert measurements_of([written], CLOCK) == [number]
+    written = POINTS.written(number)
+    assert written == f"{t} {POINTS.sensors[sensor]}"
+    assert POINTS.read([written]) == (number,)
 
 
 @pytest.mark.parametrize(
@@ -126,12 +125,12 @@ def test_a_measurement_is_read_as_it_is_written(t: int, sensor: int) -> None:
     ],
 )
 def test_several_times_may_precede_their_sensor(written: object, numbers: list[int]) -> None:
-    assert measurements_of(written, CLOCK) == numbers
+    assert POINTS.read(written) == tuple(numbers)
 
 
 def test_times_without_a_sensor_mean_all_sensors_where_this_is_meant() -> None:
-    assert measurements_of([1, "3 ct"], CLOCK, of_all=True) == [2, 3, 6]
-    assert measurements_of(["3 ct", 1], CLOCK, of_all=True) == [6, 2, 3]
+    assert POINTS.read([1, "3 ct"], of_all=True) == (2, 3, 6)
+    assert POINTS.read(["3 ct", 1], of_all=True) == (6, 2, 3)
 
 
 @pytest.mark.parametrize(
@@ -145,16 +144,18 @@ def test_times_without_a_sensor_mean_all_sensors_where_this_is_meant() -> None:
 )
 def test_a_wrong_measurement_is_named(written: str, said: str) -> None:
     if not said:
-        assert measurements_of(written, CLOCK) == [0, 0]  # a set is checked for repetitions
+        assert POINTS.read(written) == (0, 0)  # a set is checked for repetitions
         return
     with pytest.raises(MeasurementTimesError, match=said.replace(".", r"\.")):
-        measurements_of(written, CLOCK)
+        POINTS.read(written)
 
 
-@pytest.mark.parametrize("written", ["x ct", "ct", "3 cat", "3", 3])
+@pytest.mark.parametrize("written", ["x ct", "ct", "0 ct x-ray", "3 cat", "3", 3])
 def test_a_measurement_without_a_time_or_a_sensor_is_named(written: str | int) -> None:
-    with pytest.raises(MeasurementTimesError, match="must name a time and a sensor, as '12 ct'"):
-        CLOCK.measurements([written])
+    with pytest.raises(
+        MeasurementTimesError, match="must name times and then their sensor, as '12 ct'"
+    ):
+        POINTS.read([written])
 
 
 def test_n_measurements_under_limits_and_a_spacing_of_all_are_refused() -> None:

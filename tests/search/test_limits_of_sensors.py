@@ -14,6 +14,7 @@ from pfdist.filters.kalman import expected_mse
 from pfdist.problem.clock import Clock
 from pfdist.problem.constraints import Constraints, Limit
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.points import Points
 from pfdist.problem.spacing import Spacing
 from pfdist.runner.proof import Sums, prove
 from pfdist.search.programme import Programme, highest, longer, near_optimal, with_multipliers
@@ -36,8 +37,8 @@ sums = pytest.mark.parametrize("money", [False, True], ids=["counted", "money"])
 
 
 def _constraints(name: str, *, money: bool) -> Constraints:
-    clock = Clock(tuple(range(HORIZON + 1)), counts=True, sensors=SENSORS)
-    given = {"clock": clock, "minimum_spacing": 0.0, "limits": LIMITS[name]}
+    points = Points(Clock.counting(HORIZON), SENSORS)
+    given = {"points": points, "minimum_spacing": 0.0, "limits": LIMITS[name]}
     if money:
         return Feasible(HORIZON, price=PRICES, total_price=6, smaller=True, **given)
     return Feasible(HORIZON, 4, **given)
@@ -245,10 +246,10 @@ def test_exact_gaps_of_the_manual(name: str) -> None:
         sensors=dict(zip(SENSORS, map(_sensor, rows, sds), strict=True)),
         linear_gaussian=True,
     )
-    clock = Clock(tuple(range(horizon + 1)), counts=True, sensors=SENSORS)
+    points = Points(Clock.counting(horizon), SENSORS)
     free = Feasible(
-        horizon, price=prices * (horizon + 1), total_price=total, clock=clock, minimum_spacing=0.0,
-        smaller=True,
+        horizon, price=prices * (horizon + 1), total_price=total, points=points,
+        minimum_spacing=0.0, smaller=True,
     )  # fmt: skip
     every = list(free.every())
     mse, counts = expected_mse(model, horizon, every), np.stack([*map(_counts, every)])

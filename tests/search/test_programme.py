@@ -23,6 +23,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.filters.kalman import expected_mse
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.points import Points
 from pfdist.search.programme import Programme
 from pfdist.search.relaxation import NOTHING, START, relaxation_with
 
@@ -50,8 +51,8 @@ def test_the_programme_finds_the_least_error_of_every_sum_and_a_set_that_has_it(
 
 
 def test_with_sensors_the_error_of_the_best_set_is_the_least_error() -> None:
-    clock = Clock(tuple(range(6)), counts=True, sensors=("near", "far"))
-    constraints = Feasible(5, 3, clock=clock, minimum_spacing=0.0)
+    points = Points(Clock.counting(5), ("near", "far"))
+    constraints = Feasible(5, 3, points=points, minimum_spacing=0.0)
     relaxation = relaxation_with(constraints, 2, 2)
     errors = np.random.default_rng(1).exponential(size=int(relaxation.offsets[-1]))
     programme = Programme(relaxation, errors, 3)
