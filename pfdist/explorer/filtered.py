@@ -84,7 +84,7 @@ class FilteredSets:
 
     def _computed(self, times: Times, first: int, end: int) -> SetErrors:
         evaluator = self._evaluator
-        exact = evaluator.exact_over_time(times, self._built.criterion)
+        exact = evaluator.exact_over_time(times, self._built.job.criterion)
         if exact is not None:
             return SetErrors(np.empty(0), np.empty(0, np.bool_), exact[..., None])
         work = evaluator.work(
@@ -116,7 +116,7 @@ class FilteredSets:
 
     def evaluation(self, times: Times, errors: SetErrors) -> Evaluation:
         """The evaluation of a set from its errors on these draws."""
-        criterion = self._built.criterion
+        criterion = self._built.job.criterion
         exact = self._evaluator.expected_mse([times], criterion=criterion)
         return Evaluation(
             times,

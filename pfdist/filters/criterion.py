@@ -7,35 +7,18 @@ Whatever computes, searches or answers asks the criterion, so a new one is a new
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
 
+if TYPE_CHECKING:
+    from pfdist.filters.estimate import Evaluation
+
 Array = NDArray[np.float64]
 ChosenDraws = slice | NDArray[np.bool_]
-
-
-class ErrorsOfDraws(Protocol):
-    """The errors of one set of times; see `pfdist.filters.estimate.Evaluation`."""
-
-    @property
-    def mse(self) -> Array:
-        """Per-draw MSE, (D,)."""
-
-    @property
-    def scenarios(self) -> NDArray[np.int64] | None:
-        """The number of each draw's scenario, (D,)."""
-
-    @property
-    def clouds(self) -> int:
-        """Number of successive parts of the draws that alone are independent; 0: all draws are."""
-
-    @property
-    def estimate(self) -> Estimate:
-        """The value of the criterion."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +45,15 @@ class Criterion:
     bound: Literal["mean", "mixture", "none"] = "mean"
     apart: int = 1
 
-    def deciding(self, errors: ErrorsOfDraws) -> ChosenDraws:
+    def deciding(self, errors: "Evaluation") -> ChosenDraws:
         """The draws whose errors decide."""
         return slice(None)
 
-    def common(self, first: ErrorsOfDraws, second: ErrorsOfDraws) -> ChosenDraws | None:
+    def common(self, first: "Evaluation", second: "Evaluation") -> ChosenDraws | None:
         """The draws that decide for both sets; None if other draws decide for each."""
         return slice(None)
 
-    def value(self, errors: ErrorsOfDraws) -> Estimate:
+    def value(self, errors: "Evaluation") -> Estimate:
         """The number that is minimised; infinite if it is unknown."""
         values = errors.mse[self.deciding(errors)]
         mean = float(np.mean(values)) if values.size else math.nan
@@ -78,7 +61,7 @@ class Criterion:
             return Estimate(math.inf if math.isnan(mean) else mean, math.inf)
         return replace(Estimate.of_mean(values, errors.clouds), value=mean)
 
-    def difference(self, first: ErrorsOfDraws, second: ErrorsOfDraws) -> Estimate:
+    def difference(self, first: "Evaluation", second: "Evaluation") -> Estimate:
         """The value of the first set less that of the second, on the same draws.
 
         Errors common to both sets cancel in each draw, and with them most of the variance. If other
@@ -90,7 +73,7 @@ class Criterion:
         return Estimate.of_mean(first.mse[both] - second.mse[both], first.clouds)
 
     def shares(self, errors: Array, own: Sequence[float]) -> Array:
-        """The share of each scenario in the exact value of each set, (C, S).
+        """The share of each scenario in the exact value of each set, (C, S) or (C, 1).
 
         Parameters
         ----------
@@ -99,7 +82,7 @@ class Criterion:
         own : sequence of float, (C,)
             Shares of the scenarios, whose sum is 1.
         """
-        return np.repeat(np.array(own)[:, None], errors.shape[1], axis=1)
+        return np.array(own)[:, None]
 
     def exactly(self, value: float) -> "Exact":
         """The criterion of a set whose value is known."""
@@ -117,13 +100,14 @@ class WorstScenario(Criterion):
     additive: bool = False
     bound: Literal["mean", "mixture", "none"] = "mixture"
 
-    def deciding(self, errors: ErrorsOfDraws) -> NDArray[np.bool_]:
+    def deciding(self, errors: "Evaluation") -> NDArray[np.bool_]:
         """The draws of the worst scenario; one of infinite or unknown errors is the worst."""
         numbers = np.zeros(errors.mse.size) if errors.scenarios is None else errors.scenarios
-        draws_of_each = [numbers == number for number in np.unique(numbers)]
-        return draws_of_each[np.argmax([np.mean(errors.mse[draws]) for draws in draws_of_each])]
+        each = numbers == np.unique(numbers)[:, None]
+        worst: NDArray[np.bool_] = each[np.argmax([np.mean(errors.mse[own]) for own in each])]
+        return worst
 
-    def common(self, first: ErrorsOfDraws, second: ErrorsOfDraws) -> ChosenDraws | None:
+    def common(self, first: "Evaluation", second: "Evaluation") -> ChosenDraws | None:
         """The draws of the worst scenario, if it is the same for both sets."""
         own, other = self.deciding(first), self.deciding(second)
         return own if np.array_equal(own, other) else None
@@ -139,9 +123,9 @@ class Exact(Criterion):
 
     error: float = math.nan
 
-    def common(self, first: ErrorsOfDraws, second: ErrorsOfDraws) -> None:
+    def common(self, first: "Evaluation", second: "Evaluation") -> None:
         """There are no draws."""
 
-    def value(self, errors: ErrorsOfDraws) -> Estimate:
+    def value(self, errors: "Evaluation") -> Estimate:
         """The exact value."""
         return Estimate(self.error)

@@ -222,10 +222,7 @@ class Evaluator:
         return self.has_particles and self.model.error is squared_error
 
     def expected_mse(
-        self,
-        sets: Sequence[Times],
-        ends: Sequence[int] | None = None,
-        criterion: Criterion = MEAN,
+        self, sets: Sequence[Times], ends: Sequence[int] | None = None, criterion: Criterion = MEAN
     ) -> NDArray[np.float64] | None:
         """Exact value of the criterion for each set of times, (S,); None if it takes draws.
 
@@ -234,10 +231,7 @@ class Evaluator:
         if not self.exact:
             return None
         errors = self._exact_mse(sets, ends)
-        value: NDArray[np.float64] = np.sum(
-            weighed(errors, criterion.shares(errors, self._shares)), axis=0
-        )
-        return value
+        return _mean(errors, criterion.shares(errors, self._shares))
 
     def expected_errors(
         self, sets: Sequence[Times], *, weighted: bool = False
@@ -248,11 +242,9 @@ class Evaluator:
         """
         if not self.exact:
             return None
-        parts = zip(self._shares, self.of_scenarios or (self,), strict=True)
-        mean: NDArray[np.float64] = np.sum(
-            [weighed(each._exact_errors(sets, weighted), share) for share, each in parts], axis=0
-        )
-        return mean
+        parts = self.of_scenarios or (self,)
+        errors = np.array([each._exact_errors(sets, weighted) for each in parts])
+        return _mean(errors, np.array(self._shares)[:, None, None])
 
     def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
         errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
@@ -567,6 +559,11 @@ def recorded_evaluator(
     if not is_same:
         filter_model = recorded(filter_model, instants, known if told else ())
     return Evaluator(model, horizon, model if is_same else filter_model, clock=clock, **settings)
+
+
+def _mean(of_scenarios: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    mean: NDArray[np.float64] = np.sum(weighed(of_scenarios, shares), axis=0)
+    return mean
 
 
 def _arrived(content: bytes, settings: dict[str, Any]) -> Evaluator:

@@ -371,7 +371,7 @@ class Job(JobSection):
         """The job file. Paths of models are relative to its folder, and a run has its name."""
         return self._origin.path
 
-    @property
+    @cached_property
     def criterion(self) -> Criterion:
         """What is minimised."""
         return MEAN if self.scenarios is None else self.scenarios.form

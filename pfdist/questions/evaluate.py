@@ -153,7 +153,7 @@ def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str)
 def _evaluated(
     built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool
 ) -> dict[str, Evaluation]:
-    evaluator, times, criterion = built.evaluator, tuple(sets.values()), built.criterion
+    evaluator, times, criterion = built.evaluator, tuple(sets.values()), built.job.criterion
     written = [tuple(built.job.problem.clock.written_of(each)) for each in times]
     exact = evaluator.expected_mse(times, criterion=criterion)
     if exact is not None:
@@ -202,7 +202,7 @@ def _with_profiles(
     """
     evaluations = dict[str, Evaluation]()
     for place, (name, each) in enumerate(found.items()):
-        exact = built.evaluator.exact_over_time(sets[name], built.criterion)
+        exact = built.evaluator.exact_over_time(sets[name], built.job.criterion)
         if exact is not None:
             ranges = [Range(0, 0, exact)]
         else:
@@ -361,7 +361,7 @@ def _quantity(built: Built) -> Component | None:
     evaluator, quantities = built.evaluator, built.evaluator.model.named("z")
     is_squared = evaluator.model.error is squared_error and not any(evaluator.model.is_angle)
     is_scaled = any(each.scale != 1.0 for each in evaluator.scenarios)
-    is_plain = is_squared and not is_scaled and built.criterion.additive
+    is_plain = is_squared and not is_scaled and built.job.criterion.additive
     return quantities[0] if is_plain and len(quantities) == 1 else None
 
 

@@ -169,10 +169,10 @@ def why(
         if export is not None:
             checked_export(export, built.job.problem.clock)
         sets = opened.sets
-        if not built.criterion.additive:
+        if not built.job.criterion.additive:
             raise JobError(
                 "this question needs a job that minimises a mean, got one that minimises the "
-                f"{built.criterion.label} ({built.job.path})"
+                f"{built.job.criterion.label} ({built.job.path})"
             )
         with own_store(opened, built, tell, must_be=False) as store:
             session = RunSession(built, store, show, tell)

@@ -4,7 +4,6 @@ import os
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
-from pfdist.filters.criterion import Criterion
 from pfdist.filters.engines import (
     AUTO,
     BATCHED,
@@ -68,11 +66,6 @@ class Built:
         """The instants of sets of times on the job's clock; with sensors, the measurements."""
         clock = self.job.problem.clock
         return {name: clock.measurements(times) for name, times in sets.items()}
-
-    @cached_property
-    def criterion(self) -> Criterion:
-        """What the job minimises."""
-        return self.job.criterion
 
     @property
     def phases(self) -> list[str]:

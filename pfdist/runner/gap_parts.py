@@ -72,7 +72,7 @@ def gap_parts(
         return {n: GapParts(Estimate(mse)) for n, mse in zip(sets, exact.tolist(), strict=True)}
     draws = _draws(built, run.draws_compared, of_bound)
     # The compared draws have the job's shares of scenarios, and not those of the bound.
-    are_compared = draws <= run.draws_compared and built.criterion.bound == "mean"
+    are_compared = draws <= run.draws_compared and built.job.criterion.bound == "mean"
     kinds = _kinds(built, estimation, are_compared=are_compared)
     seed = built.job.seed
     if "squared" in kinds:

@@ -73,8 +73,8 @@ class Prover:
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
         self._built, self.settings = built, settings
-        if built.criterion.bound == "none":
-            raise JobError(f"no bound is known for the {built.criterion.label}")
+        if built.job.criterion.bound == "none":
+            raise JobError(f"no bound is known for the {built.job.criterion.label}")
         self.shares: tuple[float, ...] = ()
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         count = settings.particles or built.job.filter.particles
@@ -143,7 +143,7 @@ class Prover:
         sets = self._built.study.proved(self._built.instants(run.sets))
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         wrong = self._fails_check()
-        if feasible and self._built.criterion.bound == "mixture" and not wrong:
+        if feasible and self._built.job.criterion.bound == "mixture" and not wrong:
             yield from self._weigh_scenarios(session, feasible.values())
         parts = yield from self._parts(session, run, sets)
         if wrong:
@@ -259,7 +259,7 @@ class Prover:
     def _values(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
         """The criterion's value for each set, exact or of the comparison."""
         built = self._built
-        exact = built.evaluator.expected_mse([*sets.values()], criterion=built.criterion)
+        exact = built.evaluator.expected_mse([*sets.values()], criterion=built.job.criterion)
         if exact is not None:
             return dict(zip(sets, map(Estimate, exact.tolist()), strict=True))
         values = values_of(run)

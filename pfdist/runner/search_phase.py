@@ -60,7 +60,7 @@ def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, Non
             ends = [*polished[:_POLISHED], *ends[:1]]
         finalists = [*ends, *finalists[:_UNPOLISHED]]
     # Whichever set wins, its error in the search is that of the job's criterion.
-    judged_alike = [each.judged_by(session.built.criterion) for each in finalists]
+    judged_alike = [each.judged_by(session.built.job.criterion) for each in finalists]
     return _Found(judged_alike, polishes)
 
 
