@@ -89,10 +89,9 @@ def _proved(model: StateSpaceModel, horizon: int, limit: float) -> dict[str, Any
         asked = search.ask(state, np.random.default_rng(0))
         errors = expected_errors(model, horizon, [each.measurement_times for each in asked])
         told = [
-            Evaluation(
+            Evaluation.exactly(
                 each.measurement_times,
-                np.empty(0),
-                exact=float(row.mean()),
+                float(row.mean()),
                 end=each.end,
                 errors=row[each.since or 0 : (horizon if each.end is None else each.end) + 1],
             )

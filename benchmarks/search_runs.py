@@ -129,8 +129,8 @@ def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) ->
         A row for each set: times, cost, standard_error, excess and excess_error (in per cent of the
         best set's cost), draws, best (whether the set won the race).
     """
-    if built.evaluator.exact:
-        costs = built.evaluator.expected_mse(sets)
+    costs = built.evaluator.expected_mse(sets)
+    if costs is not None:
         excess = 100 * (costs / costs.min() - 1)
         rows = {"cost": costs, "standard_error": 0.0, "excess": excess, "excess_error": 0.0}
         return pd.DataFrame({"times": sets, **rows, "draws": 0, "best": excess == 0})

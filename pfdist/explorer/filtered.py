@@ -13,7 +13,7 @@ from pfdist.common.component_names import Component
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import rounded
-from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK
 from pfdist.questions.subject import change_of, is_clear
 from pfdist.results.moments import Pairs
@@ -84,8 +84,9 @@ class FilteredSets:
 
     def _computed(self, times: Times, first: int, end: int) -> SetErrors:
         evaluator = self._evaluator
-        if self.exact:
-            return self._exact(times)
+        exact = evaluator.exact_over_time(times, self._built.job.criterion)
+        if exact is not None:
+            return SetErrors(np.empty(0), np.empty(0, np.bool_), exact[..., None])
         work = evaluator.work(
             [times],
             self._stream,
@@ -99,14 +100,10 @@ class FilteredSets:
         at = np.where(evaluator.model.is_angle, 1.0 - np.cos(apart), apart**2)
         return SetErrors(result.mse[:, 0], result.degenerate[:, 0], at)
 
-    def _exact(self, times: Times) -> SetErrors:
-        at = self._built.exact_over_time(times)
-        return SetErrors(np.empty(0), np.empty(0, np.bool_), at[..., None])
-
     def evaluations(self, sets: Sequence[Times], draws: int) -> list[Evaluation]:
         """The evaluations of sets on the first draws, of which nothing is kept."""
         if self.exact:
-            return [self.evaluation(times, self._exact(times)) for times in sets]
+            return [self.evaluation(times, self._computed(times, 0, draws)) for times in sets]
         work = self._evaluator.work(
             sets, self._stream, self._stream, (0, draws), self._built.comparing
         )
@@ -119,12 +116,13 @@ class FilteredSets:
 
     def evaluation(self, times: Times, errors: SetErrors) -> Evaluation:
         """The evaluation of a set from its errors on these draws."""
+        criterion = self._built.job.criterion
+        exact = self._evaluator.expected_mse([times], criterion=criterion)
         return Evaluation(
             times,
             errors.mse,
-            exact=float(self._built.exact_errors([times])[0]) if self.exact else None,
             scenarios=self._evaluator.scenarios_of(self._stream, range(errors.mse.size)),
-            is_worst=self._built.is_worst and not self.exact,
+            criterion=criterion if exact is None else criterion.exactly(float(exact[0])),
             degenerate=errors.degenerate,
         )
 
@@ -145,9 +143,8 @@ class FilteredSets:
         )
 
     def _mean(self, evaluation: Evaluation, errors: SetErrors) -> Array:
-        """The mean error at each instant, (T+1, q); the draws of the worst scenario may decide."""
-        own = evaluation.scenarios == evaluation.worst_scenario if evaluation.is_worst else ...
-        mean: Array = errors.at[own].mean(axis=0)
+        """The mean error at each instant, (T+1, q), over the draws that decide."""
+        mean: Array = errors.at[evaluation.criterion.deciding(evaluation)].mean(axis=0)
         return mean
 
     def _typical(self, errors: Array) -> Array:
@@ -159,8 +156,7 @@ class FilteredSets:
 class Change(NamedTuple):
     """The gain of a set over another, and the difference of both errors, on the same draws.
 
-    If the worst scenario decides, its draws count. If it is another for each set, the gain has no
-    interval.
+    The draws count that decide. If other draws decide for each set, the gain has no interval.
     """
 
     gain: float  # by which share of the other expected MSE that of the set is lower
@@ -172,12 +168,10 @@ class Change(NamedTuple):
     def between(cls, evaluation: Evaluation, other: Evaluation) -> "Change":
         """The gain of an evaluation over another."""
         gain, errors = 1.0 - evaluation.expected_mse / other.expected_mse, Pairs()
-        draws, apart = evaluation.draws, difference(evaluation, other)
-        if evaluation.is_worst and evaluation.worst_scenario == other.worst_scenario:
-            evaluation, other = evaluation.worst, other.worst
-        if not evaluation.is_worst:
-            errors.add(evaluation.mse, other.mse)
-        return cls(gain, errors, draws, apart)
+        both = evaluation.criterion.common(evaluation, other)
+        if both is not None:
+            errors.add(evaluation.mse[both], other.mse[both])
+        return cls(gain, errors, evaluation.draws, evaluation.difference(other))
 
     @property
     def ratio(self) -> Estimate:

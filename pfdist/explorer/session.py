@@ -177,7 +177,7 @@ class ExplorerSession:
         answer = {
             "times": chosen,
             "draws": own.draws,
-            "finer": None if self.played.exact or draws >= most else finer,
+            "finer": finer if own.draws and draws < most else None,
             "curves": {
                 name: self.played.curves(known[name], each).T.tolist()
                 for name, each in found.items()
@@ -262,7 +262,7 @@ class ExplorerSession:
         first = [each for each in self._judged if not each.again]
         best = max(first, key=lambda each: each.change.gain)
         is_known = any(each.again and each.times == best.times for each in self._judged)
-        if len({each.times for each in first}) > 1 and not is_known and not self.played.exact:
+        if len({each.times for each in first}) > 1 and not is_known and best.change.draws:
             self._judge(best.name, best.times, again=True)
         return self.judgements()
 

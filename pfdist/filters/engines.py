@@ -26,6 +26,7 @@ class Engine:
     # bits on every processor.
     compiled: bool = True
     exact: bool = False  # whether the expected MSE is known without draws
+    has_particles: bool = True
 
     @property
     def simulate(self) -> Callable[..., Any]:
@@ -67,6 +68,7 @@ KALMAN = Engine(
     simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.filters.kalman",
     exact=True,
+    has_particles=False,
 )
 ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN)}
 if TYPE_CHECKING:

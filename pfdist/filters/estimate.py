@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.shown import Shown
+from pfdist.filters.criterion import MEAN, Criterion
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,8 +38,6 @@ class Evaluation(Shown):
         explains, and the draw counts with the error of this filter.
     degenerate_policy : {"continue", "kill"}
         With ``kill``, as in the paper, a degenerate draw makes the error infinite.
-    exact : float, optional
-        The exact expected MSE, if the engine computes it without draws.
     end : int, optional
         Last instant whose error counts, if it is not T.
     errors : array of float64, (end - since + 1,), optional
@@ -47,8 +46,9 @@ class Evaluation(Shown):
         Purpose of the draws, one of `pfdist.common.streams.CHOOSING` or `PROVING`.
     scenarios : array of int64, (D,), optional
         The number of each draw's scenario.
-    is_worst : bool
-        Whether `expected_mse` is the largest mean of a scenario, not the mean over all draws.
+    criterion : Criterion
+        Makes `expected_mse` of the errors, by default their mean. It has the exact value if the
+        engine computes this without draws; then D is 0.
     degenerate : array of bool, (D,), optional
         Whether each draw is degenerate; by default none is.
     clouds : int
@@ -62,12 +62,11 @@ class Evaluation(Shown):
     measurement_times: Times
     mse: NDArray[np.float64]
     degenerate_policy: str = "continue"
-    exact: float | None = None
     end: int | None = None
     errors: NDArray[np.float64] | None = None
     purpose: str = "search"
     scenarios: NDArray[np.int64] | None = None
-    is_worst: bool = False
+    criterion: Criterion = MEAN
     degenerate: NDArray[np.bool_] | None = None
     clouds: int = 0
     profile: "pd.DataFrame | None" = None
@@ -83,26 +82,32 @@ class Evaluation(Shown):
         return 0 if self.degenerate is None else int(self.degenerate.sum())
 
     @cached_property
+    def estimate(self) -> Estimate:
+        """The value of the criterion and its standard error; both are infinite for a killed set."""
+        is_killed = self.degenerate_policy == "kill" and self.degenerate_draws
+        return Estimate(math.inf, math.inf) if is_killed else self.criterion.value(self)
+
+    @property
     def expected_mse(self) -> float:
         """Mean of the per-draw MSE, or that of the worst scenario; infinite for a killed set."""
-        if self.exact is not None:
-            return self.exact
-        if self.is_worst:
-            return self.worst.expected_mse
-        is_killed = self.degenerate_policy == "kill" and self.degenerate_draws
-        mean = float(np.mean(self.mse)) if self.draws and not is_killed else math.inf
-        return math.inf if math.isnan(mean) else mean
+        return self.estimate.value
 
-    @cached_property
+    @property
     def standard_error(self) -> float:
         """Standard error of `expected_mse`; infinite if that is, NaN with fewer than 2 draws."""
-        if self.exact is not None:
-            return 0.0
-        if self.is_worst:
-            return self.worst.standard_error
-        if math.isinf(self.expected_mse):
-            return math.inf
-        return Estimate.of_mean(self.mse, self.clouds).standard_error
+        return self.estimate.standard_error
+
+    def difference(self, other: "Evaluation") -> Estimate:
+        """`expected_mse` less that of another set, on the draws that both have."""
+        if not (math.isfinite(self.expected_mse) and math.isfinite(other.expected_mse)):
+            are_equal = self.expected_mse == other.expected_mse
+            return Estimate(0.0 if are_equal else self.expected_mse - other.expected_mse)
+        draws = min(self.draws, other.draws)
+        return self.criterion.difference(self.first(draws), other.first(draws))
+
+    def judged_by(self, criterion: Criterion) -> "Evaluation":
+        """The evaluation by another criterion; an exact value stays."""
+        return replace(self, criterion=criterion) if self.draws else self
 
     @cached_property
     def of_scenarios(self) -> "dict[int, Evaluation]":
@@ -110,25 +115,26 @@ class Evaluation(Shown):
         if self.scenarios is None:
             return {}
         return {
-            number: replace(self._of(self.scenarios == number), scenarios=None, is_worst=False)
+            number: replace(self._of(self.scenarios == number), scenarios=None, criterion=MEAN)
             for number in np.unique(self.scenarios).tolist()
         }
 
     @cached_property
-    def worst_scenario(self) -> int:
-        """The number of the scenario with the largest expected MSE."""
-        return max(self.of_scenarios, key=lambda number: self.of_scenarios[number].expected_mse)
-
-    @property
-    def worst(self) -> "Evaluation":
-        """The evaluation on the draws of the worst scenario."""
-        return self.of_scenarios[self.worst_scenario]
-
-    @cached_property
     def largest_share(self) -> float:
         """Share of `expected_mse` that is due to the ten largest draws; NaN with fewer than 100."""
-        own = self.worst if self.is_worst else self
-        return largest_share(own.mse, own.draws, own.expected_mse)
+        return largest_share(self._deciding, self._deciding.size, self.expected_mse)
+
+    @property
+    def _deciding(self) -> NDArray[np.float64]:
+        mse: NDArray[np.float64] = self.mse[self.criterion.deciding(self)]
+        return mse
+
+    @classmethod
+    def exactly(
+        cls, times: Times, value: float, criterion: Criterion = MEAN, **others: Any
+    ) -> "Evaluation":
+        """The evaluation of a set whose value of the criterion is known without draws."""
+        return cls(times, np.empty(0), criterion=criterion.exactly(value), **others)
 
     @classmethod
     def together(cls, parts: "Sequence[Evaluation]") -> "Evaluation":
@@ -141,7 +147,7 @@ class Evaluation(Shown):
 
     def first(self, draws: int) -> "Evaluation":
         """The evaluation on the first draws."""
-        return self._of(slice(draws))
+        return self if draws == self.draws else self._of(slice(draws))
 
     def _of(self, chosen: slice | NDArray[np.bool_]) -> "Evaluation":
         return replace(
@@ -163,7 +169,7 @@ class Evaluation(Shown):
     def _page(self) -> Page:
         mse = with_error(self.expected_mse, self.standard_error)
         count = len(self.measurement_times)
-        on = "exact" if self.exact is not None else f"on {self.draws:,} draws"
+        on = f"on {self.draws:,} draws" if self.draws else "exact"
         title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
         rows = [("measured at t", ", ".join(map(unrounded, self.measurement_times)))]
         if self.degenerate_draws:
@@ -175,8 +181,7 @@ class Evaluation(Shown):
     @property
     def heavy_tail(self) -> str:
         """A warning if there are too few draws for the interval of `expected_mse`, else nothing."""
-        draws = self.worst.draws if self.is_worst else self.draws
-        return heavy_tail_warning({"": self.largest_share}, draws)
+        return heavy_tail_warning({"": self.largest_share}, self._deciding.size)
 
     @property
     def degenerate_text(self) -> str:
@@ -200,32 +205,6 @@ def degenerate_text(count: int, draws: int, least: float = 0.0) -> str:
         f"{count:,} of {draws:,} {are} degenerate: the filter leaves out measurements that no "
         "particle explains"
     ) * (count > 0 and count >= least * draws)
-
-
-def difference(first: Evaluation, second: Evaluation) -> Estimate:
-    """Error of the first set minus that of the second, on the draws that both have.
-
-    Errors common to both sets cancel in each draw, and with them most of the variance.
-    """
-    if not (math.isfinite(first.expected_mse) and math.isfinite(second.expected_mse)):
-        mean = (
-            0.0
-            if first.expected_mse == second.expected_mse
-            else first.expected_mse - second.expected_mse
-        )
-        return Estimate(mean)
-    if first.exact is not None and second.exact is not None:
-        return Estimate(first.exact - second.exact)
-    draws = min(first.draws, second.draws)
-    if first.is_worst:  # errors common to both sets cancel if both have the same worst scenario
-        first, second = first.first(draws), second.first(draws)
-        worst, other = first.worst, second.worst
-        if first.worst_scenario == second.worst_scenario:
-            return difference(worst, other)
-        error = math.hypot(worst.standard_error, other.standard_error)
-        return Estimate(worst.expected_mse - other.expected_mse, error)
-    differences = first.mse[:draws] - second.mse[:draws]
-    return Estimate.of_mean(differences, first.clouds)
 
 
 def largest_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:

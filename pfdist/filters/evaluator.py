@@ -20,6 +20,7 @@ from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
+from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, NUMPY, Engine
 from pfdist.filters.interface import validated_from, weighed
@@ -79,7 +80,7 @@ class Evaluator:
         check_fits(self.believed, self.model)
         if self.prior is not None:
             for each in (self.model, self.believed):
-                check_prior(self.prior, each, self.horizon, by_particles=not self.exact)
+                check_prior(self.prior, each, self.horizon, by_particles=self.has_particles)
         if self.exact and not self.of_scenarios:
             if self.believed != self.model:
                 raise ModelError(
@@ -176,7 +177,11 @@ class Evaluator:
         """The number of each draw's scenario, (D,); None without scenarios."""
         if not self.scenarios:
             return None
-        return scenarios_of_draws([each.share for each in self.scenarios], stream, draws)
+        return scenarios_of_draws(self._shares, stream, draws)
+
+    @property
+    def _shares(self) -> list[float]:
+        return [each.share for each in self.scenarios] or [1.0]
 
     @cached_property
     def self_consistent(self) -> "Evaluator":
@@ -207,41 +212,60 @@ class Evaluator:
         return self.computed_by.exact
 
     @property
+    def has_particles(self) -> bool:
+        """Whether the engine filters with particles."""
+        return self.computed_by.has_particles
+
+    @property
     def has_particle_loss(self) -> bool:
         """Whether the engine has particles, and the error is the squared norm."""
-        return not self.exact and self.model.error is squared_error
+        return self.has_particles and self.model.error is squared_error
 
     def expected_mse(
-        self, sets: Sequence[Times], ends: Sequence[int] | None = None
-    ) -> NDArray[np.float64]:
-        """Exact expected MSE of each set of times, (S,), from an exact engine.
+        self, sets: Sequence[Times], ends: Sequence[int] | None = None, criterion: Criterion = MEAN
+    ) -> NDArray[np.float64] | None:
+        """Exact value of the criterion for each set of times, (S,); None if it takes draws.
 
         `ends` are the last instants whose errors count, by default T.
         """
-        if self.scenarios:
-            return self._mean([each.expected_mse(sets, ends) for each in self.of_scenarios])
-        weights = self.instant_weights
-        return kalman.expected_mse(self.model, self.horizon, sets, ends, self.prior, weights)
+        if not self.exact:
+            return None
+        errors = self._exact_mse(sets, ends)
+        return _mean(errors, criterion.shares(errors, self._shares))
 
     def expected_errors(
         self, sets: Sequence[Times], *, weighted: bool = False
-    ) -> NDArray[np.float64]:
-        """Exact expected error of each instant with each set, (S, T+1), from an exact engine.
+    ) -> NDArray[np.float64] | None:
+        """Exact expected error of each instant with each set, (S, T+1); None if it takes draws.
 
         The expected MSE is the mean over all instants of the weighted errors.
         """
-        if self.scenarios:
-            errors = [each.expected_errors(sets, weighted=weighted) for each in self.of_scenarios]
-            return self._mean(errors)
-        of_instants = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
-        if weighted and self.instant_weights is not None:
-            return weighed(of_instants, self.instant_weights)
-        return of_instants / self.scale
+        if not self.exact:
+            return None
+        parts = self.of_scenarios or (self,)
+        errors = np.array([each._exact_errors(sets, weighted) for each in parts])
+        return _mean(errors, np.array(self._shares)[:, None, None])
 
-    def _mean(self, of_scenarios: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        parts = zip(self.scenarios, of_scenarios, strict=True)
-        mean: NDArray[np.float64] = np.sum([each.share * mse for each, mse in parts], axis=0)
-        return mean
+    def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
+        errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
+        if weighted and self.instant_weights is not None:
+            return weighed(errors, self.instant_weights)
+        return errors / self.scale
+
+    def exact_over_time(self, times: Times, criterion: Criterion) -> NDArray[np.float64] | None:
+        """Exact expected error of each instant, (1, T+1), in the scenarios that decide."""
+        if not (self.exact and self.scenarios):
+            return self.expected_errors([times])
+        shares = criterion.shares(self._exact_mse([times]), self._shares)
+        return self.with_shares(shares[:, 0].tolist()).expected_errors([times])
+
+    def _exact_mse(
+        self, sets: Sequence[Times], ends: Sequence[int] | None = None
+    ) -> NDArray[np.float64]:
+        """Exact expected MSE of each set in each scenario, (C, S)."""
+        given = self.horizon, sets, ends, self.prior
+        parts = self.of_scenarios or (self,)
+        return np.array([kalman.expected_mse(p.model, *given, p.instant_weights) for p in parts])
 
     def sum_errors(self, work: FilterWork) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
@@ -335,7 +359,7 @@ class Evaluator:
         draws = simulate(self.model, self.horizon, range(0), 0, prior)
         for estimation in estimations:
             stopping.check()
-            if not self.exact:
+            if self.has_particles:
                 settings = self.settings(replace(estimation, particles=1))
                 filter_checked_draws(self.believed, draws, (), 0, settings)
         stopping.check()
@@ -355,7 +379,7 @@ class Evaluator:
                 f"filter.proposal = {GUIDED!r} needs filter.engine = {COMPILED.name!r}, got "
                 f"{engine!r}: {PLAIN!r} is for every engine"
             )
-        if not self.exact:
+        if self.has_particles:
             check_filter_settings(self.believed, self.model, estimation)
 
     @property
@@ -459,7 +483,7 @@ class Evaluator:
             mse = np.stack([each.mse for each in filtered], axis=1)
             degenerate = np.stack([each.degenerate for each in filtered], axis=1)
             estimates = np.stack([each.estimate for each in filtered])
-            sizes = np.empty(0) if self.exact else np.stack([each.sizes for each in filtered])
+            sizes = np.array([each.sizes for each in filtered] if self.has_particles else [])
             return Result(mse, draws.z, draws.y, estimates, sizes, degenerate=degenerate)
         values = np.empty((len(draws.index), len(work.measurement_times)))
         control = np.zeros(values.shape if work.controlled else 0)
@@ -529,6 +553,11 @@ def recorded_evaluator(
     if not is_same:
         filter_model = recorded(filter_model, instants, known if told else ())
     return Evaluator(model, horizon, model if is_same else filter_model, times=times, **settings)
+
+
+def _mean(of_scenarios: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    mean: NDArray[np.float64] = np.sum(weighed(of_scenarios, shares), axis=0)
+    return mean
 
 
 def _arrived(content: bytes, settings: dict[str, Any]) -> Evaluator:

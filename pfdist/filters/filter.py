@@ -186,7 +186,7 @@ class Filter:
     @property
     def why_no_evidence(self) -> str:
         """The reason why there is no log evidence; empty if there is."""
-        if self.model.normalised or ENGINES[self._filter.engine].exact:
+        if self.model.normalised or not ENGINES[self._filter.engine].has_particles:
             return ""
         return (
             f"the model {self.model.name} does not declare normalised=True, so its log_likelihood "

@@ -69,7 +69,8 @@ class OneFilter:
         finite. Raises `ModelError` if a formula failed.
         """
         filtered = self._filtered(t, y)
-        if ENGINES[self.engine].exact and not np.isfinite(filtered.mse[0]):
+        has_particles = ENGINES[self.engine].has_particles
+        if not (has_particles or np.isfinite(filtered.mse[0])):
             raise MeasurementsError(f"{self.model.name}: variances must stay finite up to t = {t}")
         if y is not None and filtered.degenerate[0]:
             raise MeasurementsError(self._unexplained(t, y))

@@ -18,6 +18,7 @@ from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text, with_texts
 from pfdist.common.section import JobSection, checked, explained
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
+from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.engines import is_exact
 from pfdist.problem.covariates import with_columns
 from pfdist.problem.feasible import Feasible
@@ -230,7 +231,7 @@ class Job(JobSection):
         if self.online is not None:
             needed = f"no scenarios, or scenarios.filter = 'learned', got {self.scenarios.filter!r}"
             _needs("online", (self.scenarios.is_learned, needed))
-        if self.scenarios.is_worst:
+        if not self.criterion.additive:
             additive = [
                 each.name for each in self.search
                 if METHODS[each.method].additive and not each.polish
@@ -369,10 +370,10 @@ class Job(JobSection):
         """The job file. Paths of models are relative to its folder, and a run has its name."""
         return self._origin.path
 
-    @property
-    def judged_apart(self) -> int:
-        """Number of scenarios that are each judged by separate draws; 1 if a mean decides."""
-        return len(self.scenarios.each) if self.scenarios and self.scenarios.is_worst else 1
+    @cached_property
+    def criterion(self) -> Criterion:
+        """What is minimised."""
+        return MEAN if self.scenarios is None else self.scenarios.form
 
     def with_changes(
         self,

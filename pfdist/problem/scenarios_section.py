@@ -12,6 +12,7 @@ from pfdist.common.scenario import Scenario
 from pfdist.common.section import JobSection, Listed
 from pfdist.common.streams import stream_key
 from pfdist.errors import shown
+from pfdist.filters.criterion import MEAN, Criterion, WorstScenario
 from pfdist.problem.sections import Parameter, is_list_of
 
 MOST_SCENARIOS = 100
@@ -133,9 +134,9 @@ class Scenarios(JobSection):
         return self.filter == "learned"
 
     @property
-    def is_worst(self) -> bool:
-        """Whether the scenario with the largest expected MSE decides."""
-        return self.criterion == "worst"
+    def form(self) -> Criterion:
+        """What is minimised: the mean, or the error in the worst scenario."""
+        return MEAN if self.criterion == "mean" else WorstScenario(apart=len(self.each))
 
     @property
     def of_draws(self) -> tuple[Scenario, ...]:

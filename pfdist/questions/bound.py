@@ -164,7 +164,7 @@ def bound(
     )
     with following(chosen.progress, chosen.say) as (show, tell):
         proved, built = run_and_job(job, results, changes, tell, chosen.execution)
-        if built.evaluator.exact:  # there is nothing to compute in a pool
+        if not built.evaluator.has_particles:  # there is nothing to compute in a pool
             serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
             built = replace(built, job=serial)
         check_pool(built.job.execution)

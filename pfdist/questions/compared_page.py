@@ -50,7 +50,7 @@ def compared(subject: Subject) -> Section | None:
     )
     sets = without_column(sets, *([last] if best_is_reference else []))
     rows = [_pair_row(subject, pair) for pair in pairs]
-    is_answer = not (subject.worst_decides or subject.found_rows)
+    is_answer = subject.criterion.additive and not subject.found_rows
     best = _best(subject, ranks, pairs) if is_answer else ""
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),
@@ -122,8 +122,6 @@ def _pair_row(subject: Subject, pair: Row) -> list[Cell]:
 
 # --- scenarios ------------------------------------------------------------------------------------
 
-_THE_WORST = "the expected MSE in the worst scenario"
-
 _SCENARIOS_MEANING = (
     "The true model of each draw has the parameters of one scenario, with the probability of its "
     "share. The last column is how much lower the error of the last set is than that of the "
@@ -190,7 +188,7 @@ def worst_effect(subject: Subject, name: str) -> str | None:
     The worst scenarios of two sets may differ. Then their draws differ, too, so the logarithms of
     the two errors are independent.
     """
-    if not (subject.scenarios and subject.worst_decides):
+    if subject.criterion.additive or not subject.scenarios:
         return None
     names = name, subject.reference_row.name
     worst, reference = (_worst_scenario(subject, each) for each in names)
@@ -204,7 +202,8 @@ def worst_effect(subject: Subject, name: str) -> str | None:
         errors = (each.standard_error / each.value for each in (mse, of_reference))
         apart = Estimate(math.log(mse.value / of_reference.value), math.hypot(*errors))
         ends = [1 - math.exp(end) for end in reversed(apart.interval())]
-    said = effect(1 - mse.value / of_reference.value, ends, subject.reference, _THE_WORST)
+    gain, what = 1 - mse.value / of_reference.value, f"the {subject.criterion.label}"
+    said = effect(gain, ends, subject.reference, what)
     return f"{said}: {mse.text} instead of {of_reference.text}."
 
 

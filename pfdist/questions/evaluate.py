@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import repeat
 from typing import Any, overload
 
 import numpy as np
@@ -149,45 +150,44 @@ def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str)
 def _evaluated(
     built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool
 ) -> dict[str, Evaluation]:
-    evaluator, times, count = built.evaluator, tuple(sets.values()), len(sets)
-    exact, scenarios, errors = [None] * count, None, np.empty(0)
-    if evaluator.exact:
-        exact, mse = built.exact_errors([*times]).tolist(), np.empty((count, 0))
-        degenerate = np.empty((count, 0), np.bool_)
-    else:
-        evaluation = Settings.from_job(built.job)
-        draws, pieces = evaluation.draws, list[Result]()
-        work = evaluator.work(
-            times,
-            stream,
-            stream,
-            (0, draws),
-            evaluation.estimation,
-            ids=tuple(sets),
-            over_time=int(profile),
-        )
-        scenarios = evaluator.scenarios_of(stream, range(draws))
-        with following(None, silent) as (show, _):
-            for piece in evaluator.pieces(work, MOST_SECONDS):
-                pieces.append(evaluator.filtered(piece))
-                show(Progress("evaluate", piece.draws[1], draws, evaluations=piece.draws[1]))
-        result = joined(pieces)
-        mse, degenerate, errors = result.mse.T.copy(), result.degenerate.T, result.errors
+    evaluator, times, criterion = built.evaluator, tuple(sets.values()), built.job.criterion
+    written = [tuple(built.job.problem.points.written_of(each)) for each in times]
+    exact = evaluator.expected_mse(times, criterion=criterion)
+    if exact is not None:
+        known = map(Evaluation.exactly, written, exact.tolist(), repeat(criterion))
+        found = {n: replace(e, purpose="evaluate") for n, e in zip(sets, known, strict=True)}
+        return _with_profiles(built, sets, found, np.empty(0)) if profile else found
+    evaluation = Settings.from_job(built.job)
+    draws, pieces = evaluation.draws, list[Result]()
+    work = evaluator.work(
+        times,
+        stream,
+        stream,
+        (0, draws),
+        evaluation.estimation,
+        ids=tuple(sets),
+        over_time=int(profile),
+    )
+    with following(None, silent) as (show, _):
+        for piece in evaluator.pieces(work, MOST_SECONDS):
+            pieces.append(evaluator.filtered(piece))
+            show(Progress("evaluate", piece.draws[1], draws, evaluations=piece.draws[1]))
+    result = joined(pieces)
+    scenarios = evaluator.scenarios_of(stream, range(draws))
     found = {
         name: Evaluation(
-            tuple(built.job.problem.points.written_of(sets[name])),
-            mse_of_set,
-            exact=exact_mse,
+            written_of_set,
+            mse,
             purpose="evaluate",
             scenarios=scenarios,
-            is_worst=built.is_worst,
-            degenerate=degenerate_of_set,
+            criterion=criterion,
+            degenerate=degenerate,
         )
-        for name, mse_of_set, degenerate_of_set, exact_mse in zip(
-            sets, mse, degenerate, exact, strict=True
+        for name, written_of_set, mse, degenerate in zip(
+            sets, written, result.mse.T.copy(), result.degenerate.T, strict=True
         )
     }
-    return _with_profiles(built, sets, found, errors) if profile else found
+    return _with_profiles(built, sets, found, result.errors) if profile else found
 
 
 def _with_profiles(
@@ -195,15 +195,15 @@ def _with_profiles(
 ) -> dict[str, Evaluation]:
     """The evaluations with their errors over time, from the error of each draw, (D, S, T+1).
 
-    If the worst scenario decides, its draws count. An exact engine has no draws.
+    The draws count that decide. An exact engine has no draws.
     """
     evaluations = dict[str, Evaluation]()
     for place, (name, each) in enumerate(found.items()):
-        if each.exact is not None:
-            ranges = [Range(0, 0, built.exact_over_time(sets[name]))]
+        exact = built.evaluator.exact_over_time(sets[name], built.job.criterion)
+        if exact is not None:
+            ranges = [Range(0, 0, exact)]
         else:
-            rows = errors[:, place]
-            rows = rows[each.scenarios == each.worst_scenario] if each.is_worst else rows
+            rows = errors[:, place][each.criterion.deciding(each)]
             ranges = [Range(draw, 1, error[None]) for draw, error in enumerate(rows)]
         table = profile_of(built.job.problem, sets[name], ranges, 0)
         if name:
@@ -270,13 +270,13 @@ class Evaluated:
             return f"The expected MSE of {other} is not finite"
         gain = Gain.of_draws(each[best].mse, each[other].mse)
         value, interval = gain.of_means, gain.of_means_interval
-        if each[best].exact is not None:
+        if not each[best].draws:
             value = 1 - each[best].expected_mse / each[other].expected_mse
             interval = value, value
         said = f"{change_of(value, interval)} than {other}"
         typical = self._typical(best, ":")
-        if each[best].is_worst:
-            return f"{best} has the lowest expected MSE in its worst scenario"
+        if not each[best].criterion.additive:
+            return f"{best} has the lowest {each[best].criterion.label}"
         if is_clear(interval):
             return f"{best} has the lowest expected MSE, {said}{typical}"
         return f"No clear difference: the expected MSE of {best} is {said}{typical}"
@@ -358,7 +358,7 @@ def _quantity(built: Built) -> Component | None:
     evaluator, quantities = built.evaluator, built.evaluator.model.named("z")
     is_squared = evaluator.model.error is squared_error and not any(evaluator.model.is_angle)
     is_scaled = any(each.scale != 1.0 for each in evaluator.scenarios)
-    is_plain = is_squared and not (is_scaled or built.is_worst)
+    is_plain = is_squared and not is_scaled and built.job.criterion.additive
     return quantities[0] if is_plain and len(quantities) == 1 else None
 
 
@@ -420,8 +420,8 @@ def _over_time(evaluations: Mapping[str, Evaluation]) -> list[Table]:
 def _row(name: str, evaluation: Evaluation) -> list[Cell]:
     number = len(evaluation.measurement_times)
     cells = [Cell(name), Cell(str(number), number)]
-    if evaluation.exact is not None:
-        return [*cells, Cell(f"{rounded(evaluation.exact)} (exact)"), Cell("")]
+    if not evaluation.draws:
+        return [*cells, Cell(f"{rounded(evaluation.expected_mse)} (exact)"), Cell("")]
     mse = with_error(evaluation.expected_mse, evaluation.standard_error)
     return [
         *cells,

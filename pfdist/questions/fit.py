@@ -189,7 +189,7 @@ def fit(
     settings = {"execution": chosen.execution, "filter": {"proposal": PLAIN}}  # no times are judged
     built = build(as_job(job, changes, settings=settings))
     believed = built.evaluator.believed
-    if not (believed.normalised or built.evaluator.exact):
+    if built.evaluator.has_particles and not believed.normalised:
         raise ModelError(
             f"a fit needs a log_likelihood with all constants (normalised=True), but the model "
             f"{believed.name} does not declare this: without, a deviation would grow without end"
@@ -210,7 +210,7 @@ def fit(
                np.stack([each.y for each in those]))
         for those in groups.values()
     ]  # fmt: skip
-    number = 0 if built.evaluator.exact else particles or built.comparing.particles
+    number = (particles or built.comparing.particles) if built.evaluator.has_particles else 0
     with (
         following(chosen.progress, chosen.say) as (show, tell),
         at_work(built.job.execution, [built.evaluator.engine], tell) as pool,

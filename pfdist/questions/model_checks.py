@@ -347,7 +347,7 @@ def _filtered(
     with np.errstate(over="ignore", invalid="ignore"):  # a check reports infinite errors
         result = evaluator(work)
     share, number = result.degenerate.mean(), len(times)
-    particles = "" if evaluator.exact else f" and {work.estimation.particles} particles"
+    particles = f" and {work.estimation.particles} particles" * evaluator.has_particles
     text = f"{share:.2%} of draws with {number} regular times{particles}{fewer}"
     yield Check("degenerate draws", "note" if share else "ok", text)
     mean = Estimate.of_mean(result.mse[:, 0])
@@ -358,7 +358,7 @@ def _filtered(
     )
     yield from substeps(evaluator, work, result.mse[:, 0])
     believed = evaluator.self_consistent
-    if not evaluator.exact:
+    if evaluator.has_particles:
         yield Check("effective sample size", *_effective_sizes(believed, work))
     if believed.has_particle_loss:
         yield Check("particles", *_particles(believed, work, seconds_of_a_step))

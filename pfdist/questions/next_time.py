@@ -19,7 +19,7 @@ from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.shown import Shown
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
 from pfdist.filters.cloud import Prior
-from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Measurements, read_measurements
@@ -88,7 +88,7 @@ class NextTime(Shown):
         Its `interval()` is the 95 % confidence interval.
         """
         before = self.expected_before
-        return None if before is None else difference(self.expected, before)
+        return None if before is None else self.expected.difference(before)
 
     @property
     def time_unit(self) -> str:
@@ -163,7 +163,7 @@ class NextTime(Shown):
             return [("planned before", "no further measurement")]
         if self.expected_before is None:
             return [("planned before", f"t = {times}, no longer possible")]
-        apart = difference(self.expected, self.expected_before)
+        apart = self.expected.difference(self.expected_before)
         value, *ends = with_interval(apart.value, *apart.interval())
         interval = f"(95 % CI {' to '.join(ends)})" if apart.standard_error else "(exact)"
         return [("planned before", f"t = {times}"),

@@ -202,7 +202,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     if others := len(subject.found_rows) - 1:
         best = f"These are the times of the search {row.name}, the best of {others + 1} sets"
         # The errors of worst scenarios are those of draws, whatever the engine.
-        by_chance = row.standard_error or subject.worst_decides
+        by_chance = row.standard_error or not subject.criterion.additive
         yield Text(f"{best} {_LOOKS_BETTER if by_chance else _BY_EXACT_ERRORS}")
 
 

@@ -12,6 +12,7 @@ from pfdist.common.component_names import Component, named_components
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, unrounded, with_error, with_interval
+from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.clock import Clock
 from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
@@ -20,7 +21,14 @@ from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first, rows_of_sets
-from pfdist.results.stored_run import angles_of, measured_of, problem_of, provenance_of, unproved
+from pfdist.results.stored_run import (
+    angles_of,
+    criterion_of,
+    measured_of,
+    problem_of,
+    provenance_of,
+    unproved,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -113,10 +121,10 @@ class Subject:
         """Results of online times; None if there are none."""
         return online_draws(self.run).summary() if is_online(self.run) else None
 
-    @property
-    def worst_decides(self) -> bool:
-        """Whether the job asks for the least expected MSE in the worst scenario."""
-        return bool(self.run.job.get("scenarios", {}).get("criterion") == "worst")
+    @cached_property
+    def criterion(self) -> Criterion:
+        """What the job minimises."""
+        return criterion_of(self.run)
 
     @property
     def about_others(self) -> list[Text]:

@@ -237,8 +237,8 @@ def foreseen(
 
 
 def _seconds_a_step(built: Built) -> float:
-    """Seconds of a particle-step, measured on a few draws; a guess for an exact engine."""
-    if built.evaluator.exact:
+    """Seconds of a particle-step, measured on a few draws; a guess if there are no particles."""
+    if not built.evaluator.has_particles:
         return built.evaluator.seconds_a_step
     return seconds_a_step(built.evaluator, built.feasible.regular(), built.comparing)
 

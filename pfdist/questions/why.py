@@ -168,10 +168,10 @@ def why(
         check_one_number(opened)
         if export is not None:
             checked_export(export, built.job.problem.clock)
-        if built.is_worst:
+        if not built.job.criterion.additive:
             raise JobError(
-                "scenarios.criterion must be 'mean' for this question, got 'worst' "
-                f"({built.job.path})"
+                "this question needs a job that minimises a mean, got one that minimises the "
+                f"{built.job.criterion.label} ({built.job.path})"
             )
         with own_store(opened, built, tell, must_be=False) as store:
             session = RunSession(built, store, show, tell)
@@ -196,16 +196,17 @@ def _draw(run: Run) -> list[Path]:
 def _examine(session: RunSession, run: Run, draws: int) -> Generator[WorkBatch, None, Why]:
     """Driver that computes all tables and publishes them at the end; it draws no figure."""
     built, store, rows = session.built, session.store, {part: list[Any]() for part in _PARTS}
-    answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws
+    answers, drawn = list[dict[str, Any]](), draws
     points = built.job.problem.points
     for position, (name, numbers) in enumerate(measured_of(run).items()):
         session.reporter.note(phase=f"why {name}", done=_STEPS * position)
         times = validated(numbers, points.number - 1, f"{run.path}: {name}")
-        summary, *parts = yield from worth_of(session, name, times, draws)
+        summary, profile, worth = yield from worth_of(session, name, times, draws)
+        drawn = profile[0]["draws"]
         windows = yield from sampling_windows(session, name, times, draws)
         answers.append({"name": name, "measurement_times": list(run.sets[name])} | summary)
         about = {"position": position, "name": name, "draws": drawn}
-        for part, of_a_part in zip(_PARTS, (*parts, windows), strict=True):
+        for part, of_a_part in zip(_PARTS, (profile, worth, windows), strict=True):
             rows[part] += [about | _at_instant(row, part, points) for row in of_a_part]
     tables = {name: store.timed(_table(name, rows[name])) for name in rows}
     store.publish_together(WHY_PHASE, {name: [table] for name, table in tables.items()})

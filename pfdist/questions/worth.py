@@ -45,9 +45,10 @@ def worth_of(
 ) -> Generator[WorkBatch, None, tuple[Row, list[Row], list[Row]]]:
     """The error of a set, its rows of the table ``profile``, and those of the table ``worth``.
 
-    The rows lack position, name and draws. The set up to every instant and all its changes share
-    draws and noise. So common prefixes are filtered once, and differences are paired. The name of
-    the set keys the noise. The effective sample size is a mean over the first draws.
+    The rows lack position and name, and those of the worth lack draws. The set up to every instant
+    and all its changes share draws and noise. So common prefixes are filtered once, and differences
+    are paired. The name of the set keys the noise. The effective sample size is a mean over the
+    first draws.
     """
     built = session.built
     evaluator, instants = built.evaluator, built.evaluator.horizon + 1
@@ -60,8 +61,8 @@ def worth_of(
     (mse, *rises), degenerate = yield from _means(session, work)
     alone = _work(session, name, (times,), draws)
     ranges = yield from _ranges(session, alone)
-    sizes: Any = {} if evaluator.exact else mean_effective_sizes(evaluator, alone)
-    columns = ["t", "measured", "weight", "error", "standard_error"]
+    sizes: Any = mean_effective_sizes(evaluator, alone) if evaluator.has_particles else {}
+    columns = ["t", "measured", "draws", "weight", "error", "standard_error"]
     profile = profile_of(built.job.problem, times, ranges, 0)[columns].assign(
         t=range(instants),
         degenerate_draws=degenerate,
@@ -78,8 +79,9 @@ def worth_of(
 def _ranges(session: RunSession, work: FilterWork) -> Generator[WorkBatch, None, list[Range]]:
     """The errors of the sets of a work at each instant, over ranges of draws."""
     evaluator, (_, draws), ranges = session.built.evaluator, work.draws, list[Range]()
-    if evaluator.exact:
-        return [Range(0, 0, evaluator.expected_errors(work.measurement_times))]
+    exact = evaluator.expected_errors(work.measurement_times)
+    if exact is not None:
+        return [Range(0, 0, exact)]
     work = replace(work, over_time=longest_range(draws))
 
     def learn(piece: FilterWork, result: Result) -> None:
@@ -130,10 +132,14 @@ def _means(
     """
     evaluator, reporter = session.built.evaluator, session.reporter
     instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
-    pieces = [work] if evaluator.exact else evaluator.pieces(work, MOST_SECONDS)
-    columns = [Moments() for _ in work.ends[instants - 1 :]]
     degenerate, largest = np.zeros(instants, np.int64), 0.0
-    for piece in pieces:
+    exact = evaluator.expected_mse(work.measurement_times, work.ends)
+    if exact is not None:
+        reporter.reach(start + 1, evaluations=draws)
+        (means,) = _columns(exact[None, instants - 1 :]).tolist()
+        return [(mean, 0.0) for mean in means], degenerate.tolist()
+    columns = [Moments() for _ in work.ends[instants - 1 :]]
+    for piece in evaluator.pieces(work, MOST_SECONDS):
         mse, flags, most = yield from _mse(session, piece)
         largest = max(largest, most[instants - 1])
         degenerate += flags[:, :instants].sum(axis=0)
@@ -141,7 +147,7 @@ def _means(
             moments.add(values[~np.isnan(values)])  # infinite errors have no difference
         _, compared = piece.draws
         reporter.reach(start + compared / draws, evaluations=compared)
-    errors = [0.0 if evaluator.exact else moments.standard_error for moments in columns]
+    errors = [moments.standard_error for moments in columns]
     means = [moments.mean for moments in columns]
     errors[0] = math.hypot(errors[0], (largest - means[0]) / draws * work.controlled)
     return list(zip(means, errors, strict=True)), degenerate.tolist()
@@ -150,15 +156,12 @@ def _means(
 def _mse(
     session: RunSession, work: FilterWork
 ) -> Generator[WorkBatch, None, tuple[Array, NDArray[np.bool_], Array]]:
-    """MSE of each set for each draw, and which are degenerate, (D, S); (1, S) if it is exact.
+    """MSE of each set for each draw, and which are degenerate, (D, S).
 
     The control is subtracted from the MSE, because only means are computed from it. The last array
     has the largest MSE of each set, with its control.
     """
-    (first, last), evaluator = work.draws, session.built.evaluator
-    if evaluator.exact:
-        errors = evaluator.expected_mse(work.measurement_times, work.ends)[None]
-        return errors, np.zeros(errors.shape, np.bool_), errors[0]
+    first, last = work.draws
     mse, largest = np.empty((last - first, len(work.ends))), np.zeros(len(work.ends))
     degenerate = np.empty(mse.shape, np.bool_)
 
@@ -246,11 +249,11 @@ def _rows(
     """Columns of the loss of each set against the first set, which loses nothing."""
     evaluator, reporter = session.built.evaluator, session.reporter
     work = _work(session, name, sets, draws)
-    if evaluator.exact:
-        (errors,), *_ = yield from _mse(session, work)
-        mse_unmoved, *_ = errors
-        exact = (errors - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan + errors
-        return [_row(loss, 0.0, (loss, loss)) for loss in exact.tolist()]
+    exact = evaluator.expected_mse(work.measurement_times, work.ends)
+    if exact is not None:
+        mse_unmoved, *_ = exact
+        loss = (exact - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan + exact
+        return [_row(each, 0.0, (each, each)) for each in loss.tolist()]
     losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
     for piece in evaluator.pieces(work, MOST_SECONDS):
         mse, *_ = yield from _mse(session, piece)

@@ -31,7 +31,7 @@ from pfdist.results.stored_run import (
     own_estimation,
     problem_of,
     statistics_of,
-    worst_of,
+    values_of,
 )
 from pfdist.results.summary import keep_summary, summary_of
 from pfdist.store.schema import components_in
@@ -250,14 +250,15 @@ def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
 
 def _add_search_errors(run: StoredRun, rows: dict[str, Results]) -> None:
     """Add the error of the estimate of the search that found a set, and its cause."""
-    is_worst = run.job.get("scenarios", {}).get("criterion") == "worst"
-    worst, copies = worst_of(run) if is_worst else {}, copies_of(run)
+    values, copies = values_of(run), copies_of(run)
     for name, row in rows.items():
-        if name in worst:
-            row["worst_mse"] = worst[name]["expected_mse"]
+        own: Results = {}
+        if value := values.get(name):
+            row["worst_mse"] = value.value
+            own = {"expected_mse": value.value, "standard_error": value.standard_error}
         if row["kind"] == FOUND:
-            search, errors = set_key_of(name, run.job).origin, row | worst.get(name, {})
-            row.update(_search_errors(run, search, errors, len(copies.get(search, [1]))))
+            search = set_key_of(name, run.job).origin
+            row.update(_search_errors(run, search, row | own, len(copies.get(search, [1]))))
 
 
 def _search_errors(run: StoredRun, search: str, result: Results, evaluations: int) -> Results:
@@ -361,10 +362,9 @@ def best_first(sets: Sequence[Row]) -> list[str]:
     whose error is unknown or infinite come last. The run has one number of measurements.
     """
     chosen = [row for row in sets if row.kind == FOUND] or sets
-    is_worst = any(row.worst_mse is not None for row in chosen)
 
     def error(row: Row) -> float:
-        found = row.worst_mse if is_worst else row.expected_mse
+        found = row.expected_mse if row.worst_mse is None else row.worst_mse
         return math.inf if found is None else found
 
     return [row.name for row in sorted(chosen, key=error)]

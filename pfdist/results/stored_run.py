@@ -14,9 +14,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pfdist.common.estimate import Estimate
 from pfdist.common.gone import without_gone
 from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError, PfdistWarning, StoreError
+from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.engines import AUTO
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.job import Job
@@ -395,8 +397,19 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-def worst_of(run: StoredRun) -> dict[str, dict[str, Any]]:
-    """The expected_mse, standard_error and draws of each set in its worst scenario, by name."""
+def criterion_of(run: StoredRun) -> Criterion:
+    """What the job of a run minimises."""
+    given = run.job.get("scenarios")
+    return Scenarios.model_validate(given).form if given else MEAN
+
+
+def values_of(run: StoredRun) -> dict[str, Estimate]:
+    """The criterion's value for each set on the compared draws; empty for the expected MSE."""
+    if criterion_of(run).additive:
+        return {}
     rows = scenarios_of(run).sort_values("expected_mse").groupby("name").tail(1)
-    columns = rows.set_index("name")[["expected_mse", "standard_error", "draws"]]
-    return {str(name): dict(row) for name, row in columns.iterrows()}
+    columns = rows[["name", "expected_mse", "standard_error", "draws"]]
+    return {
+        str(name): Estimate(mse, error, draws - 1)
+        for name, mse, error, draws in columns.itertuples(index=False)
+    }

@@ -253,7 +253,7 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     if is_predicted:
         models = [*map(predicted, models)]
     evaluator = evaluator_of(job, models[0], models[-1])
-    estimations = () if built.evaluator.exact else (built.comparing,)
+    estimations = (built.comparing,) if built.evaluator.has_particles else ()
     return replace(evaluator, engine=built.evaluator.engine, weights=None, estimations=estimations)
 
 

@@ -11,6 +11,7 @@ errors would be preferred.
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +111,7 @@ class BlockSums:
 
     def steps(self, blocks: int) -> int:
         """Particle-steps of the first blocks of draws."""
-        return 0 if self._evaluator.exact else blocks * BLOCK * self._work.steps_a_draw
+        return blocks * BLOCK * self._work.steps_a_draw * self._evaluator.has_particles
 
     def added(
         self, session: RunSession, blocks: range, add: Add, *, more_follows: bool = False
@@ -145,9 +146,9 @@ class BlockSums:
 
         A set with an infinite draw has NaN.
         """
-        if self._evaluator.exact:
-            errors = self._evaluator.expected_errors(self._counted.sets, weighted=True)
-            return self._counted.of_instants(errors)
+        exact = self._evaluator.expected_errors(self._counted.sets, weighted=True)
+        if exact is not None:
+            return self._counted.of_instants(exact)
         sums = np.zeros(self._counted.set_of.size)
 
         def add(_block: int, errors: Array) -> None:
@@ -187,18 +188,15 @@ def evaluated_by_errors(
     ends = np.array([horizon if each.end is None else each.end for each in candidates])
     sums = sums_of(Counted(sets, first, ends))
     errors = yield from sums.means(blocks, session)
-    means = [errors_of_set.sum() / (horizon + 1) for errors_of_set in errors]
-    evaluations = [
-        Evaluation(
-            candidate.measurement_times,
-            np.array([mean]),
-            exact=float(mean) if evaluator.exact else None,
-            end=candidate.end,
-            errors=errors_of_set,
-            purpose=purpose,
+    evaluations = list[Evaluation]()
+    for candidate, errors_of_set in zip(candidates, errors, strict=True):
+        times, mean = candidate.measurement_times, errors_of_set.sum() / (horizon + 1)
+        others: dict[str, Any] = {"end": candidate.end, "errors": errors_of_set, "purpose": purpose}
+        evaluations.append(
+            Evaluation.exactly(times, float(mean), **others)
+            if evaluator.exact
+            else Evaluation(times, np.array([mean]), **others)
         )
-        for candidate, errors_of_set, mean in zip(candidates, errors, means, strict=True)
-    ]
     return evaluations, sums.steps(blocks)
 
 
@@ -221,7 +219,7 @@ def grown(
         return BlockSums(built, counted, (stream, stream), estimation)
 
     state, steps, rng = optimiser.init(), 0.0, np.random.default_rng(0)
-    if not built.evaluator.exact:  # an exact engine takes no particle-steps
+    if built.evaluator.has_particles:
         reporter.begin("windows of the bound")
     start = reporter.progress.done
     relaxation = state.relaxation

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
@@ -62,30 +61,6 @@ class Built:
     study: Study
     evaluator: Evaluator
     searches: tuple[NamedSearch, ...] = field(repr=False)
-
-    @property
-    def is_worst(self) -> bool:
-        """Whether the error of a set is the expected MSE of its worst scenario."""
-        return self.job.scenarios is not None and self.job.scenarios.is_worst
-
-    def exact_errors(
-        self, sets: Sequence[Times], ends: Sequence[int] | None = None, *, additive: bool = False
-    ) -> NDArray[np.float64]:
-        """The exact error of each set up to its end, (S,), from an exact engine.
-
-        With `additive`, it is the mean over scenarios even if the worst scenario decides.
-        """
-        if additive or not self.is_worst:
-            return self.evaluator.expected_mse(sets, ends)
-        errors = [each.expected_mse(sets, ends) for each in self.evaluator.of_scenarios]
-        worst: NDArray[np.float64] = np.max(errors, axis=0)
-        return worst
-
-    def exact_over_time(self, times: Times) -> NDArray[np.float64]:
-        """The exact error of a set at each instant, (1, T+1); the worst scenario may decide."""
-        evaluators = self.evaluator.of_scenarios if self.is_worst else (self.evaluator,)
-        worst = max(evaluators, key=lambda each: float(each.expected_mse([times])[0]))
-        return worst.expected_errors([times])
 
     @property
     def phases(self) -> list[str]:

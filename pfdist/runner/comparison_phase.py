@@ -66,6 +66,7 @@ def run_comparison(
     names, half_width = list(sets), job.comparison.until.half_width
     references = references_of(names, job.identity())
     interim = InterimGains(names, references, draws, half_width)
+    shows_gains = len(study.references) == 1 and built.job.criterion.additive
     reporter.begin(COMPARISON)
     details = (trajectories, first_draws_again) if built.study.has_details else ()
     for table in (*details, distances, variances):
@@ -103,15 +104,15 @@ def run_comparison(
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
-            found=() if len(study.references) > 1 or built.is_worst else interim.so_far,
+            found=interim.so_far if shows_gains else (),
         )
         return interim.enough > 0
 
     most = longest_range(draws) if study.has_details else 0
-    if most and evaluator.exact:
+    errors = evaluator.expected_errors(work.measurement_times) if most else None
+    if errors is not None:
         most = 0
         if not session.store.has(RANGE_SUMS):
-            errors = evaluator.expected_errors(work.measurement_times)
             session.keep(COMPARISON, RANGE_SUMS, _range_rows(work.ids, [Range(0, 0, errors)]))
     work = replace(work, controlled=control, over_time=most)
     works = [work.part(draws_of_block) for draws_of_block in cut(range(draws), BLOCK)]

@@ -95,9 +95,9 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     for position, row in enumerate(rows):
         row["position"] = position
     optional = []
-    if built.evaluator.exact:
+    exact = built.evaluator.expected_mse([row["measurement_times"] for row in rows])
+    if exact is not None:
         optional = ["exact_mse"]
-        exact = built.evaluator.expected_mse([row["measurement_times"] for row in rows])
         for row, mse in zip(rows, exact.tolist(), strict=True):
             row["exact_mse"] = mse
     table = pa.Table.from_pylist(rows, schema=schema("compared", *optional))

@@ -26,7 +26,7 @@ def is_known(built: Built) -> bool:
     """Whether a run has a single plan, and any number of its measurements can be evenly spaced."""
     problem, is_alone = built.job.problem, len(built.searches) == 1 and built.job.budget is None
     is_free = problem.feasible.counted and not problem.is_constrained
-    return is_alone and is_free and problem.points.ways == 1 and not built.is_worst
+    return is_alone and is_free and problem.points.ways == 1 and built.job.criterion.additive
 
 
 def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch, None, None]:
@@ -65,10 +65,8 @@ class _Tried:
         self._draws = min(DRAWS, run.draws_compared)
         self._name = session.built.searches[0].name
         self._differences = dict[int, Estimate]()
-        exact = session.built.evaluator.exact
-        self._errors = None if exact else controlled_mse(
-            run.table("comparison", self._draws), self._name
-        )  # fmt: skip
+        self._is_exact = session.built.evaluator.expected_mse([plan]) is not None
+        self._errors = controlled_mse(run.table("comparison", self._draws), self._name)
 
     def __len__(self) -> int:
         return len(self._differences)
@@ -85,7 +83,7 @@ class _Tried:
             {
                 "measurements": number,
                 "measurement_times": self._times(number),
-                "draws": 0 if self._errors is None else self._draws,
+                "draws": 0 if self._is_exact else self._draws,
                 "difference": difference.value,
                 "difference_error": difference.standard_error,
             }
@@ -98,9 +96,9 @@ class _Tried:
 
     def _computed(self, number: int) -> Generator[WorkBatch, None, Estimate]:
         built, times = self._session.built, self._times(number)
-        if self._errors is None:
-            even, plan = built.evaluator.expected_mse([times, self._plan]).tolist()
-            return Estimate(even - plan)
+        exact = built.evaluator.expected_mse([times, self._plan])
+        if exact is not None:
+            return Estimate(float(exact[0] - exact[1]))
         seed, purpose = built.job.seed, built.study.purpose
         work = built.evaluator.work(
             [times],

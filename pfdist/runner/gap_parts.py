@@ -49,7 +49,7 @@ def steps_of_sets(built: Built, sets: int, estimation: Estimation, of_bound: int
 
     `of_bound` is the number of draws of the bound.
     """
-    if built.evaluator.exact:
+    if not built.evaluator.has_particles:
         return 0
     compared = built.job.comparison.draws
     draws = _draws(built, compared, of_bound)
@@ -67,12 +67,12 @@ def gap_parts(
     number of draws of the bound.
     """
     built = session.built
-    if built.evaluator.exact:
-        errors = built.evaluator.expected_mse(list(sets.values())).tolist()
-        return {name: GapParts(Estimate(error)) for name, error in zip(sets, errors, strict=True)}
+    exact = built.evaluator.expected_mse([*sets.values()])
+    if exact is not None:
+        return {n: GapParts(Estimate(mse)) for n, mse in zip(sets, exact.tolist(), strict=True)}
     draws = _draws(built, run.draws_compared, of_bound)
     # The compared draws have the job's shares of scenarios, and not those of the bound.
-    are_compared = draws <= run.draws_compared and not built.is_worst
+    are_compared = draws <= run.draws_compared and built.job.criterion.bound == "mean"
     kinds = _kinds(built, estimation, are_compared=are_compared)
     seed = built.job.seed
     if "squared" in kinds:

@@ -136,7 +136,7 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
 
 def estimations(built: Built) -> dict[str, dict[str, Any]]:
     """How each search estimates errors, which a job does not say."""
-    if built.evaluator.exact:
+    if not built.evaluator.has_particles:
         return {}
     return {search.name: search.settings.estimation.recorded for search in built.searches}
 

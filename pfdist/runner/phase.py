@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import validated
 from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.errors import StoreError
+from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.kernels.variates import generator
@@ -137,8 +138,7 @@ class Phase:
     purpose: str
     settings: Settings
     built: Built
-    # Searches that add errors of instants, and are told means whatever the criterion is.
-    additive: bool = False
+    criterion: Criterion  # the mean for searches that add errors of instants
     # Requests by the evaluation's id, of this session, for sets that are requested again
     evaluated: dict[str, EvaluationRequest] = field(default_factory=dict)
 
@@ -192,21 +192,17 @@ class Phase:
             self.built, counted, streams, estimation, knows_truth=False, phase=self.name
         )
 
-    def evaluation(self, request: EvaluationRequest, exact: float | None = None) -> Evaluation:
+    def evaluation(self, request: EvaluationRequest, criterion: Criterion) -> Evaluation:
         """The evaluation that was requested."""
         times, end, *_ = request.candidate
-        draws, scenarios = range(request.mse.size), None
-        if exact is None:
-            scenarios = self.built.evaluator.scenarios_of(request.stream, draws)
         return Evaluation(
             times,
             request.mse,
             self.settings.degenerate_policy,
-            exact,
             end,
             purpose=self.purpose,
-            scenarios=scenarios,
-            is_worst=self.built.is_worst and not self.additive,
+            scenarios=self.built.evaluator.scenarios_of(request.stream, range(request.mse.size)),
+            criterion=criterion,
             degenerate=request.degenerate,
         )
 
@@ -252,9 +248,7 @@ def run_phase(
             for candidate, evaluation in zip(windows, by_errors, strict=True):
                 record(candidate, evaluation)
             record.show()
-        if phase.built.evaluator.exact:
-            _exactly(phase, requests, record)
-        else:
+        if not _exactly(phase, requests, record):
             yield from _per_draw(phase, requests, session, record)
         evaluations = record.evaluations
         if requests and generation not in committed:
@@ -316,15 +310,21 @@ class _Generation:
         )
 
 
-def _exactly(phase: Phase, requests: list[EvaluationRequest], record: _Generation) -> None:
-    """Record the exact evaluation of each request; it takes no time, so neither pool nor store."""
+def _exactly(phase: Phase, requests: list[EvaluationRequest], record: _Generation) -> bool:
+    """Record the exact evaluation of each request, and say whether the engine gives it.
+
+    It takes no time, so neither pool nor store.
+    """
     sets = [request.candidate.measurement_times for request in requests]
     ends = [request.end for request in requests]
-    errors = phase.built.exact_errors(sets, ends, additive=phase.additive)
-    for request, error in zip(requests, errors, strict=True):
+    errors = phase.built.evaluator.expected_mse(sets, ends, phase.criterion)
+    if errors is None:
+        return False
+    for request, error in zip(requests, errors.tolist(), strict=True):
         request.mse, request.degenerate = np.empty(0), np.empty(0, np.bool_)
-        record(request.candidate, phase.evaluation(request, float(error)))
+        record(request.candidate, phase.evaluation(request, phase.criterion.exactly(error)))
     record.show()
+    return True
 
 
 def _per_draw(
@@ -345,7 +345,7 @@ def _per_draw(
         for alike in same[request.id]:
             draws = slice(alike.mse.size)
             alike.mse, alike.degenerate = request.mse[draws], request.degenerate[draws]
-            record(alike.candidate, phase.evaluation(alike))
+            record(alike.candidate, phase.evaluation(alike, phase.criterion))
 
     def learn(work: FilterWork, result: Result) -> None:
         degenerate = work.by_id(result, "degenerate")

@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numpy as np
-
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
@@ -210,7 +208,7 @@ class _Outlook:
         fresh = range(planning.draws, planning.draws + planning.judging_draws)
         candidates = [Candidate(times) for times in plans]
         first, new = self._evaluated(self.draws(fresh), candidates, planning.judging)
-        gain = difference(new, first)
+        gain = new.difference(first)
         rounding = _ROUNDING * first.expected_mse if math.isfinite(first.expected_mse) else 0.0
         lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)
         return plans[1] if lower else plans[0]
@@ -249,10 +247,10 @@ class _Outlook:
         estimation: Estimation,
     ) -> list[Evaluation]:
         """Evaluations of sets up to their ends on common draws with common noise."""
-        if draws is None:
-            errors = self.evaluator.expected_mse(sets, ends).tolist()
-            each_set = zip(sets, errors, strict=True)
-            return [Evaluation(times, np.empty(0), exact=error) for times, error in each_set]
+        exact = self.evaluator.expected_mse(sets, ends)
+        if draws is None or exact is not None:
+            each_set = zip(sets, [] if exact is None else exact.tolist(), strict=True)
+            return [Evaluation.exactly(times, mse) for times, mse in each_set]
         noise = stream_key(self.stream, "filter")
         mse, flags = self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
         rows = zip(sets, mse.T.copy(), flags.T, strict=True)

@@ -13,11 +13,11 @@ from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.common.percent import CHECK_FAILS
 from pfdist.common.streams import stream_of
-from pfdist.errors import ModelError
+from pfdist.errors import JobError, ModelError
 from pfdist.filters.work import BLOCK, with_truth
 from pfdist.problem.constraints import Constraints
 from pfdist.results import Run
-from pfdist.results.stored_run import measured_of, worst_of
+from pfdist.results.stored_run import measured_of, values_of
 from pfdist.runner.block_sums import (
     CHOICE_BLOCKS,
     GROUPS,
@@ -73,6 +73,8 @@ class Prover:
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
         self._built, self.settings = built, settings
+        if built.job.criterion.bound == "none":
+            raise JobError(f"no bound is known for the {built.job.criterion.label}")
         self.shares: tuple[float, ...] = ()
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         count = settings.particles or built.job.filter.particles
@@ -87,7 +89,7 @@ class Prover:
                 f"{truth.model.name}, which has its own error"
             )
         truth.compile(self._estimation)  # before the first task, whose time is limited
-        self.particles = 0 if built.evaluator.exact else count
+        self.particles = count if built.evaluator.has_particles else 0
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
         looks = 1 if settings.within is None else len(self._blocks)
         self.confidence = 1 - (1 - CONFIDENCE) / looks
@@ -141,7 +143,7 @@ class Prover:
         sets = self._built.study.proved(measured_of(run))
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         wrong = self._fails_check()
-        if feasible and self._built.is_worst and not wrong:
+        if feasible and self._built.job.criterion.bound == "mixture" and not wrong:
             yield from self._weigh_scenarios(session, feasible.values())
         parts = yield from self._parts(session, run, sets)
         if wrong:
@@ -225,14 +227,14 @@ class Prover:
     def _parts(
         self, session: RunSession, run: Run, sets: Mapping[str, Times]
     ) -> Generator[WorkBatch, None, dict[str, GapParts]]:
-        """The expected MSE of each set, in its worst scenario if that decides, and gap parts."""
+        """The value of each set, by the job's criterion, and gap parts."""
         most = self._blocks[-1] * BLOCK
         parts = yield from gap_parts(session, run, sets, self._estimation, most)
         if not self.shares:
             return parts
-        for name, worst in self._worst(run, sets).items():
-            weighting = worst.plus(parts[name].expected_mse.times(-1.0))
-            parts[name] = replace(parts[name], expected_mse=worst, weighting=weighting)
+        for name, value in self._values(run, sets).items():
+            weighting = value.plus(parts[name].expected_mse.times(-1.0))
+            parts[name] = replace(parts[name], expected_mse=value, weighting=weighting)
         return parts
 
     def _weigh_scenarios(
@@ -254,15 +256,14 @@ class Prover:
         self.shares = best_shares(relaxation, np.stack(errors), most)
         session.built = self._built = replace(built, evaluator=evaluator.with_shares(self.shares))
 
-    def _worst(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
-        """The expected MSE of each set in its worst scenario, exact or of the comparison."""
-        if self._built.evaluator.exact:
-            errors = self._built.exact_errors([*sets.values()]).tolist()
-            return dict(zip(sets, map(Estimate, errors), strict=True))
-        rows = worst_of(run)
-        keys = "expected_mse", "standard_error", "draws"
-        errors = {name: [rows[name][key] for key in keys] for name in sets}
-        return {name: Estimate(mse, error, int(n) - 1) for name, (mse, error, n) in errors.items()}
+    def _values(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
+        """The criterion's value for each set, exact or of the comparison."""
+        built = self._built
+        exact = built.evaluator.expected_mse([*sets.values()], criterion=built.job.criterion)
+        if exact is not None:
+            return dict(zip(sets, map(Estimate, exact.tolist()), strict=True))
+        values = values_of(run)
+        return {name: values[name] for name in sets}
 
     def _grown(
         self, session: RunSession, sets: tuple[Times, ...]

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pfdist.common.measurement_times import Times
-from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.criterion import MEAN
+from pfdist.filters.estimate import Evaluation
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
@@ -58,8 +59,8 @@ def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, Non
             start = polished[0].measurement_times if polished else start
             ends = [*polished[:_POLISHED], *ends[:1]]
         finalists = [*ends, *finalists[:_UNPOLISHED]]
-    # Whichever set wins, the search believes its error in the worst scenario, if that decides.
-    judged_alike = [replace(each, is_worst=session.built.is_worst) for each in finalists]
+    # Whichever set wins, its error in the search is that of the job's criterion.
+    judged_alike = [each.judged_by(session.built.job.criterion) for each in finalists]
     return _Found(judged_alike, polishes)
 
 
@@ -79,7 +80,7 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
         return []
     order, own = list(raced), {evaluation.measurement_times: evaluation for evaluation in raced}
     best = next((own[times] for times in ranked if times in own), order[0])
-    if difference(best, order[0]).is_positive(_CONTRADICTED):
+    if best.difference(order[0]).is_positive(_CONTRADICTED):
         return order
     return [best, *(evaluation for evaluation in order if evaluation is not best)]
 
@@ -120,14 +121,8 @@ def search_steps(built: Built, search: NamedSearch) -> float:
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase:
-    return Phase(
-        search.name,
-        search.optimiser,
-        "search",
-        search.settings,
-        built,
-        additive=search.additive,
-    )
+    criterion = MEAN if search.additive else search.criterion
+    return Phase(search.name, search.optimiser, "search", search.settings, built, criterion)
 
 
 def _polishing(built: Built, search: NamedSearch, start: Times, name: str) -> Phase:
@@ -138,22 +133,20 @@ def _polishing(built: Built, search: NamedSearch, start: Times, name: str) -> Ph
     """
     feasible, settings = built.feasible, search.polishing or search.settings
     reach = math.ceil(_REACH * (feasible.horizon + 1) / max(1, len(start)))
-    of_mean, scenarios = name != search.polish, 1
-    if search.is_worst and not of_mean:  # Few particles may have another worst scenario.
-        scenarios, estimation = built.job.judged_apart, built.comparing
-        settings = replace(settings, draws=scenarios * settings.draws, estimation=estimation)
-    exchange = Exchange(feasible, settings.draws, start, reach, scenarios=scenarios)
-    return Phase(name, exchange, "search", settings, built, additive=of_mean)
+    criterion = search.criterion if name == search.polish else MEAN
+    if not criterion.additive:  # few particles may have another worst scenario
+        draws = criterion.apart * settings.draws
+        settings = replace(settings, draws=draws, estimation=built.comparing)
+    exchange = Exchange(feasible, settings.draws, start, reach, scenarios=criterion.apart)
+    return Phase(name, exchange, "search", settings, built, criterion)
 
 
 def _is_too_long(built: Built, search: NamedSearch) -> bool:
-    """Whether the exchanges that polish would take too long; the worst scenario needs them."""
-    start = built.job.problem.feasible.regular()
-    return (
-        not built.is_worst and _polishing(built, search, start, search.polish).steps() > _MOST_STEPS
-    )
+    """Whether the exchanges that polish would take too long; a criterion may need them."""
+    phase = _polishing(built, search, built.job.problem.feasible.regular(), search.polish)
+    return search.criterion.additive and phase.steps() > _MOST_STEPS
 
 
 def _racing(built: Built, search: NamedSearch, sets: tuple[Times, ...]) -> Phase:
     race = Race(sets, search.racing.draws)
-    return Phase(search.shortlist, race, "shortlist", search.racing, built)
+    return Phase(search.shortlist, race, "shortlist", search.racing, built, search.criterion)

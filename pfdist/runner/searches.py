@@ -4,6 +4,7 @@ import os
 from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
+from pfdist.filters.criterion import Criterion
 from pfdist.filters.work import BLOCK, Estimation
 from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.problem.job import Job
@@ -67,7 +68,7 @@ class NamedSearch:
     polishing: Settings | None  # of exchanges that polish the best set; None for no exchanges
     racing: Settings  # of the race, which the job's own filter decides by the squared error
     additive: bool  # whether the optimiser adds errors of instants; then errors must be means
-    is_worst: bool  # whether the worst scenario decides
+    criterion: Criterion
 
     @property
     def polish(self) -> str:
@@ -76,8 +77,9 @@ class NamedSearch:
 
     @property
     def polishes(self) -> tuple[str, ...]:
-        """Names of all phases of exchanges: first for the mean, then for the worst scenario."""
-        return (f"{self.name}.polish_mean", self.polish) if self.is_worst else (self.polish,)
+        """Names of all phases of exchanges: for the mean, then for a criterion that is none."""
+        of_mean = () if self.criterion.additive else (f"{self.name}.polish_mean",)
+        return *of_mean, self.polish
 
     @property
     def shortlist(self) -> str:
@@ -107,16 +109,16 @@ def named_search(
         settings = replace(settings, draws=-(-settings.draws // BLOCK) * BLOCK)
     check_memory(job, section, settings.draws)
     optimiser = study.optimiser(section, settings.draws)
-    apart = job.judged_apart
     # Only the method itself may kill sets, as the paper says.
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
     squared = replace(settings.estimation, estimator=SQUARED_ERROR.name)
     polishing = replace(counting, draws=_POLISH_DRAWS, estimation=squared)
-    racing = replace(counting, draws=apart * _RACE_DRAWS, estimation=comparing_of(job))
+    race_draws = job.criterion.apart * _RACE_DRAWS
+    racing = replace(counting, draws=race_draws, estimation=comparing_of(job))
     additive = METHODS[section.method].additive
     polishing_or_none = polishing if section.polish else None
     return NamedSearch(
-        section.name, optimiser, settings, polishing_or_none, racing, additive, apart > 1
+        section.name, optimiser, settings, polishing_or_none, racing, additive, job.criterion
     )
 
 

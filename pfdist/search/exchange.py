@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from pfdist.common.measurement_times import Times
-from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import method
 from pfdist.search.base import Candidate, best_of
@@ -124,7 +124,7 @@ class Exchange:
             leader = order[0].measurement_times
             # A test on few draws may err. It never leads back, or the search might cycle for ever.
             few = math.inf if leader in state.left else _BETTER
-            if difference(order[0], best).is_negative(_BETTER_AT_LAST if last else few):
+            if order[0].difference(best).is_negative(_BETTER_AT_LAST if last else few):
                 return replace(self._around(leader), left=(*state.left, state.best))
         if last:
             return replace(state, evaluations=best_of(evaluations))
@@ -132,7 +132,7 @@ class Exchange:
         near = [
             evaluation
             for evaluation in order
-            if not difference(evaluation, least).is_positive(_WORSE)
+            if not evaluation.difference(least).is_positive(_WORSE)
         ]
         names = tuple(evaluation.measurement_times for evaluation in near)
         return replace(state, neighbours=names, draws=min(self.draws, 2 * state.draws))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfdist.common.measurement_times import Times
-from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation
 from pfdist.search.base import Candidate
 
 _WORSE = 3.0  # standard errors from which a set is worse than the leader
@@ -64,7 +64,7 @@ class Race:
         near = [
             evaluation
             for evaluation in order
-            if not difference(evaluation, order[0]).is_positive(_WORSE)
+            if not evaluation.difference(order[0]).is_positive(_WORSE)
         ]
         running = [evaluation.measurement_times for evaluation in near[: (len(order) + 1) // 2]]
         dropped = tuple(

@@ -188,7 +188,7 @@ class StateSpaceRelaxation:
         if any(len(window) == 1 for window in state.infinite):
             # No relaxed error is known. Exchanges may still improve the sets that were evaluated.
             return replace(state, done=True)
-        exact = any(evaluation.exact is not None for evaluation in state.whole)
+        exact = any(not evaluation.draws for evaluation in state.whole)
         relaxation = state.relaxation
         rounds = max(_ROUNDS_IF_EXACT, self.rounds) if exact else self.rounds
         if state.round > rounds:

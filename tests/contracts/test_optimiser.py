@@ -110,7 +110,7 @@ def _evaluation(candidate: Candidate, problem: str) -> Evaluation:
         return Evaluation(times, errors.mean(axis=1), end=end)
     mean = errors.mean(axis=0)
     known = None if since is None else mean[counts]
-    return Evaluation(times, np.empty(0), exact=float(mean.mean()), end=end, errors=known)
+    return Evaluation.exactly(times, float(mean.mean()), end=end, errors=known)
 
 
 def _search(

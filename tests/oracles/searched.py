@@ -18,9 +18,7 @@ def states(optimiser: Optimiser, cost: Callable[[Times], float], seed: int = 1) 
     while not optimiser.done(state):
         asked = optimiser.ask(state, rng)
         told = [
-            Evaluation(
-                candidate.measurement_times, np.empty(0), exact=cost(candidate.measurement_times)
-            )
+            Evaluation.exactly(candidate.measurement_times, cost(candidate.measurement_times))
             for candidate in asked
         ]
         state = optimiser.tell(state, told)
@@ -41,10 +39,9 @@ def exactly(model: StateSpaceModel, horizon: int, asked: Sequence[Candidate]) ->
         counts = (t >= (since or 0)) & (t <= (horizon if end is None else end))
         errors = np.where(counts, row, 0.0)
         told.append(
-            Evaluation(
+            Evaluation.exactly(
                 times,
-                np.empty(0),
-                exact=float(errors.mean()),
+                float(errors.mean()),
                 end=end,
                 errors=None if since is None else row[counts],
             )

@@ -84,7 +84,7 @@ def _bytes(run: Path) -> dict[str, bytes]:
 
 def test_an_exact_engine_gives_the_exact_differences_and_ranks(job: Job, exact: Run) -> None:
     kalman = job.with_changes(["filter.engine=kalman"])
-    known = {name: each.exact for name, each in pfdist.evaluate(kalman, SETS).items()}
+    known = {name: each.expected_mse for name, each in pfdist.evaluate(kalman, SETS).items()}
     for pair in exact.table("pairs").to_dict("records"):
         difference = known[pair["first"]] - known[pair["second"]]
         assert pair["difference"] == pair["low"] == pair["high"] == pytest.approx(difference)

@@ -15,7 +15,6 @@ from pfdist import Job, Planner, Problem
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import PfdistError, PfdistWarning
-from pfdist.filters.estimate import difference
 from pfdist.filters.simulation import simulate
 from pfdist.problem.problem import as_job
 from pfdist.runner.build import build
@@ -94,7 +93,7 @@ def test_the_standard_error_of_an_expected_error_contains_the_noise_of_the_parti
         for t, each in enumerate(y):
             planner.update(each, t)
         plan, other = planner.expected((4, 6), (7, 8), draws=1000)
-        apart = difference(plan, other)
+        apart = plan.difference(other)
         miss = apart.value - wanted[0] + wanted[1]
         found.append((plan.expected_mse, plan.standard_error, miss / apart.standard_error))
     value, error, z = np.array(found).T

@@ -24,7 +24,8 @@ from oracles.walks import (
 )
 from pfdist.common.scenario import Scenario
 from pfdist.errors import JobError, ModelError
-from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.criterion import WorstScenario
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.scenarios import scenarios_of_draws
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, with_truth
 from pfdist.pages.terminal import lines_of
@@ -132,19 +133,6 @@ def test_the_filter_has_nominal_parameters_or_is_told() -> None:
             exact = expected_mse(times, SCENARIOS[number], believed)
             # 200 particles cost about 1 / 200 more than the Kalman filter
             assert abs(own.expected_mse / 1.005 - exact) < 4 * own.standard_error
-
-
-def test_the_cost_of_the_worst_is_the_largest_mean_and_differences_are_paired() -> None:
-    scenarios = np.array([0, 1, 0, 1])
-    first = Evaluation((1,), np.array([1.0, 5.0, 3.0, 7.0]), scenarios=scenarios, is_worst=True)
-    second = replace(first, mse=np.array([1.0, 4.0, 3.0, 6.5]))
-    assert first.expected_mse == 6.0
-    assert first.standard_error == pytest.approx(1.0)  # of 5 and 7: sd sqrt(2), over sqrt(2)
-    apart = difference(first, second)
-    assert (apart.value, apart.standard_error) == (0.75, pytest.approx(0.25))
-    elsewhere = replace(first, mse=np.array([9.0, 1.0, 11.0, 3.0]))  # scenario 0 is its worst
-    apart = difference(first, elsewhere)
-    assert (apart.value, apart.standard_error) == (-4.0, pytest.approx(np.sqrt(2)))
 
 
 # --- plans, by brute force ------------------------------------------------------------------------
@@ -435,7 +423,7 @@ def test_other_questions_are_refused(tmp_path: Path) -> None:
     worst = problem("worst", engine="kalman")
     few = ["comparison.draws=48"]
     pfdist.plan(worst, tmp_path / "run", changes=few, bound_draws=0, figures=False)
-    with pytest.raises(JobError, match=r"scenarios.criterion must be 'mean' .*got 'worst'"):
+    with pytest.raises(JobError, match=r"minimises a mean, got .* MSE in the worst scenario"):
         pfdist.why(worst, results=tmp_path / "run", changes=few, figures=False)
 
 
@@ -461,7 +449,7 @@ def test_the_answer_for_the_worst_names_its_error_and_its_gain(
     rows[2 + scenario] |= {"expected_mse": 4.0, "standard_error": 0.04}
     subject = SimpleNamespace(
         scenarios=[Row(**row) for row in rows],
-        worst_decides=True,
+        criterion=WorstScenario(),
         reference_row=Row(name="regular"),
         reference="evenly spaced times",
     )

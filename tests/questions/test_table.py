@@ -80,7 +80,7 @@ def test_an_exact_engine_has_exact_errors_and_a_proof_has_its_gap(
     for row in pfdist.table(run).to_dict("records"):
         result = summary[row["set"]]
         exact = pfdist.evaluate(job, {"set": result.measurement_times, "regular": "regular"})
-        errors = [each.exact for each in exact.values()]
+        errors = [each.expected_mse for each in exact.values()]
         assert (row["expected_mse"], row["standard_error"]) == (errors[0], 0.0)
         assert row["gain_of_means"] == 1 - errors[0] / errors[1]
         assert row["gain_of_means_low"] == row["gain_of_means_high"] == row["gain_of_means"]

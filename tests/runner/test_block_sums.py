@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pfdist import Job
+from pfdist.filters.criterion import MEAN
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, FilterWork, Result, sum_of_draws, with_truth
 from pfdist.pools.base import SerialPool
@@ -192,7 +193,7 @@ def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
     """So the errors of a set add up to its cost, where they count from the first instant on."""
     settings = replace(built.searches[0].settings, draws=2 * BLOCK, estimation=ESTIMATION)
     search = asks(WHOLE, *WINDOWS, Candidate(SETS[3]))
-    phase = Phase("mine", search, "search", settings, built)
+    phase = Phase("mine", search, "search", settings, built, MEAN)
     completed(run_phase(phase, session))
     _, *windows, whole = search.told
     assert [each.measurement_times for each in windows] == list(SETS)
@@ -209,7 +210,7 @@ def test_an_exact_engine_tells_errors_without_draws(
 ) -> None:
     exact = build(small_job.with_changes(["model.name=random_walk", "filter.engine=kalman"]))
     search = asks(WHOLE, *WINDOWS)
-    phase = Phase("mine", search, "search", exact.searches[0].settings, exact)
+    phase = Phase("mine", search, "search", exact.searches[0].settings, exact, MEAN)
     completed(run_phase(phase, RunSession(exact, Store(tmp_path / "run"))))
     assert not handed
     errors = COUNTED.of_instants(exact.evaluator.expected_errors(SETS, weighted=True))

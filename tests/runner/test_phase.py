@@ -16,6 +16,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.errors import MeasurementTimesError
+from pfdist.filters.criterion import MEAN
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork
 from pfdist.pools.base import Outcome, SerialPool
@@ -35,7 +36,7 @@ def _counted(calls: list[str], real: Any, *arguments: Any, **more: Any) -> Any:
 
 
 def _phase(built: Built, optimiser: Optimiser) -> Phase:
-    return Phase("mine", optimiser, "search", built.searches[0].settings, built)
+    return Phase("mine", optimiser, "search", built.searches[0].settings, built, MEAN)
 
 
 @pytest.mark.parametrize("phase", ["search", "comparison"])

@@ -11,6 +11,7 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
+from pfdist.filters.criterion import MEAN
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork
 from pfdist.problem.sections import DEFAULT_METHOD
@@ -67,7 +68,7 @@ def test_no_search_chooses_by_draws_that_prove(purpose: str, small_job: Job) -> 
     built = build(small_job)
     search = built.searches[0]
     with pytest.raises(ValueError, match=f"no search may choose by .* '{purpose}'"):
-        Phase("mine", search.optimiser, purpose, search.settings, built)
+        Phase("mine", search.optimiser, purpose, search.settings, built, MEAN)
 
 
 def test_purposes_have_different_keys_and_others_are_refused() -> None:

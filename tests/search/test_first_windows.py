@@ -10,6 +10,7 @@ from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
 from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.filters.criterion import MEAN
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.feasible import Feasible
 from pfdist.search import StateSpaceRelaxation
@@ -102,7 +103,8 @@ def _found(search: StateSpaceRelaxation, model: StateSpaceModel) -> float:
     while not search.done(state):
         told = exactly(model, search.feasible.horizon, list(search.ask(state, rng)))
         state = search.tell(
-            state, [replace(each, mse=np.full(320, each.expected_mse), exact=None) for each in told]
+            state,
+            [replace(each, mse=np.full(320, each.expected_mse), criterion=MEAN) for each in told],
         )
     return search.finalists(state)[0].expected_mse
 

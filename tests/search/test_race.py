@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pfdist.common.measurement_times import Times
-from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate, Race
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def test_one_alone_runs_one_round_and_a_killed_one_never_wins() -> None:
 def test_a_difference_is_that_of_the_paired_t_test() -> None:
     rng = np.random.default_rng(2)
     first, other = rng.normal(1.0, 5.0, 300) + rng.normal(size=(2, 300))
-    found = difference(Evaluation((0, 1), first), Evaluation((0, 2), other[:200]))
+    found = Evaluation((0, 1), first).difference(Evaluation((0, 2), other[:200]))
     expected = stats.ttest_rel(first[:200], other[:200])
     assert found.value / found.standard_error == pytest.approx(expected.statistic)
     assert found.value == pytest.approx(np.mean(first[:200] - other[:200]))

@@ -13,6 +13,7 @@ from oracles.systems import SYSTEMS
 from oracles.windows import with_each
 from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
+from pfdist.filters.criterion import MEAN
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_mse
 from pfdist.problem.feasible import Feasible
@@ -190,7 +191,7 @@ def _unknown(tell: Tell, draws: int) -> Tell:
 
     def told(asked: list[Candidate]) -> list[Evaluation]:
         return [
-            replace(evaluation, mse=np.full(draws, evaluation.expected_mse), exact=None)
+            replace(evaluation, mse=np.full(draws, evaluation.expected_mse), criterion=MEAN)
             for evaluation in tell(asked)
         ]
 
@@ -255,7 +256,7 @@ def _degenerate(tell: Tell, is_degenerate: Callable[[Times], bool]) -> Tell:
         return [
             replace(
                 evaluation,
-                exact=np.inf,
+                criterion=MEAN.exactly(np.inf),
                 errors=None if evaluation.errors is None else evaluation.errors + np.nan,
             )
             if is_degenerate(evaluation.measurement_times)

@@ -52,7 +52,7 @@ def _steps(search: Survivors, cost: Cost) -> Iterator[tuple[list[Candidate], Sur
         asked, told = search.ask(state, rng), []
         for times, end, *_ in asked:
             exact = cost(times, search.feasible.horizon if end is None else end)
-            told.append(Evaluation(times, np.empty(0), exact=exact, end=end))
+            told.append(Evaluation.exactly(times, exact, end=end))
         state = search.tell(state, told)
         yield asked, state
 
