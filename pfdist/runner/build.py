@@ -271,11 +271,11 @@ def _chosen(built: Built, asked: float | None) -> str:
     comparison = f"{draws} of {built.job.seed}"
     if comparison not in choices:
         try:
-            guided = replace(plain, proposal=GUIDED)
-            _check_guided(built.evaluator, guided)
-            evaluator.compile(guided)
+            # Guided filters are compiled only if the plain filter loses too much.
             sets = built.job.problem.feasible.regular(), _with_long_gap(built.job)
             why = why_plain(evaluator, sets, built.job.seed, plain, draws, in_words=False)
+            if not why:
+                _check_guided(built.evaluator, replace(plain, proposal=GUIDED))
         except ModelError as error:
             why = str(error)
         choices[comparison] = PLAIN if why else GUIDED
