@@ -3,17 +3,19 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, reduce
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from pfdist.common.measurement_times import Times
+from pfdist.common.section import Whole
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
 from pfdist.kernels.estimators import CONTROL, ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan_prefixes
-from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL
+from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
 
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
@@ -32,8 +34,8 @@ One task adds up a whole block, so results do not depend on workers.
 class Estimation:
     """The estimation of a draw's MSE: the settings of the filter, and the estimator."""
 
-    particles: int
-    resampling: str = MULTINOMIAL.name
+    particles: Annotated[Whole, Field(ge=1, lt=2**31)]  # an index of a particle has 32 bits
+    resampling: Annotated[Resampling, Field()] = MULTINOMIAL.name
     estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.interface`
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
