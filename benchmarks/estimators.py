@@ -76,7 +76,7 @@ def measure(quick: bool, say: Say) -> Tables:
                 turns[estimator, scheme] = partial(
                     filter_checked_sets, model, timed, [GOOD], [HORIZON], 2, settings
                 )
-                found[estimator, scheme], _ = filter_checked_sets(
+                found[estimator, scheme], *_ = filter_checked_sets(
                     model, draws, sets, [HORIZON] * 2, 2, settings
                 )
                 say(f"{particles} particles, {estimator}, {scheme}")

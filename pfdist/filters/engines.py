@@ -17,9 +17,8 @@ class Engine:
     description: str  # in one line, for help and manual
     # The module whose `simulate` has the contract of `pfdist.filters.simulation.simulate`.
     simulated_by: str
-    # The module whose `filter_draws`, `filter_checked_draws`, `filter_checked_sets`,
-    # `errors_over_time` and `sum_errors` have the contracts of those in
-    # `pfdist.filters.particle_filter`. Exact engines have no `sum_errors`.
+    # The module whose `filter_draws`, `filter_checked_draws` and `filter_checked_sets` have the
+    # contracts of those in `pfdist.filters.particle_filter`.
     filtered_by: str
     seconds_a_step: float = 2e-9  # about how long a particle takes for one instant
     # Whether all formulas are compiled: they keep no lock of Python, and the figures have the same

@@ -23,7 +23,7 @@ from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, NUMPY, Engine
-from pfdist.filters.interface import validated_from, weighed
+from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
 from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
@@ -40,6 +40,7 @@ from pfdist.filters.work import (
     cut,
     joined,
 )
+from pfdist.kernels.batch import FilterArrays
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
 from pfdist.models.parameters import Parameter, check_lengths
@@ -275,16 +276,8 @@ class Evaluator:
         particles. Raises `ModelError` if a formula failed.
         """
         draws = self.draws(range(*work.draws), work.draws_stream)
-        stream, *_ = work.filter_streams
-        sums: NDArray[np.float64] = self.computed_by.filters.sum_errors(
-            self.believed,
-            draws,
-            work.measurement_times,
-            work.ends,
-            stream,
-            self.settings(work.estimation),
-        )
-        return sums
+        sets, ends, (stream, *_) = work.measurement_times, work.ends, work.filter_streams
+        return self.filter_sets(draws, sets, ends, stream, work.estimation, SUMS).errors
 
     def work(
         self,
@@ -406,41 +399,39 @@ class Evaluator:
         weights = self.instant_weights
         return draws if weights is None else replace(draws, weights=weights)
 
-    def mse_of_sets(
+    def filter_sets(
         self,
         draws: Draws,
         sets: Sequence[Times],
         ends: Sequence[int],
         stream: int,
         estimation: Estimation,
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """The MSE of draws with several checked sets under the same noise, (D, S).
+        errors: str = "",
+    ) -> FilterArrays:
+        """Filter draws with several checked sets under the same noise: MSE, degenerate draws.
 
-        It is the sum of the errors up to each set's end, divided by the number of instants. The
-        second array, (D, S), marks degenerate draws. Raises `ModelError` if a formula failed.
+        The MSE, (D, S), is the sum of the errors up to each set's end, divided by the number of
+        instants. For `errors`, see `pfdist.filters.particle_filter.filter_checked_sets`; those of
+        each draw are also divided by the scale. Raises `ModelError` if a formula failed.
         """
-        mse, degenerate = self.computed_by.filters.filter_checked_sets(
-            self.believed, draws, sets, ends, stream, self.settings(estimation)
+        found: FilterArrays = self.computed_by.filters.filter_checked_sets(
+            self.believed, draws, sets, ends, stream, self.settings(estimation), errors
         )
-        return mse, degenerate
+        return found._replace(errors=found.errors / self.scale) if errors == EACH_DRAW else found
 
-    def _of_sets(
+    def filter_each(
         self,
         draws: Draws,
         sets: Sequence[Times],
-        ends: Sequence[int],
-        stream: int,
+        streams: Sequence[int],
         estimation: Estimation,
-        over_time: bool,
-    ) -> tuple[NDArray[Any], ...]:
-        """The result of `mse_of_sets`, and the errors at each instant if they are wanted."""
-        if not over_time:
-            mse, degenerate = self.mse_of_sets(draws, sets, ends, stream, estimation)
-            return mse, degenerate, np.empty((*mse.shape, 0))
-        mse, degenerate, errors = self.computed_by.filters.errors_over_time(
-            self.believed, draws, sets, ends, stream, self.settings(estimation)
-        )
-        return mse, degenerate, errors / self.scale
+    ) -> list[FilterArrays]:
+        """Filter draws with checked sets, each under noise of its own, with trajectories."""
+        filters, settings = self.computed_by.filters, self.settings(estimation)
+        return [
+            filters.filter_checked_draws(self.believed, draws, times, stream, settings, True)
+            for times, stream in zip(sets, streams, strict=True)
+        ]
 
     def results(self, works: Iterable[FilterWork]) -> list[Result]:
         """Results of works, as a task computes them; the caller has checked settings and times.
@@ -471,19 +462,19 @@ class Evaluator:
             first, ends = np.array([work.since, work.ends])[:, :, None]
             t = np.arange(self.start, self.horizon + 1)
             return Result(np.empty(0), sums=self.sum_errors(work)[(first <= t) & (t <= ends)])
-        engine, settings = self.computed_by, self.settings(work.estimation)
         draws = self.draws(range(*work.draws), work.draws_stream)
         if work.trajectories:
-            filtered = [
-                engine.filters.filter_checked_draws(
-                    self.believed, draws, times, stream, settings, trajectories=True
-                )
-                for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
-            ]
-            mse = np.stack([each.mse for each in filtered], axis=1)
-            degenerate = np.stack([each.degenerate for each in filtered], axis=1)
-            estimates = np.stack([each.estimate for each in filtered])
-            sizes = np.array([each.sizes for each in filtered] if self.has_particles else [])
+            each_set = self.filter_each(
+                draws, work.measurement_times, work.filter_streams, work.estimation
+            )
+            mse, degenerate = (
+                np.stack([getattr(each, name) for each in each_set], axis=1)
+                for name in ("mse", "degenerate")
+            )
+            estimates, sizes = (
+                np.stack([getattr(each, name) for each in each_set])
+                for name in ("estimate", "sizes")
+            )
             return Result(mse, draws.z, draws.y, estimates, sizes, degenerate=degenerate)
         values = np.empty((len(draws.index), len(work.measurement_times)))
         control = np.zeros(values.shape if work.controlled else 0)
@@ -492,16 +483,16 @@ class Evaluator:
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]
             ends = [work.ends[column] for column in same_noise]
-            over_time = work.over_time > 0
-            found = self._of_sets(draws, sets, ends, stream, work.estimation, over_time)
-            values[:, same_noise], degenerate[:, same_noise], errors[:, same_noise] = found
+            wanted = EACH_DRAW if work.over_time else ""
+            found = self.filter_sets(draws, sets, ends, stream, work.estimation, wanted)
+            values[:, same_noise], degenerate[:, same_noise] = found[:2]
+            errors[:, same_noise] = found.errors
             if work.controlled:  # by the same noise, so that both errors have much in common
-                mse, fails, at = self._of_sets(
-                    draws, sets, ends, stream, control_of(work.estimation), over_time
-                )
-                control[:, same_noise] = np.where(np.isfinite(mse), mse, 0.0)
-                errors[:, same_noise] -= np.where(np.isfinite(at), at, 0.0)
-                degenerate[:, same_noise] |= fails
+                estimation = control_of(work.estimation)
+                found = self.filter_sets(draws, sets, ends, stream, estimation, wanted)
+                control[:, same_noise] = np.where(np.isfinite(found.mse), found.mse, 0.0)
+                errors[:, same_noise] -= np.where(np.isfinite(found.errors), found.errors, 0.0)
+                degenerate[:, same_noise] |= found.degenerate
         return Result(values, degenerate=degenerate, control=control, errors=errors)
 
     def settings(self, estimation: Estimation) -> Estimation:

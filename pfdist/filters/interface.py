@@ -20,9 +20,8 @@ module computes them from the recorded means and variances.
 Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.7 (conditioning).
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,48 +29,24 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.points import PointNumbers
 from pfdist.errors import MeasurementTimesError
-from pfdist.filters.cloud import Gaussian, Prior
+from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.settings import check_filter_settings, check_start
 from pfdist.filters.work import Estimation, filter_streams, sum_of_draws
+from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR, ErrorWeights, Estimator
 from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
 from pfdist.models.twin import twin_of
 
+Array = NDArray[np.float64]
 
-@dataclass(frozen=True)
-class Filtered:
-    """The filter's result for D draws."""
-
-    # (D,): mean over t = 0..T of the error of the estimate of z(t). The true model defines the
-    # error. Inf marks a draw whose particles are no longer finite. If the truth is among the
-    # particles, NaN marks a degenerate draw.
-    mse: NDArray[np.float64]
-    # (D,): whether the draw is degenerate: at some measurement no particle has a finite
-    # log-likelihood. The filter leaves such a measurement out.
-    degenerate: NDArray[np.bool_]
-    # (D, T+1, q): weighted mean and variance of the particles' z(t), if trajectories were wanted.
-    # They are NaN after the instant at which a draw became infinite.
-    estimate: NDArray[np.float64] | None = None
-    variance: NDArray[np.float64] | None = None
-    # (D,): each draw's distribution of the last state, if trajectories were wanted: particles
-    # (n, P), resampled if the filter measured then, or a normal distribution. The particles are NaN
-    # if the draw is infinite.
-    last: Sequence[NDArray[np.float64] | Gaussian] | None = None
-    # (D, P): weights of the last particles, if trajectories were wanted and the filter carries them
-    weight: NDArray[np.float64] | None = None
-    # (2, D, T+1, q), if trajectories were wanted: where z of the truth lies among the particles at
-    # measured instants, see `pfdist.kernels.batch.FilterArrays`; NaN elsewhere, and if the truth
-    # is not among them
-    ranks: NDArray[np.float64] | None = None
-    # (D, T+1), if trajectories were wanted of particles: the effective sample size after the last
-    # measurement of an instant; NaN if there is none, or if no particle explains it
-    sizes: NDArray[np.float64] | None = None
+SUMS, EACH_DRAW = "sums", "each draw"
+"""Errors of instants that `filter_checked_sets` may be asked for: see `particle_filter`."""
 
 
-def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Filtered]:
+def checking(filter_checked_draws: Callable[..., FilterArrays]) -> Callable[..., FilterArrays]:
     """A function that checks its arguments, and then calls the given filter.
 
     `filter_checked_draws` has the arguments of
@@ -88,7 +63,7 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         trajectories: bool = False,
         prior: Prior | None = None,
         threshold: float = ALWAYS,
-    ) -> Filtered:
+    ) -> FilterArrays:
         """The result of a filter for D draws with one set of times and a 64-bit noise key.
 
         `model` is the filter's model, which need not be the draws'. With `trajectories`, the result
@@ -132,73 +107,42 @@ def weighed(errors: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
     return weighted
 
 
-Array = NDArray[np.float64]
-T = TypeVar("T")
-
-
-EachSet = Iterator[tuple[Draws, list[Filtered]]]
-"""For each set, the draws up to its end, and a filter of them for each noise key."""
-
-
 def one_by_one(
-    result: Callable[[EachSet, Draws, Estimator], T],
-    filter_checked_draws: Callable[..., Filtered],
+    filter_checked_draws: Callable[..., FilterArrays],
     model: StateSpaceModel,
     draws: Draws,
     sets: Sequence[Times],
     ends: Sequence[int],
     stream: int,
     settings: Estimation,
-) -> T:
-    """The joint result of a filter that is called for each set.
+    errors: str = "",
+) -> FilterArrays:
+    """The results of `filter_checked_sets` by a filter that is called for each set.
 
-    `result` is `mse_of_sets`, `sums_of_sets` or `over_time_of_sets`. The other arguments are those
-    of functions of `pfdist.filters.particle_filter`.
+    The other arguments are those of `pfdist.filters.particle_filter.filter_checked_sets`.
     """
-    keys = filter_streams(stream, settings.estimator)
-    each_set = (
-        (some, [filter_checked_draws(model, some, times, key, settings, True) for key in keys])
-        for times, some in zip(sets, map(draws.upto, ends), strict=True)
-    )
-    return result(each_set, draws, ESTIMATORS[settings.estimator])
-
-
-def mse_of_sets(
-    each_set: EachSet, draws: Draws, estimator: Estimator
-) -> tuple[Array, NDArray[np.bool_]]:
-    """The result of `pfdist.filters.particle_filter.filter_checked_sets`."""
-    mse, degenerate = list[Array](), list[Any]()
-    for some, filters in each_set:
-        mse.append(_mse(filters, some, estimator) * (some.z.shape[1] / draws.z.shape[1]))
-        degenerate.append(np.any([each.degenerate for each in filters], axis=0))
-    return np.stack(mse, axis=1), np.stack(degenerate, axis=1)
-
-
-def sums_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array:
-    """The result of `pfdist.filters.particle_filter.sum_errors`."""
-    sums = list[Array]()
-    for some, filters in each_set:
+    keys, estimator = filter_streams(stream, settings.estimator), ESTIMATORS[settings.estimator]
+    count, instants = draws.z.shape[:2]
+    mse, degenerate = np.empty((count, len(sets))), np.empty((count, len(sets)), np.bool_)
+    sums = np.zeros((len(sets), instants))
+    each_draw = np.zeros((*mse.shape, instants if errors else 0))
+    for column, (times, some) in enumerate(zip(sets, map(draws.upto, ends), strict=True)):
+        filters = [filter_checked_draws(model, some, times, key, settings, True) for key in keys]
+        until = some.z.shape[1]
+        mse[:, column] = _mse(filters, some, estimator) * (until / instants)
+        degenerate[:, column] = np.any([each.degenerate for each in filters], axis=0)
         with np.errstate(all="ignore"):
-            each_draw = weighed(_errors(filters, some, estimator), some.instant_weights)
-            errors = sum_of_draws(each_draw)
-        row = np.zeros(draws.z.shape[1])
-        row[: errors.size] = errors
-        is_known = np.isfinite(errors).all() and not np.isnan([f.mse for f in filters]).any()
-        sums.append(row if is_known else np.full_like(row, np.nan))
-    return np.stack(sums)
-
-
-def over_time_of_sets(
-    each_set: EachSet, draws: Draws, estimator: Estimator
-) -> tuple[Array, NDArray[np.bool_], Array]:
-    """The result of `pfdist.filters.particle_filter.errors_over_time`."""
-    filtered = list(each_set)
-    mse, degenerate = mse_of_sets(iter(filtered), draws, estimator)
-    errors = np.zeros((*mse.shape, draws.z.shape[1]))
-    with np.errstate(all="ignore"):
-        for column, (some, filters) in enumerate(filtered):
-            errors[:, column, : some.z.shape[1]] = _errors(filters, some, estimator)
-    return mse, degenerate, all_or_none(errors, mse)
+            if errors:
+                each_draw[:, column, :until] = _errors(filters, some, estimator)
+            if errors == SUMS:
+                weighted = weighed(each_draw[:, column, :until], some.instant_weights)
+                sums[column, :until] = sum_of_draws(weighted)
+        is_unknown = np.isnan([each.mse for each in filters]).any()
+        if is_unknown or not np.isfinite(sums[column]).all():
+            sums[column] = np.nan
+    if errors == SUMS:
+        return FilterArrays(mse, degenerate, errors=sums)
+    return FilterArrays(mse, degenerate, errors=all_or_none(each_draw, mse))
 
 
 def all_or_none(errors: Array, mse: Array) -> Array:
@@ -228,7 +172,7 @@ def errors_by_variance(
     return errors
 
 
-def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
+def _errors(filters: Sequence[FilterArrays], draws: Draws, estimator: Estimator) -> Array:
     """The estimated error of each draw at each instant, (D, T+1), without its weight."""
     model = draws.model
     estimates, variances = (
@@ -249,7 +193,7 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
     return errors
 
 
-def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
+def _mse(filters: Sequence[FilterArrays], draws: Draws, estimator: Estimator) -> Array:
     """The estimated MSE of each draw, (D,); NaN and inf of any filter remain."""
     mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
     if estimator == SQUARED_ERROR:

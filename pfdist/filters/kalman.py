@@ -23,16 +23,9 @@ from pfdist.common.stopping import check
 from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import (
-    Filtered,
-    checking,
-    mse_of_sets,
-    one_by_one,
-    over_time_of_sets,
-    validated_from,
-    weighed,
-)
+from pfdist.filters.interface import checking, one_by_one, validated_from, weighed
 from pfdist.filters.work import Estimation
+from pfdist.kernels.batch import FilterArrays
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.twin import twin_of
 
@@ -201,7 +194,7 @@ def filter_checked_draws(
     stream: int,
     settings: Estimation,
     trajectories: bool = False,
-) -> Filtered:
+) -> FilterArrays:
     """The exact filter of draws, with the arguments of the function in `particle_filter`.
 
     The filter has no particles. It uses only the prior of the settings, and no noise. A component
@@ -231,10 +224,8 @@ def filter_checked_draws(
     errors = np.sum((draws.z - estimate) ** 2, axis=2)
     mse = np.mean(weighed(errors, draws.instant_weights), axis=1)
     degenerate = np.zeros(mse.shape, np.bool_)
-    if not trajectories:
-        return Filtered(mse, degenerate)
-    last = tuple(Gaussian(instants[-1], row, covariance) for row in mean)
-    return Filtered(mse, degenerate, estimate, variance, last)
+    last = np.concatenate([mean[:, :, None], np.tile(covariance, (len(mean), 1, 1))], axis=2)
+    return FilterArrays(mse, degenerate, estimate, variance, cloud=last)
 
 
 def log_evidence(model: StateSpaceModel, y: Array) -> Array:
@@ -333,5 +324,4 @@ def _square(matrix: Array) -> Array:
 
 
 filter_draws = checking(filter_checked_draws)
-filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
-errors_over_time = partial(one_by_one, over_time_of_sets, filter_checked_draws)
+filter_checked_sets = partial(one_by_one, filter_checked_draws)

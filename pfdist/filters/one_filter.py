@@ -18,6 +18,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.filters.plain import step
 from pfdist.filters.work import Estimation
+from pfdist.kernels.batch import FilterArrays
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.parameters import CLOCK, check_lengths
 from pfdist.models.twin import twin_of
@@ -76,14 +77,16 @@ class OneFilter:
             raise MeasurementsError(self._unexplained(t, y))
         if np.isinf(filtered.mse[0]):
             raise MeasurementsError(self._not_finite(t))
-        (last,) = filtered.last
-        weight = None if filtered.weight is None else filtered.weight[0]
-        prior = last if isinstance(last, Gaussian) else Cloud(t, last, weight)
+        last = filtered.cloud[0]
+        if ENGINES[self.engine].exact:
+            prior: Prior = Gaussian(t, last[:, 0].copy(), last[:, 1:].copy())
+        else:
+            prior = Cloud(t, last, filtered.weight[0] if self.settings.carries else None)
         measured = y is not None or (self.measured and t == self.t)
         after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
         return after, filtered.estimate[0], filtered.variance[0]
 
-    def _filtered(self, t: int, y: Array | None = None) -> Any:
+    def _filtered(self, t: int, y: Array | None = None) -> FilterArrays:
         """The result of the engine's `filter_checked_draws` up to t, for this one system."""
         check_lengths(self.model.parameters, t + 1)
         measurements, quantities = self.model.components[1:]
@@ -99,9 +102,10 @@ class OneFilter:
             self.t,
         )
         times = () if y is None else made(self.model, t, y)
-        return ENGINES[self.engine].filters.filter_checked_draws(
+        filtered: FilterArrays = ENGINES[self.engine].filters.filter_checked_draws(
             self.model, draws, times, self.stream, self.settings, trajectories=True
         )
+        return filtered
 
     def _unexplained(self, t: int, y: Array) -> str:
         """Why no particle explains a measurement, by the log-likelihoods of predicted particles."""

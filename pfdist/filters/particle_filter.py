@@ -9,7 +9,7 @@ Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from pfdist.errors import PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import filter_blocks
-from pfdist.filters.interface import Filtered, all_or_none, checking
+from pfdist.filters.interface import SUMS, all_or_none, checking
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import FilterArrays, FilterRequest
@@ -35,20 +35,6 @@ KERNEL_VERSION = 7
 """Version of the numbers that a key gives; part of a run's identity."""
 
 
-class _Wanted(NamedTuple):
-    """Arrays that the filter fills besides the mse; see `pfdist.kernels.batch.FilterArrays`."""
-
-    moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
-    sizes: NDArray[np.float64] = np.empty((0, 0))
-    errors: NDArray[np.float64] = np.empty((0, 0))
-    ranks: NDArray[np.float64] = np.empty((2, 0, 0, 0))
-    cloud: NDArray[np.float64] = np.empty((0, 0, 0))
-    weight: NDArray[np.float64] = np.empty((0, 0))
-
-
-_NOTHING_ELSE = _Wanted()
-
-
 def filter_checked_draws(
     model: StateSpaceModel,
     draws: Draws,
@@ -56,39 +42,28 @@ def filter_checked_draws(
     stream: int,
     settings: Estimation,
     trajectories: bool = False,
-) -> Filtered:
+) -> FilterArrays:
     """Filter draws as `filter_draws` does, with arguments that the caller has checked.
 
     The times are sorted instants of the draws. `check_filter_settings` has accepted the
     settings for this model and the draws' model.
     """
     planned = _planned(draws, (measurement_times,)).plan
-    if not trajectories:
-        mse, degenerate = _filter(model, draws, planned, stream, settings)
-        return Filtered(mse[:, 0], degenerate[:, 0])
-    count, particles = len(draws.index), settings.particles
-    wanted = _Wanted(
-        moments=np.full((2, *draws.z.shape), np.nan),
-        sizes=np.full(draws.z.shape[:2], np.nan),
-        ranks=np.full((2, *draws.z.shape), np.nan),
-        cloud=np.full((count, model.components[0], particles), np.nan),
-        weight=np.ones((count, particles)),
-    )
-    mse, degenerate = _filter(model, draws, planned, stream, settings, wanted)
-    estimate, variance = wanted.moments
-    for array in (estimate, variance, wanted.cloud):
+    others, count, particles = {}, len(draws.index), settings.particles
+    if trajectories:
+        shapes = {
+            "estimate": draws.z.shape,
+            "variance": draws.z.shape,
+            "sizes": draws.z.shape[:2],
+            "ranks": (2, *draws.z.shape),
+            "cloud": (count, model.components[0], particles),
+        }
+        others = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+        others["weight"] = np.ones((count, particles))
+    found = _filter(model, draws, planned, stream, settings, **others)
+    for array in (found.estimate, found.variance, found.cloud):
         array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
-    weights = wanted.weight if settings.carries else None
-    return Filtered(
-        mse[:, 0],
-        degenerate[:, 0],
-        estimate,
-        variance,
-        tuple(wanted.cloud),
-        weights,
-        wanted.ranks,
-        wanted.sizes,
-    )
+    return found._replace(mse=found.mse[:, 0], degenerate=found.degenerate[:, 0])
 
 
 filter_draws = checking(filter_checked_draws)
@@ -101,77 +76,34 @@ def filter_checked_sets(
     ends: Sequence[int],
     stream: int,
     settings: Estimation,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The MSE of draws with several checked sets under the same noise, (D, S).
-
-    The second array, (D, S), marks the degenerate draws.
+    errors: str = "",
+) -> FilterArrays:
+    """Filter draws with several checked sets under the same noise: MSE, and which are degenerate.
 
     A prefix that two sets share is filtered once, which is faster than filtering the sets one by
     one and gives the same bits. `ends` are the last instants whose errors count; their sum is
     divided by the number of all instants. The times are sorted instants of the draws.
     `check_filter_settings` has accepted the settings for this model and the draws' model.
-    """
-    planned, columns, _ = _planned(draws, sets, ends)
-    mse, degenerate = _filter(model, draws, planned, stream, settings)
-    return mse[:, columns], degenerate[:, columns]
 
-
-def sum_errors(
-    model: StateSpaceModel,
-    draws: Draws,
-    sets: Sequence[Times],
-    ends: Sequence[int],
-    stream: int,
-    settings: Estimation,
-) -> NDArray[np.float64]:
-    """Sums of the errors of each instant over draws, (S, T+1), with checked arguments.
-
-    A set has NaN if a draw is infinite with it, or degenerate although the truth is among the
-    particles. Values after the end of a set are arbitrary. The memory does not grow with the draws.
-    Arguments are those of `filter_checked_sets`.
+    With `SUMS`, the arrays have the sums of the weighted errors over the draws, too: NaN for a set
+    if a draw is infinite with it, or degenerate although the truth is among the particles. Their
+    memory does not grow with the draws. With `EACH_DRAW` they have the errors of each draw, all
+    infinite or NaN if its MSE is. Errors after the end of a set are arbitrary.
     """
     planned, columns, givers = _planned(draws, sets, ends)
-    errors = np.zeros((len(planned.measured), draws.z.shape[1]))
-    mse, _ = _filter_over_time(model, draws, planned, givers, stream, settings, errors)
-    sums = errors[columns]
-    sums[~np.isfinite(mse[:, columns]).all(axis=0)] = np.nan
-    return sums
-
-
-def errors_over_time(
-    model: StateSpaceModel,
-    draws: Draws,
-    sets: Sequence[Times],
-    ends: Sequence[int],
-    stream: int,
-    settings: Estimation,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-    """The results of `filter_checked_sets`, and the error of each draw at each instant.
-
-    The errors are (D, S, T+1). The MSE is their mean over the instants, weighted as the draws say,
-    also if it is infinite or NaN. Values after the end of a set are arbitrary.
-    """
-    planned, columns, givers = _planned(draws, sets, ends)
-    errors = np.zeros((len(draws.index), len(planned.measured), draws.z.shape[1]))
-    mse, degenerate = _filter_over_time(model, draws, planned, givers, stream, settings, errors)
-    mse = mse[:, columns]
-    return mse, degenerate[:, columns], all_or_none(errors[:, columns], mse)
-
-
-def _filter_over_time(
-    model: StateSpaceModel,
-    draws: Draws,
-    planned: Plan,
-    givers: Sequence[int],
-    stream: int,
-    settings: Estimation,
-    errors: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The result of `_filter`, which fills errors, (..., U, T+1), also of shared prefixes."""
-    found = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
+    shape: tuple[int, ...] = len(planned.measured), draws.z.shape[1] if errors else 0
+    if errors != SUMS:
+        shape = (len(draws.index), *shape)
+    found = _filter(model, draws, planned, stream, settings, errors=np.zeros(shape))
+    mse, degenerate = found.mse[:, columns], found.degenerate[:, columns]
     for row, (giver, begin) in enumerate(zip(givers, planned.begins, strict=True)):
-        errors[..., row, :begin] = errors[..., giver, :begin]
-    return found
+        found.errors[..., row, :begin] = found.errors[..., giver, :begin]
+    of_instants = found.errors[..., columns, :]
+    if errors == SUMS:
+        of_instants[~np.isfinite(mse).all(axis=0)] = np.nan
+    else:
+        of_instants = all_or_none(of_instants, mse)
+    return FilterArrays(mse, degenerate, errors=of_instants)
 
 
 def _filter(
@@ -180,15 +112,12 @@ def _filter(
     planned: Plan,
     stream: int,
     settings: Estimation,
-    wanted: _Wanted = _NOTHING_ELSE,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The mse of the sets of a plan, (D, U), and which draws are degenerate, (D, U).
-
-    The other arrays that are wanted are filled.
-    """
+    **others: NDArray[np.float64],
+) -> FilterArrays:
+    """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
     mse = np.empty((len(draws.index), len(planned.measured)))
-    degenerate = np.zeros(mse.shape, np.bool_)
+    results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
     blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)
     streams = np.array(filter_streams(stream, settings.estimator), np.uint64)
@@ -203,7 +132,7 @@ def _filter(
         quantities=len(truth.is_angle),
         means=len(truth.is_angle) + 2 * sum(truth.is_angle),
         components_of_state=np.array(components, np.int64),
-        is_state=bool(components) and not wanted.ranks.size,
+        is_state=bool(components) and not results.ranks.size,
         sensors=len(model.parts),
         streams=streams,
         first_draw=draws.index.start,
@@ -230,13 +159,12 @@ def _filter(
         components=kinds.shape[1],
         kinds=kinds,
     )
-    estimate, variance = wanted.moments
-    results = FilterArrays(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
     filter_all(blocks, request, planned, results, scheme.name)
     callbacks.raise_callback_error()
+    degenerate = results.degenerate.view(np.bool_)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
-    return mse, degenerate
+    return results._replace(degenerate=degenerate)
 
 
 def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:

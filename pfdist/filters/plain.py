@@ -15,17 +15,10 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite, noise_of
-from pfdist.filters.interface import (
-    Filtered,
-    checking,
-    mse_of_sets,
-    one_by_one,
-    over_time_of_sets,
-    sums_of_sets,
-    weighed,
-)
+from pfdist.filters.interface import checking, one_by_one, weighed
 from pfdist.filters.work import Estimation
 from pfdist.kernels.ancestors import LEVELS, ancestors_of, weights_of
+from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import (
@@ -80,7 +73,7 @@ def filter_checked_draws(
     stream: int,
     settings: Estimation,
     trajectories: bool = False,
-) -> Filtered:
+) -> FilterArrays:
     """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
     count = max(1, _AT_ONCE // settings.particles)
     model = twin_of(model, draws.instants)
@@ -89,14 +82,12 @@ def filter_checked_draws(
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)
         ]
-    mse, degenerate, estimate, variance, last, weight, ranks, sizes = (
-        np.concatenate(parts) for parts in zip(*blocks, strict=True)
+    return FilterArrays(
+        *(
+            np.concatenate(parts, axis=1 if name == "ranks" else 0)
+            for name, parts in zip(FilterArrays._fields, zip(*blocks, strict=True), strict=True)
+        )
     )
-    if not trajectories:
-        return Filtered(mse, degenerate)
-    carried = weight if settings.carries else None
-    ranks = np.moveaxis(ranks, 1, 0)
-    return Filtered(mse, degenerate, estimate, variance, tuple(last), carried, ranks, sizes)
 
 
 def _filter(
@@ -105,17 +96,12 @@ def _filter(
     times: Times,
     stream: int,
     settings: Estimation,
-) -> tuple[NDArray[Any], ...]:
-    """Filter D draws; their MSE (D,), which are degenerate, mean and variance of z (D, T+1, q).
-
-    Then follow the last x, (D, n, P), the weights of the last particles, (D, P), the ranks,
-    (D, 2, T+1, q), and the effective sample sizes, (D, T+1).
-    """
+) -> FilterArrays:
     particles, scheme = settings.particles, ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
-    ranks = np.full((count, 2, *draws.z.shape[1:]), np.nan)
+    ranks = np.full((2, *draws.z.shape), np.nan)
     sizes = np.full((count, instants), np.nan)
     true_error = twin_of(draws.model, draws.instants).error
     total, alive = np.zeros(count), np.ones(count, np.bool_)
@@ -135,8 +121,8 @@ def _filter(
         for c, values in enumerate(quantities):
             z = _of_cloud(values, cloud)
             if scheme.holds_truth and measured:
-                lower = np.stack([z < z[:, :1], z == z[:, :1]], axis=1)
-                ranks[:, :, k, c] = np.sum(share[:, None] * lower, axis=2)
+                lower = np.stack([z < z[:, :1], z == z[:, :1]])
+                ranks[:, :, k, c] = np.sum(share * lower, axis=2)
             counted = np.where(weight > 0, z, 0.0)
             mean[:, k, c], variance[:, k, c] = _moments(counted, share, draws.model.is_angle[c])
         if ESTIMATORS[settings.estimator].by_error:
@@ -153,7 +139,9 @@ def _filter(
     last[~alive] = np.nan
     if scheme.holds_truth:
         total[degenerate] = np.nan
-    return total / instants, degenerate, mean, variance, last, carried, ranks, sizes
+    errors = np.empty((0, 0))
+    mse = total / instants
+    return FilterArrays(mse, degenerate, mean, variance, sizes, errors, ranks, last, carried)
 
 
 def _first(
@@ -305,6 +293,4 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
 
 
 filter_draws = checking(filter_checked_draws)
-filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
-sum_errors = partial(one_by_one, sums_of_sets, filter_checked_draws)
-errors_over_time = partial(one_by_one, over_time_of_sets, filter_checked_draws)
+filter_checked_sets = partial(one_by_one, filter_checked_draws)

@@ -1,23 +1,15 @@
 """Checks of a particle filter's settings against its model."""
 
-from typing import Annotated
-
-from pydantic import Field
-
-from pfdist.common.section import Arguments, Whole
+from pfdist.common.section import checked
 from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.work import Estimation
-from pfdist.kernels.schemes import SCHEMES, Resampling
+from pfdist.kernels.schemes import SCHEMES
 from pfdist.models import StateSpaceModel
 
 RESAMPLING = tuple(SCHEMES)
-
-
-class _Settings(Arguments):
-    particles: Annotated[Whole, Field(ge=1, lt=2**31)]  # an index of a particle has 32 bits
-    resampling: Resampling
+_CHECKED = checked(Estimation)
 
 
 def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> None:
@@ -57,7 +49,7 @@ def check_filter_settings(
     """
     resampling = settings.resampling
     check_fits(model, truth)
-    _Settings(particles=settings.particles, resampling=resampling)
+    _CHECKED(**vars(settings))
     if SCHEMES[resampling].sorts and model.components[0] != 1:
         raise ModelError(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "

@@ -1,19 +1,21 @@
 """A unit of work, and its result: a range of draws, filtered with sets of measurement times."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, reduce
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from pfdist.common.measurement_times import Times
+from pfdist.common.section import Whole
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
 from pfdist.kernels.estimators import CONTROL, ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan_prefixes
-from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL
+from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
 
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
@@ -32,8 +34,8 @@ One task adds up a whole block, so results do not depend on workers.
 class Estimation:
     """The estimation of a draw's MSE: the settings of the filter, and the estimator."""
 
-    particles: int
-    resampling: str = MULTINOMIAL.name
+    particles: Annotated[Whole, Field(ge=1, lt=2**31)]  # an index of a particle has 32 bits
+    resampling: Annotated[Resampling, Field()] = MULTINOMIAL.name
     estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.interface`
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
@@ -248,15 +250,14 @@ def sum_of_draws(sums: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
 def joined(results: Sequence[Result]) -> Result:
     """The result of successive ranges of draws with the same sets; sums are of single draws."""
 
-    def all_of(name: str, axis: int = 0) -> NDArray[Any]:
+    def all_of(name: str) -> Any:
         arrays = [getattr(result, name) for result in results]
-        return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
+        axis = 1 if name in ("estimates", "sizes") and arrays[0].ndim > 1 else 0
+        return np.concatenate(arrays, axis)
 
+    names = {each.name for each in fields(Result)} - {"measurement_times", "sums"}
     sums = sum_of_draws(result.sums for result in results)
-    mse, z, y, degenerate = map(all_of, ("mse", "z", "y", "degenerate"))
-    estimates, sizes = all_of("estimates", 1), all_of("sizes", 1)
-    result = Result(mse, z, y, estimates, sizes, sums, degenerate=degenerate)
-    return replace(result, control=all_of("control"), errors=all_of("errors"))
+    return Result(**{name: all_of(name) for name in names}, sums=sums)
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

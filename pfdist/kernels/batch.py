@@ -95,26 +95,39 @@ INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
 
 
 class FilterArrays(NamedTuple):
-    """The arrays that the filter fills, for the U sets of the plan; unneeded ones are empty."""
+    """The arrays that a filter fills, for D draws and U sets; unneeded ones are empty.
 
-    mse: NDArray[np.float64]  # (D, U): errors up to the set's end, over T + 1
-    # (D, U): 1 if no particle explains a measurement, up to the set's end; the caller fills it
-    # with 0
-    degenerate: NDArray[np.uint8]
-    estimate: NDArray[np.float64]  # (D, T+1, q): of a single set
-    variance: NDArray[np.float64]  # (D, T+1, q): of a single set
-    # (D, T+1): of a single set, the effective sample size at measured instants
-    sizes: NDArray[np.float64]
-    # (U, T+1): sums over the draws of the errors of each instant that a set filters itself, not
-    # those of its shared prefix; or (D, U, T+1): these errors of each draw. The caller fills them
-    # with 0.
-    errors: NDArray[np.float64]
+    Every engine gives its results in them; see `pfdist.filters.interface`. In the compiled filter,
+    the sets are those of the plan.
+    """
+
+    # (D, U): mean over t = 0..T of the errors up to the end of the set, as the true model defines
+    # them. Inf marks a draw whose particles are no longer finite. If the truth is among them,
+    # NaN marks a degenerate draw.
+    mse: NDArray[np.float64]
+    # (D, U): whether at some measurement, up to the set's end, no particle has a finite
+    # log-likelihood: the filter leaves this measurement out. Bytes in the kernel, at first 0.
+    degenerate: NDArray[np.uint8] | NDArray[np.bool_]
+    # (D, T+1, q): of a single set, weighted mean and variance of the particles' z(t); NaN after the
+    # instant at which a draw became infinite
+    estimate: NDArray[np.float64] = np.empty((0, 0, 0))
+    variance: NDArray[np.float64] = np.empty((0, 0, 0))
+    # (D, T+1): of a single set, the effective sample size after the last measurement of an instant;
+    # NaN if there is none, or if no particle explains it
+    sizes: NDArray[np.float64] = np.empty((0, 0))
+    # (U, T+1): sums over the draws of the weighted errors of each instant; or (D, U, T+1): the
+    # errors of each draw, not weighted. The kernel adds to zeros, and leaves out the prefix that a
+    # set shares.
+    errors: NDArray[np.float64] = np.empty((0, 0))
     # (2, D, T+1, q): of a single set whose particles contain the truth, at measured instants: the
     # share of the weight of particles whose z lies below that of the truth, and of those whose z
-    # equals it
-    ranks: NDArray[np.float64]
-    cloud: NDArray[np.float64]  # (D, n, P): the particles of a single set after its last instant
-    weight: NDArray[np.float64]  # (D, P): their weights
+    # equals it; NaN elsewhere
+    ranks: NDArray[np.float64] = np.empty((2, 0, 0, 0))
+    # (D, n, P): the particles of a single set after its last instant, resampled if the filter
+    # measured then, NaN if the draw is infinite; of the Kalman filter the mean and the covariance,
+    # (D, n, 1 + n)
+    cloud: NDArray[np.float64] = np.empty((0, 0, 0))
+    weight: NDArray[np.float64] = np.empty((0, 0))  # (D, P): their weights; 1 if none is carried
 
 
 class Wanted(NamedTuple):

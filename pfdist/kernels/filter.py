@@ -620,7 +620,7 @@ def filter_all(
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
     batch, saved, _memory = _arrays(request, plan, width, draws)
-    apart = request.sets * request.instants if results.errors.ndim == 3 else 0
+    apart = results.errors[:1].size if results.errors.ndim == 3 else 0
     wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, apart)
     scratch = resampling_scratch(draws, width)
     steps = _needed(request, plan, results, scheme)

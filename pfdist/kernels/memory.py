@@ -32,6 +32,8 @@ def tuple_type(kind: type) -> Any:
 
 
 def _type_of(hint: Any) -> Any:
+    if isinstance(hint, UnionType):  # of numbers of Python and of NumPy; the first is compiled
+        hint = get_args(hint)[0]
     if hasattr(get_origin(hint), "__value__"):  # NDArray is an alias from NumPy 2.5 on
         hint = get_origin(hint).__value__[get_args(hint)]
     if get_origin(hint) is np.ndarray:
@@ -39,8 +41,6 @@ def _type_of(hint: Any) -> Any:
         return types.CPointer(numba.from_dtype(np.dtype(number)))
     if get_origin(hint) is Annotated:
         return types.CPointer(tuple_type(get_args(hint)[1]))
-    if isinstance(hint, UnionType):  # of integers of Python and of NumPy
-        hint = get_args(hint)[0]
     return _NUMBERS[hint] if hint in _NUMBERS else tuple_type(hint)
 
 

@@ -21,6 +21,7 @@ from pfdist.common.streams import stream_of
 from pfdist.filters.work import FilterWork, Result, ranges_of_draws
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
+from pfdist.results.columns import Results
 from pfdist.results.over_time import Range, joined_ranges, longest_range, profile_of
 from pfdist.results.sampling_windows import OUTSIDE, RelativeLoss, state_of
 from pfdist.runner.door import RunSession, WorkBatch
@@ -33,7 +34,6 @@ Array = NDArray[np.float64]
 CHANGES = ("removed", "earlier", "later")
 _COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]
 
-Row = dict[str, Any]
 Move = tuple[int, int]  # the instant of a measurement, and the instant to which it is moved
 
 FIRST_REACH = 4
@@ -42,7 +42,7 @@ FIRST_REACH = 4
 
 def worth_of(
     session: RunSession, name: str, times: Times, draws: int
-) -> Generator[WorkBatch, None, tuple[Row, list[Row], list[Row]]]:
+) -> Generator[WorkBatch, None, tuple[Results, list[Results], list[Results]]]:
     """The error of a set, its rows of the table ``profile``, and those of the table ``worth``.
 
     The rows lack position and name, and those of the worth lack draws. The set up to every instant
@@ -72,7 +72,7 @@ def worth_of(
     for (t, change, _), (mean, error) in zip(changed, rises, strict=True):
         worth[t] |= {change: mean, f"{change}_error": error}
     summary = {"expected_mse": mse[0], "standard_error": mse[1]}
-    rows: list[Row] = profile.to_dict("records")  # type: ignore[assignment]
+    rows: list[Results] = profile.to_dict("records")  # type: ignore[assignment]
     return summary | {"degenerate_draws": degenerate[-1]}, rows, [*worth.values()]
 
 
@@ -187,7 +187,7 @@ def _columns(mse: Array) -> Array:
 
 def sampling_windows(
     session: RunSession, name: str, times: Times, draws: int
-) -> Generator[WorkBatch, None, list[Row]]:
+) -> Generator[WorkBatch, None, list[Results]]:
     """Rows with the loss of moving one measurement at a time, and whether the levels allow it.
 
     They are those of the table ``sampling_windows``, without position, name and draws. The
@@ -199,7 +199,7 @@ def sampling_windows(
     """
     reporter, feasible = session.reporter, session.built.job.problem.feasible
     start, first, size, share = reporter.progress.done, 0, FIRST_REACH, 0.5
-    sides, rows = _sides(times, feasible), list[Row]()
+    sides, rows = _sides(times, feasible), list[Results]()
     while not first or sides:
         moves = dict(chain.from_iterable(side[first:size] for side in sides))
         rows_of_sets = yield from _rows(session, name, (times, *moves.values()), draws, share)
@@ -232,10 +232,10 @@ def _sides(times: Times, feasible: Feasible) -> list[list[tuple[Move, Times]]]:
 
 
 def _up_to_the_first_beyond(
-    moves: Mapping[Move, Times], losses: Mapping[Move, Row]
-) -> tuple[list[Row], bool]:
+    moves: Mapping[Move, Times], losses: Mapping[Move, Results]
+) -> tuple[list[Results], bool]:
     """The rows up to the first instant beyond the largest level, and whether there is one."""
-    rows = list[Row]()
+    rows = list[Results]()
     for t, instant in moves:
         rows.append({"t": t, "moved_to": instant, "moved_to_instant": instant} | losses[t, instant])
         if rows[-1][f"within_{max(WINDOW_PERCENTS)}"] == OUTSIDE:
@@ -245,7 +245,7 @@ def _up_to_the_first_beyond(
 
 def _rows(
     session: RunSession, name: str, sets: tuple[Times, ...], draws: int, share: float
-) -> Generator[WorkBatch, None, list[Row]]:
+) -> Generator[WorkBatch, None, list[Results]]:
     """Columns of the loss of each set against the first set, which loses nothing."""
     evaluator, reporter = session.built.evaluator, session.reporter
     work = _work(session, name, sets, draws)
@@ -264,7 +264,7 @@ def _rows(
     return [_row(loss.mean, loss.standard_error, loss.limits) for loss in losses]
 
 
-def _row(loss: float, error: float, limits: Interval) -> Row:
+def _row(loss: float, error: float, limits: Interval) -> Results:
     row = {"loss": loss, "loss_error": error, "lower_limit": limits[0], "upper_limit": limits[1]}
     states = {f"within_{percent}": state_of(limits, percent / 100) for percent in WINDOW_PERCENTS}
     return row | states

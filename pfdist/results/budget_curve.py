@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, student_quantile
+from pfdist.results.columns import Row
 from pfdist.results.moments import Moments, controlled_mse
 from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST
 
@@ -22,33 +24,24 @@ BOUND_DEGREES = 19
 """Degrees of freedom of the error of a lower bound: a jackknife over 20 groups of draws."""
 
 
-def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """The table of sets with the columns bound, bound_error and bound_low.
+def add_bounds(rows: Collection[Row], proofs: Mapping[str, Mapping[str, Any]]) -> None:
+    """Add bound, bound_error and bound_low to the rows of the table of sets that have a bound.
 
     Parameters
     ----------
-    table : DataFrame
-        The table ``sets``, before these columns are added.
+    rows : collection of Row
     proofs : mapping of str to mapping
         The result of `pfdist.results.stored_run.last_bounds`: the lower bound of each found set, by
         name. A proof that failed has a reason, and no bound.
-
-    Returns
-    -------
-    DataFrame
-        The columns are NaN for sets that have no bound.
     """
+    proved = {name: proof for name, proof in proofs.items() if not proof["reason"]}
     # Sets with the same sum share a bound; a bound that failed still counts as one of a curve's.
-    different = {proof["budget"] for proof in proofs.values() if not proof["reason"]}
-    numbers = max(len(different), table["measurements"][table["kind"] == FOUND].nunique())
-    columns = [
-        (proof["bound"], proof["bound_error"], _limit(proof, numbers))
-        if proof and not proof["reason"]
-        else (math.nan,) * 3
-        for proof in map(proofs.get, table["name"])
-    ]
-    bound, error, low = np.array(columns, dtype=float).T
-    return table.assign(bound=bound, bound_error=error, bound_low=low)
+    different = {proof["budget"] for proof in proved.values()}
+    numbers = max(len(different), len({row.measurements for row in rows if row.kind == FOUND}))
+    for row in rows:
+        if proof := proved.get(row.name):
+            row.bound, row.bound_error = float(proof["bound"]), float(proof["bound_error"])
+            row.bound_low = _limit(proof, numbers)
 
 
 def _limit(proof: Mapping[str, Any], numbers: int) -> float:
@@ -59,7 +52,7 @@ def _limit(proof: Mapping[str, Any], numbers: int) -> float:
     return float(proof["bound"] + quantile * proof["bound_error"])
 
 
-def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
+def worse_than(rows: Iterable[Row], blocks: Iterable[Any]) -> dict[str, int]:
     """A better, smaller number of measurements of the same kind, by the name of the worse set.
 
     Kinds are regular and found. The smaller number is that of the best set with fewer measurements.
@@ -69,32 +62,34 @@ def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
 
     Parameters
     ----------
-    table : DataFrame
+    rows : iterable of Row
         With name, kind, measurements, expected_mse and standard_error of each set.
     blocks : iterable of tables
         Rows of the table ``comparison``, block by block.
     """
-    best_of_fewer, differences = {}, defaultdict[str, Moments](Moments)
-    for _, sets in table.groupby("kind"):
-        for name, measurements in zip(sets["name"], sets["measurements"], strict=True):
-            fewer = sets[sets["measurements"] < measurements].dropna(subset="expected_mse")
-            if len(fewer):
-                best_of_fewer[name] = fewer.loc[fewer["expected_mse"].idxmin()]
+    kinds, best_of_fewer = defaultdict[str, list[Row]](list), dict[str, tuple[Row, Row]]()
+    for row in rows:
+        kinds[row.kind].append(row)
+    for row in chain(*kinds.values()):
+        known = [each for each in kinds[row.kind] if each.expected_mse is not None]
+        fewer = [each for each in known if each.measurements < row.measurements]
+        if fewer:
+            best_of_fewer[row.name] = row, min(fewer, key=lambda each: each.expected_mse)
     if not best_of_fewer:
         return {}
-    pairs = sum(math.comb(len(sets), 2) for _, sets in table.groupby("kind"))
-    for rows in blocks:
-        for name, best in best_of_fewer.items():
-            difference = controlled_mse(rows, name) - controlled_mse(rows, best["name"])
+    pairs = sum(math.comb(len(sets), 2) for sets in kinds.values())
+    differences = {name: Moments() for name in best_of_fewer}
+    for block in blocks:
+        for name, (_, best) in best_of_fewer.items():
+            difference = controlled_mse(block, name) - controlled_mse(block, best.name)
             differences[name].add(difference[~np.isnan(difference)])
     confidence = 1 - (1 - CONFIDENCE) / max(1, pairs)
-    exact = table[table["standard_error"] == 0.0].set_index("name")["expected_mse"]
     return {
-        name: int(best["measurements"])
-        for name, best in best_of_fewer.items()
+        name: best.measurements
+        for name, (row, best) in best_of_fewer.items()
         if (
-            exact[name] > exact[best["name"]]
-            if {name, best["name"]} <= {*exact.index}
+            row.expected_mse > best.expected_mse
+            if row.standard_error == best.standard_error == 0.0
             else differences[name].estimate.interval(confidence)[0] > 0
         )
     }

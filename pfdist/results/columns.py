@@ -6,12 +6,14 @@ Answers, reports, lists and tables of runs, JSON and DataFrames all show this ta
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from textwrap import shorten
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
@@ -36,6 +38,15 @@ class Row(SimpleNamespace):
 
     def __getattr__(self, name: str) -> Any:
         raise AttributeError(f"a row has no column {name!r}; it has: {', '.join(vars(self))}")
+
+    def add(self, columns: Mapping[str, Any]) -> None:
+        """Add columns, or replace their values."""
+        vars(self).update(columns)
+
+    def plain(self) -> Row:
+        """The same row with values of Python alone; a missing number is None."""
+        values = {k: v.item() if isinstance(v, np.generic) else v for k, v in vars(self).items()}
+        return Row(**{k: None if v != v else v for k, v in values.items()})  # noqa: PLR0124  NaN
 
     def __repr__(self) -> str:
         if not {"expected_mse", "measurement_times"} <= {*vars(self)}:
@@ -258,6 +269,17 @@ def rows_of(table: pd.DataFrame) -> list[Row]:
     """The rows of a table; its columns have names of attributes."""
     plain = table.astype(object).where(table.notna(), None)
     return [Row(**{str(k): value for k, value in row.items()}) for row in plain.to_dict("records")]
+
+
+def table_of(rows: Iterable[Row]) -> pd.DataFrame:
+    """The table of sets as a DataFrame."""
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
+    table = pd.DataFrame([*map(vars, rows)], columns=[*COLUMNS])
+    for name, column in COLUMNS.items():
+        if column.dtype == "object":
+            table[name] = table[name].astype(object).where(table[name].notna(), None)
+    return table.astype({name: column.dtype for name, column in COLUMNS.items()})
 
 
 def records_of(table: pd.DataFrame) -> list[Results]:

@@ -10,7 +10,7 @@ import pandas as pd
 from pfdist.common.dotted_keys import leaves, short_names
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded, unrounded, with_error, with_interval
-from pfdist.results.columns import Row
+from pfdist.results.columns import Results, Row
 from pfdist.results.moments import GAINS
 from pfdist.results.run import Run
 from pfdist.results.sets import rows_of_sets
@@ -73,7 +73,6 @@ RESULTS = (
 _NUMBERS = {name for name in RESULTS if name.startswith((*GAINS, "bound", "worker"))} | {
     name for name in RESULTS if name.endswith(("_mse", "standard_error"))
 }
-Results = dict[str, Any]
 
 
 def runs_table(runs: Sequence[Run]) -> pd.DataFrame:

@@ -16,8 +16,8 @@ from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.clock import Time
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.set_key import set_key_of
-from pfdist.results.budget_curve import FOUND, GIVEN, with_bounds, worse_than
-from pfdist.results.columns import COLUMNS, Row, rows_of
+from pfdist.results.budget_curve import FOUND, GIVEN, add_bounds, worse_than
+from pfdist.results.columns import COLUMNS, Results, Row, table_of
 from pfdist.results.evenly_spaced import columns_of_even_times
 from pfdist.results.moments import ComparisonStatistics, gain_over_itself, relative_gain
 from pfdist.results.particle_loss import hardly_measured, particle_losses_of
@@ -39,7 +39,6 @@ from pfdist.store.schema import components_in
 if TYPE_CHECKING:
     import pandas as pd
 
-Results = dict[str, Any]
 _ROUNDING = 1e-9
 _EXACT = "exact"
 _CHOSE = "its draws chose the set"
@@ -58,27 +57,20 @@ def sets_of(run: StoredRun) -> pd.DataFrame:
     begun. Fractions are not in per cent. With an exact engine, expected_mse has the standard_error
     0, and gain_of_means has an interval of one point.
     """
-    import pandas as pd  # noqa: PLC0415  it loads when tables are made
-
-    if (known := summary_of(run)) is not None:
-        return _typed(pd.DataFrame([*map(vars, known.sets)], columns=[*COLUMNS]))
-    return _computed(run)
+    return table_of(_computed(run) if (known := summary_of(run)) is None else known.sets)
 
 
-def _computed(run: StoredRun) -> pd.DataFrame:
-    import pandas as pd  # noqa: PLC0415  it loads when tables are made
-
-    rows = {row["name"]: row for row in _given(run)}
-    statistics = statistics_of(run) if "comparison" in run.tables else None
-    if statistics is not None:
-        _add_results(run, rows, statistics)
-    table = pd.DataFrame([*rows.values()], columns=[*COLUMNS])
-    if statistics is not None:
-        proofs = last_bounds(run)
-        table = with_bounds(table, proofs)
-        worse = worse_than(table, blocks_of(run))
-        table["worse_than"] = [worse.get(name) for name in table["name"]]
-    return _typed(table)
+def _computed(run: StoredRun) -> list[Row]:
+    rows = {row.name: row for row in _given(run)}
+    has_results = "comparison" in run.tables
+    if has_results:
+        _add_results(run, rows, statistics_of(run))
+    rows = {name: row.plain() for name, row in rows.items()}
+    if has_results:
+        add_bounds(rows.values(), last_bounds(run))
+        for name, number in worse_than(rows.values(), blocks_of(run)).items():
+            rows[name].worse_than = number
+    return [*rows.values()]
 
 
 def publish_sets(run: StoredRun) -> None:
@@ -91,30 +83,24 @@ def publish_sets(run: StoredRun) -> None:
 def is_wrong_summary(run: StoredRun) -> bool:
     """Whether the file of the table of sets says something else than the tables."""
     known = summary_of(run)
-    return known is not None and known.sets != rows_of(_computed(run))
+    return known is not None and known.sets != _computed(run)
 
 
 def rows_of_sets(run: StoredRun) -> list[Row]:
     """The rows of the table of sets, the reference first; empty before the searches have ended."""
     if (known := summary_of(run)) is not None:
         return known.sets
-    return rows_of(sets_of(run)) if "compared" in run.tables else []
+    return _computed(run) if "compared" in run.tables else []
 
 
-def _typed(table: pd.DataFrame) -> pd.DataFrame:
-    for name, column in COLUMNS.items():
-        if column.dtype == "object":
-            table[name] = table[name].astype(object).where(table[name].notna(), None)
-    return table.astype({name: column.dtype for name, column in COLUMNS.items()})
-
-
-def _given(run: StoredRun) -> Iterable[Results]:
+def _given(run: StoredRun) -> Iterable[Row]:
     problem, measured = problem_of(run), measured_of(run)
     for entry in run.table("compared").to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
         reference, is_found = run.references.get(name), not math.isnan(entry["search_mse"])
         own_kind = set_key_of(name, run.job).origin if reference is None else GIVEN
-        row: Results = {
+        row = Row(**dict.fromkeys(COLUMNS))
+        row.add({
             "name": name,
             "label": run.labels[name],
             "kind": FOUND if is_found else own_kind,
@@ -125,16 +111,15 @@ def _given(run: StoredRun) -> Iterable[Results]:
             "degenerate_draws": 0,
             "broken_constraints": [],
             "warnings": [],
-        }
+        })  # fmt: skip
         if problem.total_price is not None:
-            row["price"] = float(problem.feasible.price_of(measured[name]))
+            row.price = float(problem.feasible.price_of(measured[name]))
         if is_found:
-            row["search_mse"] = float(entry["search_mse"])
-            row["search_standard_error"] = float(entry["search_standard_error"])
+            row.add({each: entry[each] for each in ("search_mse", "search_standard_error")})
         elif "budget" not in run.job:
-            row |= described(run.job, name, tuple(times))
+            row.add(described(run.job, name, tuple(times)))
         if not math.isnan(exact := entry.get("exact_mse", math.nan)):
-            row |= _exact("expected_mse", exact) | {"standard_error": 0.0}
+            row.add(_exact("expected_mse", exact) | {"standard_error": 0.0})
         yield row
 
 
@@ -177,50 +162,47 @@ def _exact(name: str, value: float) -> Results:
     return {name: value, f"{name}_low": value, f"{name}_high": value}
 
 
-def _add_results(
-    run: StoredRun, rows: dict[str, Results], statistics: ComparisonStatistics
-) -> None:
+def _add_results(run: StoredRun, rows: dict[str, Row], statistics: ComparisonStatistics) -> None:
     for name, row in rows.items():
-        row["draws"] = statistics.mse[name].count
-        row["degenerate_draws"] = statistics.degenerate_draws[name]
-        if "expected_mse" not in row:
+        count, failed = statistics.mse[name].count, statistics.degenerate_draws[name]
+        row.add({"draws": count, "degenerate_draws": failed})
+        if row.expected_mse is None:
             mse = statistics.estimate(name)
             low, high = mse.interval()
-            row |= {"expected_mse": mse.value, "standard_error": mse.standard_error}
-            row |= {"expected_mse_low": low, "expected_mse_high": high}
-            row["largest_share"] = statistics.largest_share(name)
+            row.add({"expected_mse": mse.value, "standard_error": mse.standard_error})
+            row.add({"expected_mse_low": low, "expected_mse_high": high})
+            row.add({"largest_share": statistics.largest_share(name)})
             if statistics.has_control and not mse.value > 0.0:
-                row["warnings"].append(_TOO_FEW)
+                row.warnings.append(_TOO_FEW)
         if name in statistics.gains:
-            row.update(statistics.gains[name].columns())
+            row.add(statistics.gains[name].columns())
     for name, reference in run.references.items():
         of_reference, row = rows[reference], rows[name]
-        if row["standard_error"] == of_reference["standard_error"] == 0.0:
-            gain = relative_gain(*(np.array(e["expected_mse"]) for e in (row, of_reference)))
-            row |= _exact("gain_of_means", float(gain))
-    rows[run.names[0]] |= _gain_over_itself(run)
+        if row.standard_error == of_reference.standard_error == 0.0:
+            gain = relative_gain(*(np.array(each.expected_mse) for each in (row, of_reference)))
+            row.add(_exact("gain_of_means", float(gain)))
+    rows[run.names[0]].add(_gain_over_itself(run))
     for name, columns in columns_of_even_times(
-        run, [n for n, row in rows.items() if row["kind"] == FOUND]
+        run, [name for name, row in rows.items() if row.kind == FOUND]
     ).items():
-        rows[name] |= columns
+        rows[name].add(columns)
     _add_typical_errors(run, rows)
     _add_search_errors(run, rows)
     _add_particle_losses(run, rows, statistics)
     for name, proof in last_bounds(run).items():
         if not proof["reason"]:
-            rows[name]["bound_gap"] = proof["gap"]
-            rows[name]["bound_gap_at_most"] = proof["gap_at_most"]
+            rows[name].add({"bound_gap": proof["gap"], "bound_gap_at_most": proof["gap_at_most"]})
 
 
-def _add_typical_errors(run: StoredRun, rows: dict[str, Results]) -> None:
+def _add_typical_errors(run: StoredRun, rows: dict[str, Row]) -> None:
     """Add the root of each set's expected MSE, by component of z."""
     angles = angles_of(run)
     if not angles:
         return
     shares = _shares(run, angles) if len(angles) > 1 else {name: [1.0] for name in rows}
     for name, row in rows.items():
-        errors = [share * row["expected_mse"] for share in shares.get(name, ())]
-        row["typical_error"] = [*map(typical_error, errors, angles)] if errors else None
+        errors = [share * row.expected_mse for share in shares.get(name, ())]
+        row.typical_error = [*map(typical_error, errors, angles)] if errors else None
 
 
 def typical_error(error: float, is_angle: bool) -> float:
@@ -248,17 +230,17 @@ def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
     return shares
 
 
-def _add_search_errors(run: StoredRun, rows: dict[str, Results]) -> None:
+def _add_search_errors(run: StoredRun, rows: dict[str, Row]) -> None:
     """Add the error of the estimate of the search that found a set, and its cause."""
     values, copies = values_of(run), copies_of(run)
     for name, row in rows.items():
         own: Results = {}
         if value := values.get(name):
-            row["worst_mse"] = value.value
+            row.worst_mse = value.value
             own = {"expected_mse": value.value, "standard_error": value.standard_error}
-        if row["kind"] == FOUND:
+        if row.kind == FOUND:
             search = set_key_of(name, run.job).origin
-            row.update(_search_errors(run, search, row | own, len(copies.get(search, [1]))))
+            row.add(_search_errors(run, search, vars(row) | own, len(copies.get(search, [1]))))
 
 
 def _search_errors(run: StoredRun, search: str, result: Results, evaluations: int) -> Results:
@@ -322,7 +304,7 @@ def _is_biased(own: Mapping[str, Any]) -> bool:
 
 
 def _add_particle_losses(
-    run: StoredRun, rows: dict[str, Results], statistics: ComparisonStatistics
+    run: StoredRun, rows: dict[str, Row], statistics: ComparisonStatistics
 ) -> None:
     losses = particle_losses_of(run, statistics)
     if not losses:
@@ -332,10 +314,10 @@ def _add_particle_losses(
     worst = max(losses, key=lambda name: losses[name].limit) if "budget" in run.job else ""
     for name, loss in losses.items():
         row = rows[name]
-        row |= loss.columns() | {"unmeasured_mse": unmeasured}
-        hardly = hardly_measured(row["expected_mse"], unmeasured)
+        row.add(loss.columns() | {"unmeasured_mse": unmeasured})
+        hardly = hardly_measured(row.expected_mse, unmeasured)
         warnings = [loss.warning, hardly if name in statistics.gains else ""]
-        row["warnings"] += [text for text in warnings if text and worst in ("", name)]
+        row.warnings += [text for text in warnings if text and worst in ("", name)]
 
 
 def _gain_over_itself(run: StoredRun) -> Results:

@@ -16,10 +16,10 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FEW
-from pfdist.filters.interface import Filtered
 from pfdist.filters.predicted import predicted
 from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
+from pfdist.kernels.batch import FilterArrays
 from pfdist.models.base import within_half_turn
 from pfdist.pools.base import Pool, Task
 from pfdist.problem.feasible import Feasible
@@ -173,26 +173,20 @@ def _real(work: ReplicateWork) -> tuple[Array, int, int]:
     shape = 1, len(work.y), model.components[2]
     draws = Draws(model, range(1), np.empty((1, 0, 0)), work.y[None], np.zeros(shape))
     filtered = _filtered(work.evaluator, draws, work)
-    sizes = [each.sizes for each in filtered if each.sizes is not None]
     return (
         _estimates(filtered)[:, 0],
         sum(int(each.degenerate[0]) for each in filtered),
-        sum(bool((each < FEW).any()) for each in sizes),
+        sum(bool((each.sizes < FEW).any()) for each in filtered),
     )
 
 
-def _estimates(filtered: Sequence[Filtered]) -> Array:
-    return np.stack([each.estimate for each in filtered if each.estimate is not None])
+def _estimates(filtered: Sequence[FilterArrays]) -> Array:
+    return np.stack([each.estimate for each in filtered])
 
 
-def _filtered(evaluator: Evaluator, draws: Draws, work: ReplicateWork) -> list[Filtered]:
-    engine, settings = evaluator.computed_by, evaluator.settings(work.estimation)
-    return [
-        engine.filters.filter_checked_draws(
-            evaluator.believed, draws, times, work.streams[1], settings, trajectories=True
-        )
-        for times in work.sets
-    ]
+def _filtered(evaluator: Evaluator, draws: Draws, work: ReplicateWork) -> list[FilterArrays]:
+    streams = work.streams[1:] * len(work.sets)
+    return evaluator.filter_each(draws, work.sets, streams, work.estimation)
 
 
 def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:

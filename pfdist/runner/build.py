@@ -97,12 +97,39 @@ def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
     range, or if a resampling scheme does not fit. Raises `JobError` if particles is
     "auto" and no number is sufficient.
     """
-    if job.filter.proposal == AUTO:
-        return _with_proposal(job, runs, asked)
-    if job.filter.is_automatic:
-        return build(_with_enough_particles(job, runs), *runs)
-    evaluator = evaluator_of(job, *models_of_job(job))
+    own, path = job.filter, runs[0] if runs else None
+    is_open, is_automatic = own.proposal == AUTO, own.is_automatic
+    kept = _proposal_of(path) if is_open and path is not None else ""
+    proposal = (kept or PLAIN) if is_open else own.proposal
+    particles = _USUAL_PARTICLES if is_automatic else own.particles
+    # The job is built with the plain filter first, so whatever else is wrong is named first. Its
+    # models are recorded here, and nowhere else.
+    first = _with_filter(job, proposal, particles)
+    evaluator = evaluator_of(first, *models_of_job(first))
     evaluator = next(filter(None, (_as_kept(evaluator, run) for run in runs)), evaluator)
+    _check_draws(first, evaluator)
+    built = _built(first, evaluator)
+    if kept:
+        _choices_of(built)[""] = kept
+    elif is_open:
+        proposal = _chosen(built, asked)
+    if is_automatic:
+        particles = _enough_particles(built, proposal)
+    if (proposal, particles) == (first.filter.proposal, first.filter.particles):
+        return built
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EngineWarning)  # it came with the first filter
+        return _built(_with_filter(job, proposal, particles), built.evaluator)
+
+
+def _with_filter(job: Job, proposal: str, particles: int) -> Job:
+    """The job with a proposal and a number of particles, which are valid, instead of "auto"."""
+    chosen = {"proposal": proposal, "particles": particles}
+    return job.model_copy(update={"filter": job.filter.model_copy(update=chosen)})
+
+
+def _built(job: Job, evaluator: Evaluator) -> Built:
+    """The objects of a job whose models an evaluator has recorded; raises as `build`."""
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
     is_wrong = evaluator.believed != evaluator.model or evaluator.truth.told != evaluator.told
@@ -111,13 +138,12 @@ def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
     study = (Study if job.budget is None else BudgetStudy)(job, feasible)
     by_variance = evaluator.variance_is_error
     searches = tuple(named_search(study, job, section, by_variance) for section in job.search)
-    wanted = [settings.estimation for search in searches for settings in search.all_settings]
+    wanted = [comparing_of(job), Settings.from_job(job).estimation]
+    wanted += [settings.estimation for search in searches for settings in search.all_settings]
     if job.online is not None:
         check_plannable(evaluator)
         wanted.append(planning_of(job, evaluator.variance_is_error).estimation)
-    wanted = [*evaluator.estimations, *wanted]
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
-    _check_draws(job, evaluator)
     evaluator = replace(evaluator, engine=_compiled_or_batched(evaluator))
     _check_guided(evaluator, comparing_of(job))
     built = Built(job, feasible, study, evaluator, searches)
@@ -181,32 +207,6 @@ _choices: dict[str, dict[str, str]] = {}
 """Proposals chosen in this process, by problem and comparison; "" has the last choice."""
 
 
-def _with_proposal(job: Job, runs: Sequence[Path], asked: float | None) -> Built:
-    """The objects of the job with "plain" or "guided" for ``filter.proposal = "auto"``.
-
-    That is the proposal of the job's own run, the first of the runs, if it exists. Otherwise the
-    job is built with the plain filter first, so whatever is wrong with it is named first.
-    """
-
-    def with_filter(**settings: Any) -> Job:
-        return job.with_changes(settings={"filter": settings})
-
-    particles = _USUAL_PARTICLES if job.filter.is_automatic else job.filter.particles
-    if known := _proposal_of(runs[0]) if runs else "":
-        built = build(with_filter(proposal=known), *runs)
-        _choices_of(built, particles)[""] = known
-        return built
-    if job.filter.engine not in (AUTO, COMPILED.name):
-        return build(with_filter(proposal=PLAIN), *runs)
-    built = build(with_filter(proposal=PLAIN, particles=particles), *runs)
-    chosen = _chosen(built, asked)
-    if chosen == PLAIN and not job.filter.is_automatic:
-        return built
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", EngineWarning)  # it came with the plain filter
-        return build(with_filter(proposal=chosen), *runs)
-
-
 def _draws_of(built: Built) -> float:
     """The draws that a run filters at least, counted for each set, with the job's particles."""
     steps = sum(
@@ -219,9 +219,9 @@ def _draws_of(built: Built) -> float:
     return steps / built.comparing.steps_an_instant + compared
 
 
-def _choices_of(built: Built, particles: int) -> dict[str, str]:
+def _choices_of(built: Built) -> dict[str, str]:
     """The choices of this process for a problem: its models, its filter and its constraints."""
-    plain = replace(built.comparing, proposal=PLAIN, particles=particles)
+    plain = replace(built.comparing, proposal=PLAIN)
     problem = built.job.problem.model_dump(mode="json")
     return _choices.setdefault(built.evaluator.id_of(plain, problem), {})
 
@@ -239,7 +239,7 @@ def _chosen(built: Built, asked: float | None) -> str:
     is_possible = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
     if not is_possible:
         return PLAIN
-    choices = _choices_of(built, plain.particles)
+    choices = _choices_of(built)
     if asked is not None and "" in choices:
         return choices[""]
     draws = compared_draws(_draws_of(built) if asked is None else asked)
@@ -248,11 +248,11 @@ def _chosen(built: Built, asked: float | None) -> str:
     comparison = f"{draws} of {built.job.seed}"
     if comparison not in choices:
         try:
-            guided = replace(plain, proposal=GUIDED)
-            _check_guided(built.evaluator, guided)
-            evaluator.compile(guided)
+            # Guided filters are compiled only if the plain filter loses too much.
             sets = built.job.problem.feasible.regular(), _with_long_gap(built.job)
             why = why_plain(evaluator, sets, built.job.seed, plain, draws, in_words=False)
+            if not why:
+                _check_guided(built.evaluator, replace(plain, proposal=GUIDED))
         except ModelError as error:
             why = str(error)
         choices[comparison] = PLAIN if why else GUIDED
@@ -268,7 +268,8 @@ def _proposal_of(run: Path) -> str:
         section = read_run(run)[1].get("filter", {}) if has_models(run) else {}
     except StoreError:  # whoever opens the run reports what is damaged
         return ""
-    return str(section.get("proposal", ""))
+    proposal = section.get("proposal", "")
+    return proposal if proposal in (PLAIN, GUIDED) else ""
 
 
 def _with_long_gap(job: Job) -> Times:
@@ -284,32 +285,20 @@ def _with_long_gap(job: Job) -> Times:
     return max(short, key=longest) if short else min(sets, key=longest)
 
 
-def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
-    """The job with a number in the place of ``filter.particles = "auto"``.
-
-    The number is enough for the regular times and the filter's own model. The job is built with few
-    particles first, so whatever else is wrong is named first.
-    """
+def _enough_particles(built: Built, proposal: str) -> int:
+    """A number of particles that is enough for the regular times and the filter's own model."""
     # Imported here, so that workers, which know the number, need no pandas.
     from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST  # noqa: PLC0415
-    from pfdist.runner.particles import (  # noqa: PLC0415
-        NUMBERS,
-        enough_particles,
-    )
+    from pfdist.runner.particles import NUMBERS, enough_particles  # noqa: PLC0415
 
-    def with_number(particles: int) -> Job:
-        return job.with_changes(settings={"filter": {"particles": particles}})
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", EngineWarning)  # it comes again with the number
-        built = build(with_number(NUMBERS[0]), *runs)
-    evaluator, times = built.evaluator.self_consistent, job.problem.feasible.regular()
+    evaluator, job = built.evaluator.self_consistent, built.job
     must = "filter.particles must be a number, got 'auto'"
     if not evaluator.has_particle_loss:
         raise JobError(
             f"{must}: it needs an engine with particles, and the squared error ({job.path})"
         )
-    loss = enough_particles(evaluator, times, job.seed, built.comparing)
+    times, estimation = job.problem.feasible.regular(), replace(built.comparing, proposal=proposal)
+    loss = enough_particles(evaluator, times, job.seed, estimation)
     if not loss.is_small:
         none = (
             f"with up to {loss.particles:,} particles, the particle loss is above {SMALL:.0%}, or "
@@ -317,7 +306,7 @@ def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
         ) * (loss.particles == NUMBERS[-1])  # else rare failures have ended the search
         found = ". ".join(filter(None, (none, loss.rare)))
         raise JobError(f"{must}: {found} ({job.path})")
-    return with_number(loss.particles)
+    return loss.particles
 
 
 def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:

@@ -252,8 +252,8 @@ class _Outlook:
             each_set = zip(sets, [] if exact is None else exact.tolist(), strict=True)
             return [Evaluation.exactly(times, mse) for times, mse in each_set]
         noise = stream_key(self.stream, "filter")
-        mse, flags = self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
-        rows = zip(sets, mse.T.copy(), flags.T, strict=True)
+        found = self.evaluator.filter_sets(draws, sets, ends, noise, estimation)
+        rows = zip(sets, found.mse.T.copy(), found.degenerate.T, strict=True)
         return [Evaluation(times, row, degenerate=of_set) for times, row, of_set in rows]
 
     @property

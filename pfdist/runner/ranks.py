@@ -51,11 +51,10 @@ class RankWork(FilterWork):
     def _statistics(self, evaluator: Evaluator) -> Array:
         """Both statistics of each draw, (D, 2)."""
         draws = evaluator.draws(range(*self.draws), self.draws_stream)
-        settings, centred = evaluator.settings(self.estimation), list[Array]()
-        for times, stream in zip(self.measurement_times, self.filter_streams, strict=True):
-            below, equal = evaluator.computed_by.filters.filter_checked_draws(
-                evaluator.believed, draws, times, stream, settings, trajectories=True
-            ).ranks
+        sets, streams, centred = self.measurement_times, self.filter_streams, list[Array]()
+        each_set = evaluator.filter_each(draws, sets, streams, self.estimation)
+        for times, stream, found in zip(sets, streams, each_set, strict=True):
+            below, equal = found.ranks
             for t in evaluator.points.instants(times):
                 for c in range(below.shape[2]):
                     index = np.array(draws.index)

@@ -109,9 +109,9 @@ class BlockOfSums:
 
     def rows(self, work: FilterWork, result: Result) -> pa.Table:
         """One row of the table ``error_sums``: the sums of a block, or of one draw."""
-        id_, number = _key(work)
-        row = {"evaluation": id_, "block": number, "sums": result.sums}
-        return pa.Table.from_pylist([row], schema=schema(self.table))
+        sums = pa.ListArray.from_arrays([0, result.sums.size], result.sums)
+        columns = [*([each] for each in _key(work)), sums]
+        return pa.Table.from_arrays([*map(pa.array, columns)], schema=schema(self.table))
 
 
 @dataclass(eq=False)

@@ -18,7 +18,8 @@ from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, densities, loa
 from pfdist.errors import ModelError, TraceError
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets, sum_errors
+from pfdist.filters.interface import SUMS
+from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
@@ -68,9 +69,10 @@ def test_a_batched_model_has_the_errors_of_its_formulas(model, settings):
         np.testing.assert_allclose(getattr(again, name), getattr(draws, name), rtol=1e-9, atol=1e-9)
     sets = sets_of(model)
     given = draws, sets, (HORIZON, HORIZON, 6, HORIZON), STREAM, settings
-    for function in (filter_checked_sets, sum_errors):
-        expected, found = function(formulas, *given), function(arrays, *given)
-        np.testing.assert_allclose(found[0], expected[0], rtol=1e-7)
+    for errors in ("", SUMS):
+        expected, found = (filter_checked_sets(each, *given, errors) for each in (formulas, arrays))
+        np.testing.assert_allclose(found.mse, expected.mse, rtol=1e-7)
+        np.testing.assert_allclose(found.errors, expected.errors, rtol=1e-7)
 
 
 @pytest.mark.parametrize(("model", "settings"), KINDS[:7])
@@ -91,7 +93,7 @@ def test_results_do_not_depend_on_how_draws_are_cut():
     arrays = batched(UNGM)
     draws, sets, settings = simulate(arrays, HORIZON, range(100), 3), sets_of(UNGM), Estimation(64)
     ends = (HORIZON,) * len(sets)
-    whole, _ = filter_checked_sets(arrays, draws, sets, ends, STREAM, settings)
+    whole, *_ = filter_checked_sets(arrays, draws, sets, ends, STREAM, settings)
     for cut in (1, 37, 99):
         parts = [
             filter_checked_sets(arrays, some, sets, ends, STREAM, settings)[0]
@@ -150,7 +152,7 @@ def test_a_coupled_model_has_the_particles_of_one_draw_in_an_array():
     assert widths == {1, 2}  # one draw, and two particles when the model was made
     widths.clear()
     given = (TIMES,), (HORIZON,), STREAM, Estimation(100)
-    whole, _ = filter_checked_sets(arrays, draws, *given)
+    whole, *_ = filter_checked_sets(arrays, draws, *given)
     assert widths == {112}  # rounded up to whole vectors
     alone = [filter_checked_sets(arrays, draws[k : k + 1], *given)[0] for k in range(20)]
     np.testing.assert_array_equal(np.concatenate(alone), whole)

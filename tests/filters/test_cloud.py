@@ -51,11 +51,11 @@ def test_a_filter_that_stops_and_goes_on_is_the_filter_that_never_stopped(
     for d in range(3):
         draw = draws[d : d + 1]
         stopped = engine.filter_draws(ungm, draw.upto(start), before, **settings)
-        later, prior = TIMES[len(before) :], Cloud(start, stopped.last[0])
+        later, prior = TIMES[len(before) :], Cloud(start, stopped.cloud[0])
         on = engine.filter_draws(ungm, from_instant(draw, start), later, **settings, prior=prior)
         np.testing.assert_array_equal(on.estimate[0, 1:], whole.estimate[d, start + 1 :])
         np.testing.assert_array_equal(on.variance[0, 1:], whole.variance[d, start + 1 :])
-        np.testing.assert_array_equal(on.last[0], whole.last[d])
+        np.testing.assert_array_equal(on.cloud[0], whole.cloud[d])
 
 
 @pytest.mark.parametrize("weighted", [False, True])
@@ -76,9 +76,9 @@ def test_several_sets_share_prefixes_as_without_a_prior(ungm: StateSpaceModel) -
     prior = Cloud(8, np.random.default_rng(1).normal(0, 10, (1, 300)))
     evaluator, estimation = Evaluator(ungm, HORIZON, prior=prior), Estimation(64, "systematic")
     draws, sets = evaluator.draws(range(20), 3), [(8, 11), (9, 11, 17), (9, 12, 17), ()]
-    together = evaluator.mse_of_sets(draws, sets, [20, 20, 19, 14], 5, estimation)[0]
+    together = evaluator.filter_sets(draws, sets, [20, 20, 19, 14], 5, estimation)[0]
     for column, times, end in zip(together.T, sets, [20, 20, 19, 14], strict=True):
-        alone = evaluator.mse_of_sets(draws, [times], [end], 5, estimation)[0][:, 0]
+        alone = evaluator.filter_sets(draws, [times], [end], 5, estimation)[0][:, 0]
         np.testing.assert_array_equal(column, alone)
 
 
@@ -91,7 +91,7 @@ def test_the_two_filters_of_an_estimator_start_from_particles_of_their_own(
     for engine in ENGINES:
         evaluator = Evaluator(ungm, HORIZON, engine=engine, prior=prior)
         draws = evaluator.draws(range(20), 3)
-        found.append(evaluator.mse_of_sets(draws, [(11,)], [HORIZON], 5, estimation)[0])
+        found.append(evaluator.filter_sets(draws, [(11,)], [HORIZON], 5, estimation)[0])
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 
@@ -114,7 +114,7 @@ def test_particles_that_are_given_are_the_distribution_itself(
     coin = oracles.modes.model(switch=0.0, sd=1.0)
     evaluator = Evaluator(coin, 1, engine=engine, prior=Cloud(0, np.array([[0.0, 1.0]]), weight))
     draws, settings = evaluator.draws(range(4000), 3), Estimation(400, "systematic")
-    mse = evaluator.mse_of_sets(draws, [()], [1], 5, settings)[0][:, 0]
+    mse = evaluator.filter_sets(draws, [()], [1], 5, settings)[0][:, 0]
     q = 0.5 if weight is None else 0.25
     assert abs(mse.mean() - q * (1 - q)) < 4 * max(mse.std() / np.sqrt(mse.size), 1e-12)
 
@@ -125,12 +125,13 @@ def test_the_kalman_filter_goes_on_from_its_normal_distribution() -> None:
     whole = kalman.filter_draws(model, draws, TIMES, 1, 1, trajectories=True)
     stopped = kalman.filter_draws(model, draws.upto(9), TIMES[:4], 1, 1, trajectories=True)
     rest, settings = from_instant(draws, 9), {"particles": 1, "stream": 1, "trajectories": True}
-    for d, prior in enumerate(stopped.last):
+    priors = [Gaussian(9, last[:, 0], last[:, 1:]) for last in stopped.cloud]
+    for d, prior in enumerate(priors):
         on = kalman.filter_draws(model, rest[d : d + 1], TIMES[4:], **settings, prior=prior)
         np.testing.assert_allclose(on.estimate[0], whole.estimate[d, 9:], rtol=1e-12)
         np.testing.assert_allclose(on.variance[0], whole.variance[d, 9:], rtol=1e-12)
     errors = kalman.expected_errors(model, HORIZON, [TIMES])[0, 9:]
-    on = kalman.expected_errors(model, HORIZON, [TIMES[4:]], stopped.last[0])[0]
+    on = kalman.expected_errors(model, HORIZON, [TIMES[4:]], priors[0])[0]
     np.testing.assert_allclose(on, errors, rtol=1e-12)
 
 

@@ -22,10 +22,10 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.filter import SUSPICIOUS
 from pfdist.filters.filter_estimate import FEW, PREDICTIVE
-from pfdist.filters.interface import Filtered
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
+from pfdist.kernels.batch import FilterArrays
 
 # Few particles are wanted here: they are quick, and right or wrong as many are.
 pytestmark = pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")
@@ -79,13 +79,10 @@ def _batch(
 ) -> list[tuple[Any, Any, Any]]:
     """Filter all draws at once: estimate, variance and last particles of each."""
     times = tuple(t for t in TIMES if t in draws.instants)
-    filtered: Filtered = ENGINES[engine].filters.filter_checked_draws(
+    filtered: FilterArrays = ENGINES[engine].filters.filter_checked_draws(
         model, draws, times, stream, settings, trajectories=True
     )
-    assert filtered.estimate is not None
-    assert filtered.variance is not None
-    assert filtered.last is not None
-    return list(zip(filtered.estimate, filtered.variance, filtered.last, strict=True))
+    return list(zip(filtered.estimate, filtered.variance, filtered.cloud, strict=True))
 
 
 def _model_of(engine: str, ungm: StateSpaceModel) -> StateSpaceModel:
@@ -139,7 +136,8 @@ def test_to_start_from_the_batch_filters_cloud_and_go_on_is_never_to_have_stoppe
         stopped = _batch(engine, model, draws.upto(s), stream, settings)
         for d in range(3):
             last = stopped[d][2]
-            prior = last if isinstance(last, Gaussian) else Cloud(s, last)
+            is_exact = engine == "kalman"
+            prior = Gaussian(s, last[:, 0], last[:, 1:]) if is_exact else Cloud(s, last)
             filtering = Filter(model, 100, 5, engine=engine, prior=prior, draw=d)
             _check_equal(filtering, draws, whole[d], d, range(s + 1, HORIZON + 1))
             first = Filter(model, 100, 5, engine=engine, draw=d)

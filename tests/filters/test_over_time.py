@@ -17,6 +17,7 @@ from pfdist import StateSpaceModel, load_model, where
 from pfdist.common.scenario import Scenario
 from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, joined, ranges_of_draws
 from pfdist.kernels.estimators import ESTIMATORS
@@ -48,11 +49,11 @@ def test_their_mean_is_the_mse_and_their_sum_over_draws_the_sum_of_errors(
     engine: Any, model: StateSpaceModel
 ) -> None:
     given = _, draws, *_ = _given(model)
-    mse, degenerate, errors = engine.errors_over_time(*given)
-    own = engine.filter_checked_sets(*given)
-    np.testing.assert_array_equal(mse, own[0])
-    np.testing.assert_array_equal(degenerate, own[1])
-    sums = engine.sum_errors(*given)
+    found, own = engine.filter_checked_sets(*given, EACH_DRAW), engine.filter_checked_sets(*given)
+    mse, errors = found.mse, found.errors
+    np.testing.assert_array_equal(mse, own.mse)
+    np.testing.assert_array_equal(found.degenerate, own.degenerate)
+    sums = engine.filter_checked_sets(*given, SUMS).errors
     for column, end in enumerate(ENDS):
         upto = draws.instant_weights[: end + 1] * errors[:, column, : end + 1]
         np.testing.assert_allclose(upto.sum(axis=1) / 13, mse[:, column], rtol=1e-12)
@@ -63,7 +64,9 @@ def test_their_mean_is_the_mse_and_their_sum_over_draws_the_sum_of_errors(
 @models
 def test_the_compiled_errors_are_the_plain_ones(model: StateSpaceModel) -> None:
     given = _given(model)
-    compiled, plainly = (each.errors_over_time(*given)[2] for each in (particle_filter, plain))
+    compiled, plainly = (
+        each.filter_checked_sets(*given, EACH_DRAW).errors for each in (particle_filter, plain)
+    )
     for column, end in enumerate(ENDS):
         found, expected = (each[:, column, : end + 1] for each in (compiled, plainly))
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
@@ -72,17 +75,19 @@ def test_the_compiled_errors_are_the_plain_ones(model: StateSpaceModel) -> None:
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_every_estimator_has_them(estimator: str) -> None:
     found, expected = (
-        each.errors_over_time(*_given(UNGM, estimator)) for each in (particle_filter, plain)
+        each.filter_checked_sets(*_given(UNGM, estimator), EACH_DRAW)
+        for each in (particle_filter, plain)
     )
-    np.testing.assert_allclose(found[2][:, 3], expected[2][:, 3], rtol=1e-9)
-    weighted = np.linspace(0.0, 2.0, 13) * found[2][:, 3]
-    np.testing.assert_allclose(weighted.mean(axis=1), found[0][:, 3], rtol=1e-12)
+    np.testing.assert_allclose(found.errors[:, 3], expected.errors[:, 3], rtol=1e-9)
+    weighted = np.linspace(0.0, 2.0, 13) * found.errors[:, 3]
+    np.testing.assert_allclose(weighted.mean(axis=1), found.mse[:, 3], rtol=1e-12)
 
 
 def test_those_of_the_kalman_filter_have_its_mse_as_their_mean() -> None:
     draws = simulate(WALK, 12, range(5), 1)
-    mse, _, errors = kalman.errors_over_time(WALK, draws, [(0, 4)], [12], 1, Estimation(1))
-    np.testing.assert_allclose(errors.mean(axis=2), mse, rtol=1e-12)
+    given = WALK, draws, [(0, 4)], [12], 1, Estimation(1), EACH_DRAW
+    found = kalman.filter_checked_sets(*given)
+    np.testing.assert_allclose(found.errors.mean(axis=2), found.mse, rtol=1e-12)
 
 
 @engines
@@ -93,8 +98,8 @@ def test_a_draw_whose_error_is_infinite_has_no_finite_error(engine: Any) -> None
     )
     draws = replace(simulate(UNGM, 12, range(40), 1), model=UNGM)
     given = infinite, draws, [(0, 3)], [12], 5, Estimation(2)
-    mse, _, errors = engine.errors_over_time(*given)
-    is_finite = np.isfinite(mse[:, 0])
+    found = engine.filter_checked_sets(*given, EACH_DRAW)
+    is_finite, errors = np.isfinite(found.mse[:, 0]), found.errors
     assert 0 < is_finite.sum() < 40
     np.testing.assert_array_equal(np.isfinite(errors[:, 0]).all(axis=1), is_finite)
     np.testing.assert_array_equal(np.isinf(errors[:, 0]).all(axis=1), ~is_finite)

@@ -11,6 +11,7 @@ import pytest
 
 from pfdist import load_model, where
 from pfdist.filters import particle_filter, plain
+from pfdist.filters.interface import SUMS
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
@@ -36,7 +37,7 @@ estimators = pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, estimator):
     draws = simulate(model, HORIZON, range(3, 10), 1)
     settings = Estimation(PARTICLES, estimator=estimator)
-    found = engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
+    found = engine.filter_checked_sets(model, draws, SETS, ENDS, STREAM, settings, SUMS).errors
     for row, times, end in zip(found, SETS, ENDS, strict=True):
         prefixes = [tuple(time for time in times if time <= t) for t in range(end + 1)]
         upto = filter_checked_sets(model, draws, prefixes, range(end + 1), STREAM, settings)[0]
@@ -49,7 +50,7 @@ def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, est
 def test_the_compiled_sums_are_the_plain_ones(model, estimator):
     draws, settings = simulate(model, HORIZON, range(9), 2), Estimation(70, estimator=estimator)
     compiled, plainly = (
-        engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
+        engine.filter_checked_sets(model, draws, SETS, ENDS, STREAM, settings, SUMS).errors
         for engine in (particle_filter, plain)
     )
     for row, expected, end in zip(compiled, plainly, ENDS, strict=True):
@@ -66,7 +67,9 @@ def test_the_error_of_the_model_itself_is_summed(engine):
     estimate = filter_draws(UNGM, draws, times, PARTICLES, STREAM, trajectories=True).estimate
     expected = (1 + np.arange(HORIZON + 1)) * np.abs(draws.z - estimate)[:, :, 0].sum(axis=0)
     with_error = replace(draws, model=model)
-    (found,) = engine.sum_errors(model, with_error, [times], [HORIZON], STREAM, settings)
+    (found,) = engine.filter_checked_sets(
+        model, with_error, [times], [HORIZON], STREAM, settings, SUMS
+    ).errors
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
@@ -94,12 +97,14 @@ def test_a_set_with_an_infinite_draw_has_no_sum_and_others_are_as_alone(
     draws = simulate(UNGM, HORIZON, range(20), 1)
     settings = Estimation(PARTICLES, estimator=estimator)
     with np.errstate(invalid="ignore"):
-        found = engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
+        found = engine.filter_checked_sets(model, draws, SETS, ENDS, STREAM, settings, SUMS).errors
     assert not all(wrong)
     for row, times, end, is_wrong in zip(found, SETS, ENDS, wrong, strict=True):
         if is_wrong:
             assert np.isnan(row).all()
         else:
-            (alone,) = engine.sum_errors(model, draws, [times], [end], STREAM, settings)
+            (alone,) = engine.filter_checked_sets(
+                model, draws, [times], [end], STREAM, settings, SUMS
+            ).errors
             assert np.isfinite(alone[: end + 1]).all()
             np.testing.assert_allclose(row[: end + 1], alone[: end + 1], rtol=1e-12)

@@ -23,10 +23,10 @@ def test_results_depend_neither_on_other_draws_nor_on_other_sets(resampling):
     for estimator in ("squared_error", "filter_variance", "filter_noise"):
         settings = Estimation(50, resampling, estimator)
         ends = [12, 12, 12, 8, 12, 10]
-        together, _ = particle_filter.filter_checked_sets(model, draws, SETS, ends, 2, settings)
+        together, *_ = particle_filter.filter_checked_sets(model, draws, SETS, ends, 2, settings)
         for number, (times, end) in enumerate(zip(SETS, ends, strict=True)):
             for some in (slice(0, 1), slice(17, 20), slice(3, 70)):
-                alone, _ = particle_filter.filter_checked_sets(
+                alone, *_ = particle_filter.filter_checked_sets(
                     model, draws[some], [times], [end], 2, settings
                 )
                 np.testing.assert_array_equal(alone[:, 0], together[some, number])
@@ -40,7 +40,7 @@ def test_the_place_of_the_truth_is_its_weighted_rank_among_the_particles():
         particle_filter.filter_checked_draws(model, draws, times, 2, settings, trajectories=True)
         for times in ((0, 2, 5), (0, 2))
     )
-    for d, (x,) in enumerate(before.last):
+    for d, (x,) in enumerate(before.cloud):
         weight = np.exp(model.log_likelihood((draws.y[d, 5, 0],), (x,), 5, model.p))
         below = weight[x < draws.z[d, 5, 0]].sum() / weight.sum()
         assert filtered.ranks[0, d, 5, 0] == pytest.approx(below, abs=1e-6)

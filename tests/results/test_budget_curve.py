@@ -10,7 +10,8 @@ from scipy import stats
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.results import reaching
-from pfdist.results.budget_curve import BOUND_DEGREES, with_bounds, worse_than
+from pfdist.results.budget_curve import BOUND_DEGREES, add_bounds, worse_than
+from pfdist.results.columns import rows_of
 from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.proof import Gap, GapParts, Proof, gap_of
 
@@ -48,8 +49,17 @@ def _table(mse: dict[str, np.ndarray]) -> pd.DataFrame:
         }
         rows.append(row)
     table = pd.DataFrame(rows)
-    worse = worse_than(table, [comparison[:130], comparison[130:]])
+    worse = worse_than(rows_of(table), [comparison[:130], comparison[130:]])
     return table.assign(worse_than=[worse.get(name, math.nan) for name in mse])
+
+
+def with_bounds(table: pd.DataFrame, proofs: dict[str, Any]) -> pd.DataFrame:
+    rows, columns = rows_of(table), ("bound", "bound_error", "bound_low")
+    for row in rows:
+        row.add(dict.fromkeys(columns))
+    add_bounds(rows, proofs)
+    of_rows = {name: [getattr(row, name) for row in rows] for name in columns}
+    return table.assign(**{name: pd.Series(each, dtype=float) for name, each in of_rows.items()})
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ import pfdist
 from pfdist.questions.run_page import answer_of
 from pfdist.results import stored_run
 from pfdist.results.budget_curve import worse_than
+from pfdist.results.columns import rows_of
 from pfdist.results.moments import ComparisonStatistics, Gain, Moments, controlled_mse
 from pfdist.results.pairs import pairs_table
 
@@ -77,8 +78,8 @@ def test_a_number_of_measurements_is_worse_by_errors_less_their_controls() -> No
     sets = {"name": NAMES, "kind": "found", "measurements": [4, 3], "standard_error": 0.1}
     table = pd.DataFrame(sets | {"expected_mse": VALUES.mean(axis=0)})
     few = pa.table({name: values[:20] for name, values in columns.items()})
-    assert worse_than(table, [few]) == {"a": 3}
-    assert worse_than(table, [few.select(["mse_a", "mse_b"])]) == {}
+    assert worse_than(rows_of(table), [few]) == {"a": 3}
+    assert worse_than(rows_of(table), [few.select(["mse_a", "mse_b"])]) == {}
     for rows in (few, few.to_pandas()):
         np.testing.assert_allclose(controlled_mse(rows, "a"), VALUES[:20, 0])
 
