@@ -117,7 +117,7 @@ def status(run: str, *, export: str | None = None) -> "Run":
 
 
 def plot(run: str) -> Iterator[str]:
-    """Draw the figures of a run from its tables, or the figure of a sweep.
+    """Draw the figures of a run from its tables, or the figure of a sweep: PNG, SVG and PDF.
 
     Parameters
     ----------
@@ -128,10 +128,13 @@ def plot(run: str) -> Iterator[str]:
     from pfdist.questions.table import table
     from pfdist.results import open_run
     from pfdist.store import holds_run
+    from pfdist.store.folder import FORMATS
 
     path = path_argument("run", run)
-    is_run = holds_run(path)
-    yield from map(str, draw_figures(open_run(path)) if is_run else draw_points(table(path), path))
+    if holds_run(path):
+        yield from map(str, draw_figures(open_run(path), formats=FORMATS))
+    else:
+        yield from map(str, draw_points(table(path), path, FORMATS))
 
 
 def verify(run: str) -> Iterator[str]:

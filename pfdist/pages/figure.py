@@ -29,6 +29,7 @@ from pfdist.store import holds_run, record_pages, write_file
 from pfdist.store.folder import FIGURES_FOLDER, FORMATS
 
 Applies = Callable[[Run], bool]
+_OWN = FORMATS[0]  # of every figure
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def draw_missing_figures(run: Run, there: Collection[Path]) -> list[Path]:
     return save_plots(run.path, (plot for figure in missing for plot in figure.plots(tables)))
 
 
-def draw_figures(run: Run, only: str = "") -> list[Path]:
+def draw_figures(run: Run, only: str = "", formats: Sequence[str] = ()) -> list[Path]:
     """The files of all figures of a run, or of one, drawn from its tables into ``figures``.
 
     Parameters
@@ -204,6 +205,9 @@ def draw_figures(run: Run, only: str = "") -> list[Path]:
     run : Run
     only : str
         Name of one figure of `FIGURES`; empty for all.
+    formats : sequence of str
+        Further formats, of `FORMATS`. Every figure is a PNG file; a file of another format that is
+        there already is drawn again, too.
 
     Returns
     -------
@@ -220,18 +224,21 @@ def draw_figures(run: Run, only: str = "") -> list[Path]:
             f"{run.path} has no compared draws yet: resume it first, `pfdist run {run.path}`"
         )
     tables, wanted = Tables(run), [FIGURES[only]] if only else FIGURES.values()
-    return save_plots(run.path, (plot for figure in wanted for plot in figure.plots(tables)))
+    plots = (plot for figure in wanted for plot in figure.plots(tables))
+    return save_plots(run.path, plots, formats)
 
 
-def save_plots(folder: Path, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
+def save_plots(
+    folder: Path, plots: Iterable[tuple[str, Plot]], formats: Sequence[str] = ()
+) -> list[Path]:
     """The files of plots, drawn in the style for print into ``figures`` of a run or a sweep.
 
-    Each plot comes with the name of its files, without suffix, and has a file of each format.
+    Each plot comes with the name of its files, without suffix. For the formats see `draw_figures`.
     """
     saved = []
     with styled():
         for name, plot in plots:
-            canvas, files = drawn(plot), _files(folder, name)
+            canvas, files = drawn(plot), _files(folder, name, formats)
             for file in files:
                 write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), plot.title))
             saved += files
@@ -280,8 +287,11 @@ def _remove_control_characters(canvas: Canvas) -> None:
         text.set_text(printable(text.get_text()))
 
 
-def _files(folder: Path, name: str) -> list[Path]:
-    return [folder / FIGURES_FOLDER / f"{name}.{suffix}" for suffix in FORMATS]
+def _files(folder: Path, name: str, formats: Sequence[str] = ()) -> list[Path]:
+    files = {suffix: folder / FIGURES_FOLDER / f"{name}.{suffix}" for suffix in FORMATS}
+    return [
+        files[suffix] for suffix in files if suffix in (_OWN, *formats) or files[suffix].exists()
+    ]
 
 
 def _save(canvas: Canvas, suffix: str, title: str, path: Path) -> None:

@@ -1,6 +1,7 @@
 """The figure of many runs: a result against a key of their jobs."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -136,7 +137,7 @@ def against(
     return ax
 
 
-def draw_points(frame: pd.DataFrame, folder: Path) -> list[Path]:
+def draw_points(frame: pd.DataFrame, folder: Path, formats: Sequence[str] = ()) -> list[Path]:
     """The files of the figure of a sweep: of `against`, in ``figures`` of the folder.
 
     Parameters
@@ -144,10 +145,12 @@ def draw_points(frame: pd.DataFrame, folder: Path) -> list[Path]:
     frame : DataFrame
         The result of `pfdist.table`.
     folder : Path
+    formats : sequence of str
+        Further formats, as in `pfdist.pages.figure.draw_figures`.
     """
     title = f"Expected MSE against {_key(frame, None)}."
     plot = Plot(2.6, lambda panels: against(frame, ax=panels[0]), title=title)
-    return save_plots(folder, [("points", plot)])
+    return save_plots(folder, [("points", plot)], formats)
 
 
 def _key(frame: pd.DataFrame, key: str | None) -> str:

@@ -75,7 +75,7 @@ class Why(Shown):
         5 %, "outside" if the lower limit is above, and otherwise "open". The instants lie between
         the neighbouring measurements, and end on each side with the first that is outside within_5.
     figures : list of Path
-        The PNG, SVG and PDF files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
+        The PNG files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
         reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.
     """
 

@@ -136,7 +136,6 @@ def test_evaluate_says_how_many_draws_are_degenerate(
     assert answer["degenerate_draws"] == answer["draws"] == 30
 
 
-@pytest.mark.usefixtures("every_format")
 def test_plot_draws_every_figure_as_png_svg_and_pdf(run: Path, call: Call) -> None:
     files = [Path(line) for line in call(f"plot {run}").out.splitlines()]
     names = {"searches", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
@@ -266,7 +265,6 @@ def test_without_a_terminal_progress_is_plain_lines(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("every_format")
 def test_a_finished_run_holds_no_code(small_job: Job, tmp_path: Path, call: Call) -> None:
     model, flag, run = tmp_path / "mine.py", tmp_path / "flag", tmp_path / "run"
     model.write_text(
@@ -280,4 +278,4 @@ def test_a_finished_run_holds_no_code(small_job: Job, tmp_path: Path, call: Call
     assert flag.exists()  # to compute, the model's file was run
     files = [path for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
     kinds = {path.suffix or path.name for path in files if path.stat().st_size}
-    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg", ".pdf", ".html"}
+    assert kinds == {".toml", ".json", ".parquet", ".svg", ".html"}

@@ -279,7 +279,6 @@ def test_a_report_is_there_whole_or_not_at_all_and_its_failure_fails_no_run(
 
 @pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.crash)])
 @faults
-@pytest.mark.usefixtures("every_format")
 def test_a_figure_is_there_whole_or_not_at_all(
     fault: str,
     step: int,

@@ -36,6 +36,7 @@ from pfdist.results import Gain, Run, open_run
 from pfdist.results.online import OnlineDraws
 from pfdist.results.over_time import difference_over_time
 from pfdist.results.stored_run import statistics_of
+from pfdist.store.folder import FORMATS
 
 EVALUATIONS = pd.DataFrame(
     [
@@ -116,7 +117,6 @@ def test_errors_are_relative_to_the_least_of_the_searches_that_estimate_alike(
     assert any(label.startswith("the reference: ") for label in _lines(searches(run, ax=_axes())))
 
 
-@pytest.mark.usefixtures("every_format")
 def test_a_file_is_laid_out_once_and_drawn_once(
     plain: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,10 +124,12 @@ def test_a_file_is_laid_out_once_and_drawn_once(
     draws, draw = list[Figure](), Figure.draw
     monkeypatch.setattr(Figure, "draw", lambda canvas, to: (draws.append(canvas), draw(canvas, to)))
     run = open_run(shutil.copytree(plain.path, tmp_path / "run"))
-    files = draw_figures(run, "times")
+    files = draw_figures(run, "times", FORMATS)
     assert len(draws) == len(files) == 3
     before = [file.read_bytes() for file in files]
-    assert [file.read_bytes() for file in draw_figures(run, "times")] == before  # also a PDF
+    assert [
+        file.read_bytes() for file in draw_figures(run, "times")
+    ] == before  # all that are there
 
 
 def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> None:

@@ -27,7 +27,6 @@ from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 from pfdist.store import parquet
-from pfdist.store.folder import FORMATS
 from pfdist.store.verify import verify_run
 
 ROOT = Path(__file__).parents[2]
@@ -385,11 +384,11 @@ def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
     for table, files in parts(job).items():
         assert len(list((run.path / "tables" / table).iterdir())) == sum(files)
         assert files >= paper[table]
-    # tables, figures in three formats and what the run is: all there is
+    # tables, figures and what the run is: all there is
     files = [path for path in run.path.rglob("*") if path.is_file()]
     drawn = [path for path in files if path.suffix == ".svg"]
     assert len(drawn) > 3
-    assert len(files) + (len(FORMATS) - 1) * len(drawn) < 60
+    assert len(files) < 60
 
 
 @pytest.mark.crash
