@@ -217,18 +217,6 @@ def test_a_lost_file_is_named_and_computed_again(
     record_property("faults", f"{PROMISE}: {len(published)}")
 
 
-def test_all_lost_files_together_are_computed_again(
-    job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
-) -> None:
-    run = shutil.copytree(runs["finished"], tmp_path / "run")
-    lost = [file for file in _published(run) if file.name not in ("run.json", "job.toml")]
-    for file in lost:
-        (run / file).unlink()
-    pfdist.run(job, run, figures=False)
-    assert hashes(run) == hashes(runs["finished"])
-    record_property("faults", f"{PROMISE}: {len(lost)}")
-
-
 def test_a_file_that_the_disk_cannot_read_is_named(
     runs: dict[str, Path],
     job: Job,

@@ -1,7 +1,6 @@
 """Ten times as many draws take no more memory, and are the same whether at once or in two goes."""
 
 import re
-import shutil
 import subprocess
 import sys
 import time
@@ -10,15 +9,10 @@ from pathlib import Path
 
 import pytest
 
-import pfdist
 from crash.runs import running
-from oracles.bytes_of import hashes
-from oracles.counted import count_draws
-from pfdist import load_job
 
 PROMISE = "memory is flat"
 FEW, MANY = 100_000, 1_000_000
-SETS = 2  # regular times, and those of one search
 JOB = """
 seed = 1
 [problem]
@@ -116,15 +110,3 @@ def _status(process: int) -> str:
         return Path(f"/proc/{process}/status").read_text()
     except OSError:  # it has ended meanwhile
         return ""
-
-
-@pytest.mark.crash
-@pytest.mark.usefixtures("serial_peaks")
-def test_a_hundred_thousand_draws_grow_to_a_million_with_only_the_new(
-    job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = shutil.copytree(job.with_name(f"{FEW}"), tmp_path / "run")
-    counted = count_draws(monkeypatch)
-    pfdist.run(load_job(job, [f"comparison.draws={MANY}"]), run)
-    assert sum(counted) == SETS * (MANY - FEW)
-    assert hashes(run) == hashes(job.with_name(f"{MANY}"))

@@ -7,7 +7,6 @@ import shutil
 import stat
 import subprocess
 import sys
-import tarfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -135,18 +134,6 @@ def test_nothing_is_opened_through_a_link(
     record_property("faults", f"{PROMISE}: 1")
 
 
-@pytest.mark.parametrize("entry", ["figures", "tables", "tables/comparison", "parts"])
-def test_a_run_whose_link_was_removed_is_computed_again(
-    entry: str, run: Path, finished: Path, job: Job, outside: Path, record_property: Record
-) -> None:
-    _link(run / entry, outside)
-    before = _state(outside)
-    (run / entry).unlink()
-    assert _tables(pfdist.run(job, run, figures=False).path) == _tables(finished)
-    assert _state(outside) == before
-    record_property("faults", f"{PROMISE}: 1")
-
-
 @pytest.mark.parametrize("kind", ["folder", "pipe", "link"])
 @pytest.mark.parametrize("place", ["tables/draws", "parts/comparison"])
 def test_what_is_no_file_in_a_files_place_is_never_opened(
@@ -192,20 +179,6 @@ def test_a_name_from_a_table_is_held_to_the_rule_for_names(
     assert "name" in _said("plot {run}", run, job, capsys)
     assert {path.name for path in run.parent.iterdir()} == before
     record_property("faults", f"{PROMISE}: 1")
-
-
-def test_an_archive_that_was_unpacked_is_as_safe(
-    run: Path, outside: Path, tmp_path: Path, job: Job, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _link(run / ".lock", outside / "thesis.svg")
-    with tarfile.open(tmp_path / "run.tar", "w") as archive:
-        archive.add(run, "run")
-    (tmp_path / "there").mkdir()
-    subprocess.run(["tar", "-xf", tmp_path / "run.tar", "-C", tmp_path / "there"], check=True)
-    unpacked = tmp_path / "there" / "run"
-    assert (unpacked / ".lock").is_symlink()
-    _said("verify {run}", unpacked, job, capsys)
-    assert (outside / "thesis.svg").read_text() == "do not touch"
 
 
 def test_the_folders_above_a_new_run_are_flushed_to_disk(
@@ -276,23 +249,3 @@ def test_a_finished_run_that_cannot_be_written_shows_what_it_has_found(
             layer.run(partial(pfdist.run, job.with_changes([changes]), run), "EROFS", 0)
         assert layer.count == 0
     record_property("faults", f"{PROMISE}: 3")
-
-
-def test_commands_read_a_run_on_a_file_system_that_cannot_be_written(run: Path, job: Job) -> None:
-    """In a mount of its own, where the tests may make one."""
-    mount = f"mount --bind {run} {run} && mount -o remount,ro,bind {run}"
-    if subprocess.run(["unshare", "-m", "sh", "-c", mount], check=False).returncode:
-        pytest.skip("no mount can be made here")
-    pfdist = f"{sys.executable} -m pfdist"
-    words = f"{pfdist} run {job.path} --results {run} --set {' '.join(SMALL)}"
-    reads = [f"{pfdist} {command} {run}" for command in ("status", "verify", "list")]
-    done = subprocess.run(
-        ["unshare", "-m", "sh", "-c", " && ".join([mount, words, *reads])],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count(f"{run}: finished") == 2
-    assert f"{run}: all files are unchanged" in done.stdout
-    assert "cannot be written" in done.stderr

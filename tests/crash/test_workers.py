@@ -239,23 +239,6 @@ def test_a_run_whose_head_is_killed_says_so_keeps_what_is_committed_and_resumes(
 
 
 @pytest.mark.crash
-@pytest.mark.parametrize("phase", ["search", "comparison"])
-def test_a_run_whose_only_worker_is_killed_ends_with_the_same_bytes(
-    phase: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
-) -> None:
-    job = make_job(100_000)
-    table = {"search": "draws", "comparison": "comparison"}[phase]
-    with running(job, tmp_path / "run", *TWO) as driver:
-        driver.wait_for(lambda: driver.parts(table) and driver.workers())
-        killed = driver.workers()
-        for worker in killed:
-            os.kill(worker.pid, signal.SIGKILL)
-        assert driver.wait() == 0, driver.said[-3:]
-    assert hashes(tmp_path / "run") == _whole(job)
-    record_property("faults", f"{DIES}: {len(killed)}")
-
-
-@pytest.mark.crash
 def test_ray_starts_where_the_path_of_temporary_files_is_too_long_for_its_sockets(
     make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:

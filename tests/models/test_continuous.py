@@ -176,8 +176,6 @@ def test_paths_converge_strongly_with_the_order_one_half():
     "diffusion",
     [
         lambda x, t, p: ((0.3, 0.1 * x[0]), (0.0, 0.2)),
-        lambda x, t, p: [[0.3, 0.1 * x[0]], [0.0, 0.2]],
-        lambda x, t, p: (np.array([0.3, 0.1 * x[0]]), np.array([0.0, 0.2])),
         lambda x, t, p: np.array([[0.3, 0.1 * x[0]], [0.0, 0.2]]),
     ],
 )

@@ -3,7 +3,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
 
-from oracles.moments import assert_covariance, assert_mean
+from oracles.moments import assert_mean
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
 
@@ -63,17 +63,6 @@ def test_without_noise_it_approaches_the_equations_solution_in_the_first_order()
 def test_without_noise_volterras_integral_is_conserved_up_to_the_first_order():
     before = conserved(START)
     assert_first_order([abs(conserved(after(20, START, n)) - before) for n in (200, 400, 800)])
-
-
-@pytest.mark.zoo
-def test_simulated_draws_have_the_covariance_of_births_meals_and_deaths():
-    step = 1e-6
-    short = MODEL.with_parameters({"step": step, "initial_sd": 0.0})
-    draws = simulate(short, 1, range(100_000), 5)
-    np.testing.assert_allclose(draws.x[:, 0], np.broadcast_to(START, (100_000, 2)), rtol=1e-12)
-    changed = (draws.x[:, 1] - START - step * (STOICHIOMETRY @ rates(START))) / np.sqrt(step)
-    covariance = STOICHIOMETRY @ np.diag(rates(START)) @ STOICHIOMETRY.T
-    assert_covariance(changed, covariance)
 
 
 def test_without_predation_draws_have_the_moments_of_births_and_of_deaths():

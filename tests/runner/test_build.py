@@ -83,20 +83,6 @@ def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
     assert run.sets["regular"] in maximal
 
 
-@pytest.mark.slow
-def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
-    right = build(job_with(tmp_path))
-    wrong = build(job_with(tmp_path, "[model.filter]", 'name = "other.py:model"'))
-    assert wrong.evaluator.filter_model.name == "other"
-    ids = {built.evaluator.id_of(Estimation(40), (0, 1), 12, 1) for built in (right, wrong)}
-    assert len(ids) == 2
-    times = [0, 4, 8, 12]
-    believing = pfdist.evaluate(wrong.job, times, draws=200)
-    knowing = pfdist.evaluate(right.job, times, draws=200)
-    difference = believing.mse - knowing.mse
-    assert difference.mean() > 4 * difference.std() / np.sqrt(200)
-
-
 def test_sums_of_errors_of_other_instants_have_another_id(tmp_path: Path) -> None:
     built, sets = build(job_with(tmp_path)), ((0, 4), (0, 8))
     spans = [([0, 0], [7, 12]), ([4, 0], [7, 12]), ([0, 0], [7, 11])]

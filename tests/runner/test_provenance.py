@@ -70,15 +70,3 @@ def test_every_version_that_computed_for_a_run_stands_in_run_json(
     assert after == before
     assert there["libraries"]["numpy"] == "9.numpy"
     assert (there["machine"], there["python"]) == (before["machine"], before["python"])
-
-
-@pytest.mark.slow
-def test_an_engine_in_numpy_agrees_to_12_digits_and_says_so(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    changes = ['filter.engine="numpy"', "comparison.draws=20", "evaluation.draws=5"]
-    job = small_job.with_changes(changes)
-    (line,) = lines_when_it_goes_on(job, tmp_path / "run", monkeypatch, THERE)
-    assert line.endswith(
-        "numbers of filter.engine = 'numpy' agree to about 12 digits, not to the last"
-    )

@@ -28,7 +28,7 @@ from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.gap_parts import parts_of
 from pfdist.runner.proof import Sums, consistent, gap_of, prove
 from pfdist.search.programme import Programme
-from pfdist.search.relaxation import NOTHING, Relaxation, Window, relaxation_with
+from pfdist.search.relaxation import Relaxation, relaxation_with
 
 REPETITIONS = 1000
 BUDGET, IN_GROUP = 2, 8  # draws of a group
@@ -223,41 +223,3 @@ def test_the_jackknife_gives_the_scatter_of_the_gaps(
     ratio = outcome.errors.mean() / outcome.gaps.std()
     record_property("error over scatter", float(ratio))
     assert 0.85 <= ratio <= 1.15
-
-
-@pytest.mark.statistics
-def test_batches_find_a_larger_gap_on_average(outcome: Outcome) -> None:
-    """E min <= min E, for the single replication and still more for each of 20 batches.
-
-    Mak, Morton, Wood, "Monte Carlo bounding techniques for determining solution quality in
-    stochastic programs", Operations Research Letters 24, 1999.
-    """
-    error = outcome.gaps.std() / np.sqrt(REPETITIONS)
-    assert outcome.batch_gaps.mean() >= outcome.gaps.mean()
-    assert outcome.gaps.mean() >= outcome.truth - 4 * error - 0.5 * outcome.errors.mean()
-
-
-class _TooLittle(Relaxation):
-    """A relaxation that forgets to measure what the window no longer holds."""
-
-    def filtered(self, window: Window) -> Times:
-        return tuple(time for time in window[-1:] if time != NOTHING)
-
-
-@pytest.mark.statistics
-def test_a_bound_that_measures_too_little_does_not_cover(
-    case: Case, record_property: Record
-) -> None:
-    alone = relaxation_with(case.feasible, 1, case.horizon + 1)
-    outcome = _repeated(case, _TooLittle(alone.constraints, alone.windows, alone.longest_gap))
-    record_property("coverage", float(outcome.coverage))
-    assert outcome.coverage < 0.9
-
-
-@pytest.mark.statistics
-def test_a_bound_on_the_draws_that_chose_the_set_does_not_cover(
-    case: Case, record_property: Record
-) -> None:
-    outcome = _repeated(case, _exact(case), same_draws=True)
-    record_property("coverage", float(outcome.coverage))
-    assert outcome.coverage < 0.9
