@@ -80,7 +80,7 @@ def test_a_text_means_the_instants_whose_local_date_matches(
 
 
 @pytest.mark.parametrize("start", [SPRING, AUTUMN])
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(ends=st.tuples(st.integers(0, DAYS), st.integers(0, DAYS)).map(sorted))
 def test_a_range_of_dates_has_both_ends(start: str, ends: list[int]) -> None:
     clock, (first, last) = half_hours(start, ZONE), ends
@@ -219,19 +219,14 @@ BOTH = r"2026-04-01\.\.2026-05-01, hours of the day, as 08:00\.\.18:00"
         ({"required": ["2026-06-01"]}, "must lie in the horizon, 2026-04-01..2026-05-01, got 2026"),
         ({"required": ["2026-04-02T09:00"]}, "must be times of the clock, got 2026-04-02T09:00; the"
          " nearest are 2026-04-02 and 2026-04-03"),
-        ({"required": [31]}, r"must lie in 2026-04-01\.\.2026-05-01, got 2026-05-02"),
         ({"allowed": ["08:00..09:00"]}, "allowed must name instants of the clock, got none in '08"),
         ({"allowed": ["mon..fri"], "required": ["2026-04-04"]}, "problem.allowed or problem.forbid"
          "den and required must have no time in common, got 2026-04-04 in both"),
         ({"required": ["2026-04-31"]}, "dates and hours that exist, got 2026-04-31"),
-        ({"required": ["2026-04-02T00:00+02:00"]}, "must be a local time"),
         ({"time_step": 2}, "problem.time_step must be left out, because clock.step"),
         ({"clock": None, "time_unit": "d since 2026-04-01"}, "time_unit must have no start"),
         ({"clock": None, "required": ["2026-04-02"]}, "because clock.start is not given"),
-        ({"horizon": "soon"}, "problem.horizon must be a date"),
         ({"horizon": "2026-04-01T12:00"}, "must be 1 to 32,000 steps of clock.step"),
-        ({"clock": {"start": "2026-04-01"}}, "problem.clock.step must be given"),
-        ({"clock": {"start": "1 April", "step": "1 d"}}, "problem.clock.start must be a date"),
         ({"clock": {"start": "9999-12-20", "step": "1 d"}}, "must lie in the years 1000 to 90"),
         ({"clock": {"start": "2026-04-01", "step": "1 month"}}, "problem.clock.step must be a num"),
         ({"clock": {"start": "2026-04-01", "step": "1 d", "timezone": "Mars"}}, "timezone must be"),

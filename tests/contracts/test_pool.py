@@ -288,7 +288,8 @@ def function(seconds):
 """
 
 
-@pytest.mark.parametrize("isolated", ["processes", pytest.param("ray", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@isolated
 def test_a_task_that_computes_is_never_ended_because_the_machine_is_busy(
     make_isolated: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -305,7 +306,7 @@ def test_a_task_that_computes_is_never_ended_because_the_machine_is_busy(
     assert outcome.seconds > 0.5  # it was busy: otherwise nothing was tested
 
 
-@isolated
+@pytest.mark.parametrize("isolated", ["processes", pytest.param("ray", marks=pytest.mark.slow)])
 def test_limits_are_those_of_a_task_and_not_of_a_worker(
     make_isolated: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:

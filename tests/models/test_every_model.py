@@ -6,7 +6,6 @@ from oracles.in_turn import in_turn
 from pfdist.errors import ModelError
 from pfdist.models import load_model
 
-HOURS = (0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 11, 14, 18, 24, 30, 36, 42, 48)
 OUTSIDE = {
     "constant_velocity": {"acceleration_sd": -0.1, "range_sd": 0.0, "bearing_sd": 0.0},
     "epidemic": {"sensitivity": 1.0, "return_days": 0.0, "first_infectious": 1.5},

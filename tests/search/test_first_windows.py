@@ -74,20 +74,10 @@ def test_a_proof_that_needs_more_memory_is_refused_with_what_helps() -> None:
 
 
 @pytest.mark.parametrize("cells", [1, 15_000])
-@pytest.mark.parametrize(
-    "name",
-    [
-        "sharp now and then",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("random walk", "constant velocity")
-        ),
-    ],
-)
 def test_from_few_windows_a_search_finds_nearly_the_best_times(
-    name: str, cells: int, monkeypatch: pytest.MonkeyPatch
+    cells: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model, feasible = SYSTEMS[name], Feasible(60, 5)
+    model, feasible = SYSTEMS["sharp now and then"], Feasible(60, 5)
     whole = StateSpaceRelaxation(feasible, 320)
     every, best = whole.init().relaxation, _found(whole, model)
     monkeypatch.setattr("pfdist.search.state_space_relaxation.MOST_CELLS", cells)
@@ -124,21 +114,11 @@ def test_money_is_counted_in_as_many_units_as_a_programme_may_have() -> None:
         assert programme.mse.shape == (relaxation.total + 1,)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "random walk",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("sharp now and then", "unstable")
-        ),
-    ],
-)
 def test_with_coarse_units_a_search_still_finds_sets_that_can_be_paid_for(
-    name: str, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Though the best paths cost too much, because their prices are rounded down."""
-    model, feasible = SYSTEMS[name], _priced(4001)
+    model, feasible = SYSTEMS["random walk"], _priced(4001)
     costs = []
     for units in (10_000, 60):
         monkeypatch.setattr("pfdist.search.relaxation.MOST_UNITS", units)

@@ -230,7 +230,7 @@ def _sensor(row: tuple[float, float], sd: float) -> Sensor:
     )
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["1", *(pytest.param(k, marks=pytest.mark.slow) for k in "234")])
 def test_exact_gaps_of_the_manual(name: str) -> None:
     """At most 1, 2 and 1 measurements; windows that grow leave no gap to the best set."""
     rows, sds, prices, total, gaps = SYSTEMS[name]
