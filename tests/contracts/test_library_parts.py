@@ -1,8 +1,4 @@
-"""The package uses public parts of Numba and llvmlite, and private ones of Ray.
-
-`pyproject.toml` admits Ray up to the version that was tested. Whoever raises the bound learns here
-which part has gone, and which file uses it.
-"""
+"""The package uses public parts of Numba, llvmlite and Ray alone."""
 
 import ast
 import re

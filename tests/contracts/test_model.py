@@ -108,6 +108,7 @@ def _small(path: Path) -> Job:
     )
 
 
+@pytest.mark.zoo
 @pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
 def test_every_point_of_a_sweep_file_can_be_built(
     path: Path, monkeypatch: pytest.MonkeyPatch

@@ -26,7 +26,7 @@ HORIZON, DRAWS = 12, 20
 PRICES = (1, 3, 2) * 4 + (1,)
 NOISY = "noisy"
 PROBLEMS = {
-    NOISY: Feasible(15, 4),  # the evaluations of all others are exact
+    NOISY: Feasible(11, 4),  # the evaluations of all others are exact
     "forbidden": Feasible(HORIZON, 4, forbidden=(0, 3, 4, 5, 9)),
     "required": Feasible(HORIZON, 4, required=(6, 7)),
     "spacing": Feasible(HORIZON, 4, minimum_spacing=3),

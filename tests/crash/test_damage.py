@@ -112,25 +112,6 @@ def _committed_without(run: Path, file: Path) -> int:
     return committed
 
 
-def test_a_table_cut_short_at_any_byte_is_never_read(
-    runs: dict[str, Path], tmp_path: Path, record_property: Record
-) -> None:
-    run, faults = shutil.copytree(runs["finished"], tmp_path / "run"), 0
-    tables = sorted((run / "tables").iterdir())
-    assert len(tables) == 10
-    for table in tables:
-        file = max(table.iterdir())
-        whole, store = file.read_bytes(), parquet.Store(run)
-        for size in range(0, len(whole), 50):
-            file.write_bytes(whole[:size])
-            with pytest.raises(StoreError, match=f"{file.name} is damaged: .*{REMEDY}"):
-                store.read(table.name)
-            faults += 1
-        file.write_bytes(whole)
-    assert _read_all(run) == _read_all(runs["finished"])
-    record_property("faults", f"{PROMISE}: {faults}")
-
-
 @pytest.mark.parametrize("flips", [1, pytest.param(10, marks=pytest.mark.crash)])
 def test_a_flipped_bit_is_named_with_the_remedy_which_computes_what_is_lost_and_only_that(
     flips: int,

@@ -110,26 +110,6 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
 
 
 @pytest.mark.crash
-@pytest.mark.parametrize("pool", ["serial", "threads", "ray"])
-def test_a_run_killed_while_it_chooses_times_one_after_another_ends_with_the_same_bytes(
-    pool: str, tmp_path: Path, record_property: Record
-) -> None:
-    job, run = tmp_path / "online.toml", tmp_path / "run"
-    few = JOB.replace("60_000", "1000").replace("4000", "400")
-    job.write_text(few + ONLINE.format(draws=200))
-    whole = finish(job, tmp_path / "never killed", "--pool", "serial")
-    assert any(file.startswith("tables/online/online.times-00000-") for file in whole)
-    for _ in range(2):
-        with running(job, run, "--pool", pool) as driver:
-            before = driver.parts("online")
-            driver.wait_for(lambda: driver.parts("online") > before)  # noqa: B023
-            driver.kill()
-        assert not (run / "tables" / "online").exists()
-    assert finish(job, run, "--pool", "serial") == whole
-    record_property("faults", f"{KILLED}: 2")
-
-
-@pytest.mark.crash
 def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
     job: Path,
     tmp_path: Path,

@@ -228,9 +228,7 @@ def test_an_angle_in_degrees_is_refused_with_the_remedy(name: str) -> None:
     replace(HEADING, y_names=("compass [deg]",), z_names=("heading [rad]",))
 
 
-@pytest.mark.parametrize(
-    ("drift", "scale", "is_said"), [(2.0, 1.0, False), (50.0, 1.0, False), (2.0, 57.3, True)]
-)
+@pytest.mark.parametrize(("drift", "scale", "is_said"), [(50.0, 1.0, False), (2.0, 57.3, True)])
 def test_only_a_wide_first_instant_looks_like_degrees(
     drift: float, scale: float, is_said: bool
 ) -> None:

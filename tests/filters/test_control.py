@@ -63,12 +63,12 @@ def _is_zero(values: Array, errors: float = 4.0) -> bool:
 
 @pytest.mark.parametrize("model", [UNGM, OWN_ERROR, TWO], ids=lambda model: model.name)
 def test_its_mean_is_zero_with_few_particles(model: StateSpaceModel) -> None:
-    assert _is_zero(_controls(model, 16_000, 6))
+    assert _is_zero(_controls(model, 8000, 6))
 
 
 def test_its_mean_is_zero_with_sensors() -> None:
     times = (2, 3, 9, 10, 11, 20, 24, 33)
-    assert _is_zero(_controls(SENSORS, 16_000, 6, times, 12))
+    assert _is_zero(_controls(SENSORS, 8000, 6, times, 12))
 
 
 def test_a_filter_that_leaves_one_of_the_sorted_points_out_is_biased(
@@ -142,7 +142,7 @@ def _compared(model: StateSpaceModel, horizon: int, draws: int, estimation: Esti
 
 def test_it_lowers_the_variance_on_the_papers_problem() -> None:
     """Another program found 5.3 to 6.4 times, and 2.6 to 2.8 for a gain, with 200 particles."""
-    result = _compared(UNGM, 60, 4000, Estimation(200))
+    result = _compared(UNGM, 60, 3000, Estimation(200))
     controlled = result.mse - result.control
     ratio = result.mse.var(axis=0) / controlled.var(axis=0)
     assert (ratio > 4.5).all()

@@ -21,7 +21,7 @@ Filtered = tuple[Array, Array, dict[int, Array]]
 @pytest.fixture(scope="module")
 def filtered(ungm: StateSpaceModel) -> Filtered:
     """True z, its exact mean, and the estimates by number of particles."""
-    draws = simulate(ungm, 60, range(500), 2020)
+    draws = simulate(ungm, 60, range(300), 2020)
     mean, _ = grid_filter(ungm, draws, TIMES, POINTS)
     estimates = {}
     for particles in (500, 8000):

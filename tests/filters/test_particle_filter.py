@@ -68,38 +68,6 @@ def test_the_expected_mse_of_no_and_of_all_measurements(
     assert abs(mse.mean() - expected) < 3.5 * np.hypot(mse.std() / np.sqrt(mse.size), error)
 
 
-@pytest.mark.parametrize(
-    "impossible",
-    [
-        -np.inf,
-        pytest.param(np.inf, marks=pytest.mark.slow),
-        pytest.param(np.nan, marks=pytest.mark.slow),
-    ],
-)
-def test_a_measurement_that_no_particle_explains_is_left_out(
-    ungm: StateSpaceModel, impossible: float
-) -> None:
-    """The draw is degenerate, and its estimates are those without the measurement, bit for bit."""
-    # At t = 2 only even draws can be explained; a value that is not finite is no likelihood.
-    model = replace(
-        ungm,
-        measurement=lambda x, t, v, p: (where(v[0] > 0, 1.0, -1.0),),
-        log_likelihood=lambda y, x, t, p: where(y[0] > 0, -0.1 * x[0] ** 2, impossible),
-    )
-    draws = simulate(model, 4, range(20), 3)
-    fast = filter_draws(model, draws, (2,), 50, 1, trajectories=True)
-    slow = plain.filter_draws(model, draws, (2,), 50, 1, trajectories=True)
-    degenerate = draws.y[:, 2, 0] < 0
-    assert 0 < degenerate.sum() < 20
-    without = filter_draws(model, draws, (), 50, 1, trajectories=True)
-    for name in ("mse", "estimate", "variance"):
-        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-9, atol=1e-12)
-        same = (getattr(fast, name) == getattr(without, name)).reshape(20, -1).all(axis=1)
-        np.testing.assert_array_equal(same, degenerate)
-    for filtered in (fast, slow):
-        np.testing.assert_array_equal(filtered.degenerate, degenerate)
-
-
 @in_turn("particles", [1, 2, 16, 63, 65])
 @in_turn("resampling", RESAMPLING)
 def test_any_number_of_particles(ungm: StateSpaceModel, particles: int, resampling: str) -> None:

@@ -131,6 +131,28 @@ def test_a_solver_for_all_particles() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
+@pytest.mark.slow
+def test_a_class_with_its_own_steps_as_formulas() -> None:
+    """A class that a user has for a single system; it is traced as it is."""
+
+    class Tank:
+        def rate(self, s: Any) -> Any:
+            return np.array([s[1] - outflow(s[0]), 0.0 * s[1]])
+
+        def after(self, x: Any, t: Any, w: Any, p: Any) -> Any:
+            s, h = np.array(x), 1 / 20
+            for _ in range(20):
+                k1 = self.rate(s)
+                k2 = self.rate(s + h / 2 * k1)
+                k3 = self.rate(s + h / 2 * k2)
+                k4 = self.rate(s + h * k3)
+                s = s + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            return s + np.array([0.0, 0.1 * w[0]])
+
+    expected, found = errors_of(tank(flow_of_formulas()), tank(Tank().after))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
 # --- models of other packages ---------------------------------------------------------------------
 
 

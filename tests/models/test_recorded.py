@@ -162,7 +162,7 @@ def test_a_run_with_a_formula_that_was_not_traced_is_not_read(write: Write) -> N
         models_of(json.dumps(data).encode())
 
 
-@pytest.mark.parametrize("name", ["ungm", "bearings_only", "two_compartments"])
+@pytest.mark.parametrize("name", ["ungm", "two_compartments"])
 def test_a_model_computes_the_same_by_its_text(name: str) -> None:
     model = load_model(name)
     clock = [float(t) for t in INSTANTS] if model.reads_clock else None

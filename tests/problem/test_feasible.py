@@ -238,21 +238,6 @@ def test_where_times_cost_money_regular_ones_spend_the_most_on_the_most_measurem
     assert feasible.regular() == min(filter(None, every), key=rank)
 
 
-@in_turn("price", [1, 3])
-@in_turn(
-    ("number", "given_"),
-    [(number, {}) for number in (1, 2, 5, 13, 21, 61)]
-    + [(10, {"forbidden": tuple(range(20, 31))}), (10, {"required": (7, 40)})]
-    + [(10, {"minimum_spacing": 5})],
-)
-def test_where_all_times_cost_the_same_regular_ones_are_those_of_as_many(
-    number: int, given_: dict[str, Any], price: int
-) -> None:
-    left_over = price - 1
-    paid = Feasible(60, price=(price,) * 61, total_price=number * price + left_over, **given_)
-    assert paid.regular() == Feasible(60, number, **given_).regular()
-
-
 @quick
 @given(possible(), st.data())
 def test_a_repaired_set_is_feasible_and_keeps_what_it_can(case: Any, data: Any) -> None:

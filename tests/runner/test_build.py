@@ -61,7 +61,7 @@ def test_the_filters_parameters_are_the_models_but_for_those_that_are_given(tmp_
 
 
 @pytest.mark.parametrize(
-    ("believed", "smaller"), [({}, False), ({"step_sd": 1.0}, False), ({"step_sd": 2.0}, True)]
+    ("believed", "smaller"), [({"step_sd": 1.0}, False), ({"step_sd": 2.0}, True)]
 )
 def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
     small_job: Job, tmp_path: Path, believed: dict[str, float], smaller: bool

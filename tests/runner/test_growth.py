@@ -59,7 +59,7 @@ def test_a_comparison_stops_at_the_first_block_after_which_it_is_narrow_enough(
     small_job: Job, all_draws: pfdist.Run, tmp_path: Path
 ) -> None:
     widths = _half_widths(all_draws)
-    for wanted in (150, 300, MOST):
+    for wanted in (150, MOST):
         half_width = widths[wanted] * (1 + 1e-9)
         first = min(draws for draws, width in widths.items() if width <= half_width)
         run = pfdist.run(_until(small_job, half_width), tmp_path / f"{wanted}", figures=False)

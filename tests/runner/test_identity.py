@@ -34,6 +34,7 @@ model = StateSpaceModel(
 )
 SHORT = [
     "filter.engine=numpy",
+    "execution.pool=serial",
     "evaluation.draws=3",
     "search.genetic.generations=1",
     "search.random.evaluations=2",

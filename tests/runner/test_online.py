@@ -34,6 +34,7 @@ measurement_budget = 4
 particles = {PARTICLES}
 [[search]]
 method = "survivors"
+polish = false
 evaluation.draws = 40
 [comparison]
 draws = 30

@@ -44,7 +44,7 @@ def test_a_search_begins_as_a_proof_where_the_memory_is_enough() -> None:
     assert relaxation_within(constraints, 21, MOST_CELLS) == proof
 
 
-@pytest.mark.parametrize(("horizon", "number"), [(20, 4), (60, 21), (200, 30)])
+@pytest.mark.parametrize(("horizon", "number"), [(20, 4), (60, 21)])
 @pytest.mark.parametrize("window", [1, 2, 3])
 def test_a_relaxation_has_no_more_errors_than_it_may(
     horizon: int, number: int, window: int

@@ -1,9 +1,4 @@
-"""Additions of one file each, and changes that need one existing file.
-
-A scratch package declares a search and a model, and its metadata names them as entry points, as an
-installed package does. Files with other additions, and changes, are made in a scratch copy of
-pfdist.
-"""
+"""A scratch package adds a search and a model by entry points, as an installed package does."""
 
 import json
 import os
