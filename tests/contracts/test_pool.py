@@ -250,10 +250,6 @@ LOOP = "while True: pass"
 SLEEP = "time.sleep(1000)"
 ALWAYS = 1000
 
-DIES = "one worker or a node dies: the run goes on"
-HANGS = "nothing hangs"
-Record = Callable[[str, object], None]
-
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,7 +261,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.fault
 @pytest.mark.parametrize("fault", [KILL, LOOP, SLEEP])
 def test_a_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
-    fault: str, make_isolated: Make, impatient: None, tmp_path: Path, record_property: Record
+    fault: str, make_isolated: Make, impatient: None, tmp_path: Path
 ) -> None:
     """A task that was alone when its process ended fails once; the loop then does it again."""
     with make_isolated(2) as pool:
@@ -275,7 +271,6 @@ def test_a_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
         assert values == {number: number for number in range(12) if number != 3}
         (lost,) = (int(file.name) for file in tmp_path.iterdir())
         _until(lambda: _gone(lost))  # it cannot answer twice
-    record_property("faults", f"{DIES if fault == KILL else HANGS}: 1")
 
 
 BUSY = """
@@ -323,7 +318,7 @@ def test_limits_are_those_of_a_task_and_not_of_a_worker(
 @pytest.mark.fault
 @pytest.mark.parametrize("fault", [KILL, pytest.param(LOOP, marks=pytest.mark.crash)])
 def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
-    fault: str, make_isolated: Make, impatient: None, tmp_path: Path, record_property: Record
+    fault: str, make_isolated: Make, impatient: None, tmp_path: Path
 ) -> None:
     tasks = _tasks_in(tmp_path, 8, _faulty(fault, times=ALWAYS))
     with make_isolated(2) as pool:
@@ -337,13 +332,12 @@ def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
     }
     lost = len(list(tmp_path.iterdir()))
     assert lost in (1, 2, 4)  # alone, or beside others first; Ray tries it four times
-    record_property("faults", f"{DIES if fault == KILL else HANGS}: {lost}")
 
 
 @isolated
 @pytest.mark.fault
 def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
-    make_isolated: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
+    make_isolated: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(base, "PATIENCE_SECONDS", 4.0)
     monkeypatch.setattr(workers, "SILENCE_SECONDS", 8.0)
@@ -356,13 +350,12 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     stopped = [int(file.name) for file in tmp_path.iterdir()]
     for worker in stopped:
         _wake(worker)
-    record_property("faults", f"{HANGS}: {len(stopped)}")
 
 
 @isolated
 @pytest.mark.crash
 def test_workers_that_stood_still_with_everything_else_are_waited_for(
-    make_isolated: Make, monkeypatch: pytest.MonkeyPatch, record_property: Record
+    make_isolated: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A batch system suspends a job: all its processes, for a while.
 
@@ -381,7 +374,6 @@ def test_workers_that_stood_still_with_everything_else_are_waited_for(
             threading.Timer(0.3, _wake, [worker]).start()
         rest = [outcome.value for outcome in run]
     assert len(rest) == 50
-    record_property("faults", f"{HANGS}: {len(stopped)}")
 
 
 def _wake(process: int) -> None:

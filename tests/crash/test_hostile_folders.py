@@ -7,7 +7,6 @@ import shutil
 import stat
 import subprocess
 import sys
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -23,8 +22,6 @@ from pfdist.errors import StoreError
 from pfdist.store import Store, files, run_key, schema
 from pfdist.store.verify import verify_run
 
-PROMISE = "damage is found"
-Record = Callable[[str, object], None]
 SMALL = ["search.genetic.generations=2", "search.random.evaluations=3", "comparison.draws=120"]
 COMMANDS = ["status {run}", "plot {run}", "verify {run}", "report {run}", "why {run}/job.toml"]
 RUN = "run {job} --results {run} --pool serial"
@@ -86,13 +83,7 @@ def _said(command: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize("command", [COMMANDS[2], RUN])
 @pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
 def test_a_lock_that_is_no_plain_file_is_refused(
-    kind: str,
-    command: str,
-    run: Path,
-    job: Job,
-    outside: Path,
-    capsys: pytest.CaptureFixture[str],
-    record_property: Record,
+    kind: str, command: str, run: Path, job: Job, outside: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (run / ".lock").unlink()
     if kind == "link":
@@ -104,22 +95,14 @@ def test_a_lock_that_is_no_plain_file_is_refused(
     before = _state(outside)
     assert ".lock" in _said(command, run, job, capsys)
     assert _state(outside) == before
-    record_property("faults", f"{PROMISE}: 1")
 
 
 @pytest.mark.parametrize("command", [*COMMANDS[:3], RUN])
 @pytest.mark.parametrize(
-    "entry",
-    ["figures", "tables", "tables/comparison", "parts", "files.json", "run.json"],
+    "entry", ["figures", "tables", "tables/comparison", "parts", "files.json", "run.json"]
 )
 def test_nothing_is_opened_through_a_link(
-    entry: str,
-    command: str,
-    run: Path,
-    job: Job,
-    outside: Path,
-    capsys: pytest.CaptureFixture[str],
-    record_property: Record,
+    entry: str, command: str, run: Path, job: Job, outside: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _link(run / entry, outside)
     before = _state(outside)
@@ -131,19 +114,12 @@ def test_nothing_is_opened_through_a_link(
     kind = "file" if entry.endswith(".json") else "folder"
     assert f"{run / entry} must be a plain {kind}, got a link: remove it, and run the same" in said
     assert _state(outside) == before
-    record_property("faults", f"{PROMISE}: 1")
 
 
 @pytest.mark.parametrize("kind", ["folder", "pipe", "link"])
 @pytest.mark.parametrize("place", ["tables/draws", "parts/comparison"])
 def test_what_is_no_file_in_a_files_place_is_never_opened(
-    kind: str,
-    place: str,
-    run: Path,
-    finished: Path,
-    job: Job,
-    outside: Path,
-    record_property: Record,
+    kind: str, place: str, run: Path, finished: Path, job: Job, outside: Path
 ) -> None:
     """The name of a published file must be that of a plain file, as a part's name is ignored."""
     if place == "tables/draws":
@@ -164,12 +140,11 @@ def test_what_is_no_file_in_a_files_place_is_never_opened(
         assert pfdist.open_run(run).draws_compared == 120
     entry.rmdir() if kind == "folder" else entry.unlink()
     assert _tables(pfdist.run(job, run, figures=False).path) == _tables(finished)
-    record_property("faults", f"{PROMISE}: 1")
 
 
 @pytest.mark.parametrize("name", ["/../../x", "../x", "a/b", "", "A", "x" * 300, "a\nb"])
 def test_a_name_from_a_table_is_held_to_the_rule_for_names(
-    name: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str], record_property: Record
+    name: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store, before = Store(run, run_key(run)), {path.name for path in run.parent.iterdir()}
     compared = store.read("compared")
@@ -178,7 +153,6 @@ def test_a_name_from_a_table_is_held_to_the_rule_for_names(
     store.publish("compared", "search", [rows])
     assert "name" in _said("plot {run}", run, job, capsys)
     assert {path.name for path in run.parent.iterdir()} == before
-    record_property("faults", f"{PROMISE}: 1")
 
 
 def test_the_folders_above_a_new_run_are_flushed_to_disk(
@@ -230,7 +204,7 @@ def test_python_makes_no_folder_that_its_owner_cannot_use(job: Job, tmp_path: Pa
 
 
 def test_a_finished_run_that_cannot_be_written_shows_what_it_has_found(
-    run: Path, job: Job, monkeypatch: pytest.MonkeyPatch, record_property: Record
+    run: Path, job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     access, opened, said = os.access, os.open, list[str]()
 
@@ -248,4 +222,3 @@ def test_a_finished_run_that_cannot_be_written_shows_what_it_has_found(
         with pytest.raises(StoreError, match=words):
             layer.run(partial(pfdist.run, job.with_changes([changes]), run), "EROFS", 0)
         assert layer.count == 0
-    record_property("faults", f"{PROMISE}: 3")

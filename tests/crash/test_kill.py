@@ -52,12 +52,7 @@ search.rounds = 1
 search.evaluation.draws = 20
 search.evaluation.particles = 20
 """
-KILLED = "a run killed at any instant and started again ends with the same bytes"
-ONCE = "nothing committed is computed again; a crash loses at most 5 s of work"
-ASKED = "Ctrl-C"
 MOST_LOST_SECONDS = 5.0
-
-Record = Callable[[str, object], None]
 
 
 @pytest.fixture(scope="module")
@@ -79,11 +74,7 @@ SEARCHING, COMPARING = ("draws", "compared"), ("comparison", "comparison")
 
 @pytest.mark.parametrize(
     ("pool", "phases"),
-    [
-        ("serial", [SEARCHING, COMPARING]),
-        ("threads", [SEARCHING, COMPARING]),
-        ("ray", [COMPARING]),
-    ],
+    [("serial", [SEARCHING, COMPARING]), ("threads", [SEARCHING, COMPARING]), ("ray", [COMPARING])],
 )
 def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
     pool: str,
@@ -91,7 +82,6 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
     job: Path,
     never_killed: dict[str, str],
     tmp_path: Path,
-    record_property: Record,
 ) -> None:
     run = tmp_path / "run"
     for parts, table in phases:
@@ -106,15 +96,11 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
     assert hashes(run) == never_killed
     assert not list(run.rglob(".*.tmp"))
     assert not (run / ".begun").exists()
-    record_property("faults", f"{KILLED}: {len(phases)}")
 
 
 @pytest.mark.crash
 def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
-    job: Path,
-    tmp_path: Path,
-    make_forks: Callable[[Path], "Forks"],
-    record_property: Record,
+    job: Path, tmp_path: Path, make_forks: Callable[[Path], "Forks"]
 ) -> None:
     rng, kills, forks = random.Random(1), 0, make_forks(job)
     with running(job, tmp_path / "whole", "--pool", "ray") as driver:
@@ -138,8 +124,6 @@ def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
         assert _tables(run) == whole
         assert _logged(tmp_path / f"{kills}.log")[0] == needed - committed
         kills += 1
-    record_property("faults", f"{KILLED}: {kills}")
-    record_property("faults", f"{ONCE}: {kills}")
 
 
 # --- at any instant of a small serial run ---------------------------------------------------------
@@ -224,12 +208,7 @@ def _tables(run: Path) -> dict[str, str]:
     ],
 )
 def test_a_run_killed_at_any_instant_ends_with_the_same_bytes_and_computes_nothing_again(
-    kills: int,
-    online: str,
-    small_job: Job,
-    tmp_path: Path,
-    make_forks: Callable[[Path], Forks],
-    record_property: Record,
+    kills: int, online: str, small_job: Job, tmp_path: Path, make_forks: Callable[[Path], Forks]
 ) -> None:
     job = small_job.path
     one_search, _, rest = job.read_text().partition('[[search]]\nmethod = "random"')
@@ -253,13 +232,11 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_bytes_and_computes_nothi
         assert _logged(tmp_path / f"{killed}.log")[0] == needed - committed
         shutil.rmtree(run)
         killed += 1
-    record_property("faults", f"{KILLED}: {kills}")
-    record_property("faults", f"{ONCE}: {kills}")
 
 
 @pytest.mark.crash
 def test_a_kill_loses_at_most_five_seconds_of_work(
-    tmp_path: Path, make_forks: Callable[[Path], Forks], record_property: Record
+    tmp_path: Path, make_forks: Callable[[Path], Forks]
 ) -> None:
     job = tmp_path / "long.toml"
     job.write_text(JOB.replace("60_000", "1_000_000"))
@@ -272,7 +249,6 @@ def test_a_kill_loses_at_most_five_seconds_of_work(
         assert seconds > MOST_LOST_SECONDS  # so much could be lost
         losses.append(seconds * (1 - _committed(run) / draws))
     assert max(losses) < MOST_LOST_SECONDS, losses
-    record_property("faults", f"{ONCE}: {len(losses)}")
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -291,7 +267,6 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     stop: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    record_property: Record,
 ) -> None:
     whole, run = tmp_path / "whole", tmp_path / "run"
     command = ["run", str(small_job.path), "--results"]
@@ -313,4 +288,3 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     assert len(kept.table("draws")) > 0
     assert main([*command, str(run)]) == 0
     assert hashes(run) == hashes(whole)
-    record_property("faults", f"{ASKED}: 1")

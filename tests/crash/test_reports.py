@@ -1,6 +1,5 @@
 """A report that cannot be written spoils no run; see also `test_every_operation.py`."""
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -12,18 +11,13 @@ from pfdist import Job
 from pfdist.questions.report import write_report
 from pfdist.store.verify import verify_run
 
-PROMISE = "a report that fails spoils neither the run nor the earlier report"
 EXACT = ("model.name=random_walk", "filter.engine=kalman", "comparison.draws=30")
 SEARCH = "search=[{method='genetic', generations=1}]"
 
 
 @pytest.mark.parametrize("fault", ["ENOSPC", "EIO", "EROFS"])
 def test_a_run_whose_report_cannot_be_written_is_finished(
-    small_job: Job,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    fault: str,
-    record_property: Callable[[str, object], None],
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
     job, told = small_job.with_changes([*EXACT, SEARCH]), list[str]()
     layer = FileLayer(monkeypatch, tmp_path)
@@ -37,4 +31,3 @@ def test_a_run_whose_report_cannot_be_written_is_finished(
     assert run.state == "finished"
     assert told[-1].startswith("there is no report: cannot write ")
     assert not list(verify_run(run.path))
-    record_property("faults", f"{PROMISE}: 1")
