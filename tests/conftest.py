@@ -31,6 +31,7 @@ settings.register_profile("steady", max_examples=40, deadline=None, derandomize=
 settings.load_profile("steady")
 
 QUICK = ("common", "problem", "results")  # folders of tests
+collect_ignore = ["oracles"]  # they have no doctests, and would be imported a second time
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 

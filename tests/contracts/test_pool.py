@@ -259,7 +259,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @isolated
 @pytest.mark.fault
-@pytest.mark.parametrize("fault", [KILL, LOOP, SLEEP])
+@pytest.mark.parametrize("fault", [KILL, LOOP, pytest.param(SLEEP, marks=pytest.mark.crash)])
 def test_a_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
     fault: str, make_isolated: Make, impatient: None, tmp_path: Path
 ) -> None:

@@ -38,7 +38,7 @@ search.evaluation.particles = 10
 """
 FAULTS = {"ended": Ended, "ENOSPC": StoreError, "EIO": StoreError}
 faults = pytest.mark.parametrize(
-    "fault", ["ended", "ENOSPC", pytest.param("EIO", marks=pytest.mark.slow)]
+    "fault", ["ended", *(pytest.param(each, marks=pytest.mark.crash) for each in ("ENOSPC", "EIO"))]
 )
 SAYS = r"cannot (write|remove|move|lock) [^\n]*: (No space left on device|Input/output error);"
 SAYS += r" finished work is saved, run the same command again once this is fixed$"
@@ -83,8 +83,16 @@ def _unlisted(job: Job, path: Path) -> Job:
 
 
 @pytest.mark.parametrize("step", [19, pytest.param(1, marks=pytest.mark.crash)])
-@faults
-@pytest.mark.parametrize("begin", [_fresh, _grown, _lost, _unlisted])
+@pytest.mark.parametrize(
+    ("begin", "fault"),
+    [
+        *((_fresh, "ended"), (_grown, "ENOSPC"), (_lost, "ended")),
+        *(
+            pytest.param(begin, fault, marks=pytest.mark.crash)
+            for begin, fault in ((_fresh, "EIO"), (_lost, "ENOSPC"), (_unlisted, "ended"))
+        ),
+    ],
+)
 def test_a_run_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     begin: Callable[[Job, Path], Job],
     fault: str,
@@ -229,7 +237,7 @@ def test_the_worth_of_measurements_that_goes_wrong_at_any_file_operation_has_the
 
 @pytest.mark.parametrize(
     ("fault", "step"),
-    [("ended", 7), *(pytest.param(fault, 1, marks=pytest.mark.slow) for fault in FAULTS)],
+    [("ended", 7), *(pytest.param(fault, 1, marks=pytest.mark.crash) for fault in FAULTS)],
 )
 def test_a_report_is_there_whole_or_not_at_all_and_its_failure_fails_no_run(
     fault: str, step: int, small_job: Job, tmp_path: Path, layer: FileLayer

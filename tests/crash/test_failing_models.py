@@ -133,6 +133,8 @@ def test_one_draw_that_fails_ends_the_run_after_all_others_with_its_traceback(
     assert lacking == list(range(lacking[0], lacking[-1] + 1))  # one task
 
 
+@pytest.mark.parametrize("pool", ["threads", pytest.param("ray", marks=pytest.mark.crash)])
+@pytest.mark.usefixtures("ray_cluster")
 def test_a_draw_that_fails_once_is_done_again_and_the_run_ends_with_the_same_bytes(
     pool: str, command: Make, tmp_path: Path
 ) -> None:
@@ -158,7 +160,9 @@ def test_models_that_a_worker_cannot_make_end_the_run_in_a_line(
     assert last.startswith("pfdist: no such package (found by a worker on ")
 
 
-@pytest.mark.parametrize("failures", [0, 5])
+@pytest.mark.parametrize(
+    ("pool", "failures"), [("serial", 5), pytest.param("processes", 0, marks=pytest.mark.crash)]
+)
 def test_a_model_that_always_fails_is_tried_so_often_and_no_more(
     failures: int, pool: str, command: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -230,6 +234,7 @@ def test_after_a_model_has_crashed_the_process_the_next_start_says_so(
     assert hashes(run) == finish(job, tmp_path / "whole", *options)
 
 
+@pytest.mark.parametrize("pool", ["threads", pytest.param("processes", marks=pytest.mark.crash)])
 def test_a_draw_that_takes_all_memory_it_may_have_fails_with_its_traceback(
     pool: str, command: Make, tmp_path: Path
 ) -> None:

@@ -80,8 +80,9 @@ def _said(command: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str])
     return lines[0]
 
 
-@pytest.mark.parametrize("command", [COMMANDS[2], RUN])
-@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+@pytest.mark.parametrize(
+    ("command", "kind"), [(COMMANDS[2], "link"), (RUN, "link"), (RUN, "pipe"), (RUN, "folder")]
+)
 def test_a_lock_that_is_no_plain_file_is_refused(
     kind: str, command: str, run: Path, job: Job, outside: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -97,7 +98,9 @@ def test_a_lock_that_is_no_plain_file_is_refused(
     assert _state(outside) == before
 
 
-@pytest.mark.parametrize("command", [*COMMANDS[:3], RUN])
+@pytest.mark.parametrize(
+    "command", [RUN, *(pytest.param(each, marks=pytest.mark.crash) for each in COMMANDS[:3])]
+)
 @pytest.mark.parametrize(
     "entry", ["figures", "tables", "tables/comparison", "parts", "files.json", "run.json"]
 )
@@ -116,8 +119,10 @@ def test_nothing_is_opened_through_a_link(
     assert _state(outside) == before
 
 
-@pytest.mark.parametrize("kind", ["folder", "pipe", "link"])
-@pytest.mark.parametrize("place", ["tables/draws", "parts/comparison"])
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [("folder", "tables/draws"), ("link", "tables/draws"), ("pipe", "parts/comparison")],
+)
 def test_what_is_no_file_in_a_files_place_is_never_opened(
     kind: str, place: str, run: Path, finished: Path, job: Job, outside: Path
 ) -> None:
@@ -142,7 +147,7 @@ def test_what_is_no_file_in_a_files_place_is_never_opened(
     assert _tables(pfdist.run(job, run, figures=False).path) == _tables(finished)
 
 
-@pytest.mark.parametrize("name", ["/../../x", "../x", "a/b", "", "A", "x" * 300, "a\nb"])
+@pytest.mark.parametrize("name", ["/../../x", "", "A", "a\nb"])
 def test_a_name_from_a_table_is_held_to_the_rule_for_names(
     name: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -202,7 +202,6 @@ def _tables(run: Path) -> dict[str, str]:
     ("kills", "online"),
     [
         pytest.param(5, "", id="5"),
-        pytest.param(5, ONLINE.format(draws=40), id="5-online", marks=pytest.mark.slow),
         pytest.param(200, "", id="200", marks=pytest.mark.crash),
         pytest.param(40, ONLINE.format(draws=40), id="40-online", marks=pytest.mark.crash),
     ],
@@ -252,9 +251,13 @@ def test_a_kill_loses_at_most_five_seconds_of_work(
 
 
 @pytest.mark.usefixtures("no_figures")
-@pytest.mark.parametrize(("state", "sets", "task"), [("searching", 1, 7), ("comparing", 3, 2)])
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
+    ("number", "code", "state", "sets", "task"),
+    [
+        (signal.SIGINT, 130, "searching", 1, 7),
+        (signal.SIGTERM, 75, "comparing", 3, 2),
+        pytest.param(signal.SIGUSR1, 75, "comparing", 3, 2, marks=pytest.mark.crash),
+    ],
 )
 def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     number: signal.Signals,

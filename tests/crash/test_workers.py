@@ -81,7 +81,6 @@ def _is_comparing(driver: Running) -> bool:
     return driver.parts("comparison") > 0 and bool(driver.workers())
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("ray_cluster")
 def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
     small_job: Job, tmp_path: Path
@@ -146,10 +145,8 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
     assert finish(job, tmp_path / "run", "--pool", "serial") == _whole(job)
 
 
-@pytest.mark.parametrize(
-    "killed",
-    [pytest.param(AGENT, marks=pytest.mark.fault), pytest.param(RAYLET, marks=pytest.mark.crash)],
-)
+@pytest.mark.crash
+@pytest.mark.parametrize("killed", [AGENT, RAYLET])
 def test_a_run_whose_server_is_killed_says_so_with_exit_code_75_and_leaves_nothing(
     killed: str, make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
