@@ -51,9 +51,12 @@ def sentence(data: dict[str, Any]) -> str:
     ("key", "value", "said"),
     [
         ("whole", 0, "whole must be at least 1, got 0"),
+        ("whole", 2**63, f"whole must be less than {2**63}, got {2**63}"),
         ("whole", 1.0, "whole must be an integer, got 1.0"),
         ("even", 7, "even must be a multiple of 2, got 7"),
         ("share", 1.5, "share must be at most 1, got 1.5"),
+        ("share", "x", "share must be a number, got 'x'"),
+        ("flag", 1, "flag must be true or false, got 1"),
         ("name", "A", "name: String should match pattern '^[a-z]+$', got 'A'"),
         ("kind", "new", "kind must be 'fresh' or 'common', got 'new'"),
         (
@@ -129,6 +132,7 @@ def test_settings_raise_the_error_that_their_class_names() -> None:
 @in_turn(
     ("word", "name"),
     [
+        ("survivor", "survivors"),
         ("Relaxation", "relaxation"),
         ("relxaation", "relaxation"),
         ("genetic", ""),

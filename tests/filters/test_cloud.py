@@ -141,9 +141,11 @@ def test_the_kalman_filter_starts_from_the_moments_of_particles() -> None:
     ("x", "weight", "message"),
     [
         (np.ones(3), None, r"an array x \(components, particles\)"),
+        (np.ones((1, 0)), None, "one particle or more"),
         (np.array([[1.0, np.nan]]), None, r"finite states, got x\[0\] = nan of particle 1"),
         (np.ones((1, 2)), np.ones(3), "one weight for each of its 2 particles"),
         (np.ones((1, 2)), np.array([1.0, -2.0]), "at least 0, and not all 0, got array"),
+        (np.ones((1, 2)), np.zeros(2), "at least 0, and not all 0, got array"),
     ],
 )
 def test_wrong_particles_are_refused(

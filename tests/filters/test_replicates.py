@@ -126,21 +126,28 @@ COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
     ("text", "said"),
     [
         ("", "a table must have a line that names the columns, got none"),
+        (HEAD, "the table must have rows, got none"),
         ("day;t;y0\na;0;1", "the column t is missing, got day;t;y0; columns must be separated by "
                             "commas; decimals have a point"),
         (f"{HEAD}\n,0,1", "column 'day' must not be empty, got nothing in row 1"),
+        ("day,y0\na,1", "the column t is missing, got day, y0"),
         (f"{HEAD},nois\na,0,1,1", f"unknown column 'nois'; did you mean 'noise'? Columns: "
                                   f"{COLUMNS}"),
         ("t,y0\n0,1", "replicate must be a column with names of systems: the table has none, got "
                       "'t'"),
         (f"{HEAD},z0,z_turbidity\na,0,1,1,1", "columns of z must be z0 or z_turbidity, got z0, "
                                               "z_turbidity"),
+        (f"{HEAD},z0\na,0,1,inf", "replicate 'a': z0 must have one finite value at each time, got "
+                                  "inf at t = 0"),
         (f"{HEAD}\na,0,1\nb,1,1\nb,1,2", "replicate 'b': each time must have one row, got t = 1 "
                                          "twice"),
         (f"{HEAD}\na,0,inf", "replicate 'a': a measurement must be finite, or NaN where a "
                              "component is missing, got y0 = inf at t = 0"),
         (f"{HEAD}\na,1.5,1", "replicate 'a': t must be an integer, got 1.5"),
+        (f"{HEAD}\na,0,1\na,5,1", "replicate 'a': t must lie in 0..4, got 5"),
         (f"{HEAD},train\na,0,1,0\na,1,1,1", "train must be 0 or 1 in all rows, got [0.0, 1.0]"),
+        (f"{HEAD},noise\na,0,1,\na,1,1,1", "replicate 'a': noise must be a finite number in all "
+                                           "rows, got nan"),
         (f"{HEAD},noise\na,0,1,.1\na,2,1,.2", "replicate 'a': noise varies, so it must have a "
                                               "value at each instant, got none at t = 1"),
     ],
@@ -157,12 +164,15 @@ def test_a_wrong_table_is_one_line(text: str, said: str, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        ("day,t,y0\na,0,1", "the column sensor is missing, got day, t, y0"),
         ("day,t,sensor,y0\na,0,stil,1", "column 'sensor' in row 1: got 'stil'; did you mean "
                                         "'still'?"),
         ("day,t,sensor,y0\na,0,still,1\na,0,still,2", "replicate 'a': a sensor must have one row "
                                                       "for each time, got still at t = 0 twice"),
         ("day,t,sensor,y0,z0,z1\na,0,still,1,1,1\na,0,moving,1,1,2",
          "replicate 'a': z1 must have one finite value at each time, got 1.0 and 2.0 at t = 0"),
+        ("day,t,sensor,y0,range_sd\na,0,still,1,1\na,0,moving,1,2", "range_sd must have one finite "
+                                                                    "value at each time"),
     ],
 )  # fmt: skip
 def test_a_wrong_table_of_sensors_is_one_line(text: str, said: str, tmp_path: Path) -> None:

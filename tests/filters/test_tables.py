@@ -76,11 +76,13 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
     [
         ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1, got 'time, y0, y1'"),
         ("t;y0;y1\n1;2;3", "columns must be separated by commas; decimals have a point"),
+        ("1,2,3\n2,3,4", "the first line must name the columns"),
         ("", "must have a line that names the columns, got none"),
         ("t,y0,y1\n1,2,3\n1,2,3", "each time must have one row, got t = 1 twice"),
         ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' in row 2 must be a number, got 'high'"),
         ("t,y0,y1\n3,1,2,3", "as many values as the first: Expected 3 fields in line 2, saw 4"),
         (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text, got other bytes: save the sheet as CSV"),
+        ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' in row 1 must be a number, got 'xxx"),
         (",".join(map(str, range(1001))) + "\n", "at most 1,000 columns, got 1,001"),
     ],
 )  # fmt: skip
@@ -151,6 +153,9 @@ def test_a_table_in_memory_may_have_an_index_missing_values_and_numbers_as_texts
     ("wrong", "words"),
     [
         ([True], "must hold numbers, got bool"),
+        ([1j], "must hold numbers, got complex128"),
+        (pd.to_datetime(["2020-01-01"]), "must hold numbers, got datetime64"),
+        ([[1.0, 2.0]], "in row 1 must be a number, got '[1.0, 2.0]'"),
         (["high"], "in row 1 must be a number, got 'high'"),
     ],
 )
@@ -181,6 +186,7 @@ OF_MARS = pa.array([0], pa.timestamp("ns", "Mars/Base"))
 UNREAD: list[tuple[dict[str, Any], str]] = [
     ({"t": [1.0], "y0": [1.0], "y1": [1.0], "note": LISTS}, "the columns must be t, y0, y1, got"),
     ({"t": [1.0], "y0": LISTS, "y1": [1.0]}, "column 'y0' must hold numbers, texts or dates, got"),
+    ({"t": [1.0], "y0": [b"x"], "y1": [1.0]}, "column 'y0' must hold numbers, .* got binary"),
     ({"t": ZEROS, "y0": ZEROS, "y1": ZEROS}, "3 columns must have at most 10,011 rows, got 12,000"),
     (
         {"t": [1], "y0": OF_MARS, "y1": [1.0]},
@@ -225,6 +231,7 @@ def test_a_text_that_many_rows_share_is_measured_before_it_is_repeated(tmp_path:
     [
         (",".join(f"c{k}" for k in range(100_000)), "at most 1,000 columns, got 100,000"),
         ("t," + "y" * 2_000_000, "the first line must be shorter than 1,000,000 letters"),
+        ("#" + "x" * 2_000_000, "the first line must be shorter than 1,000,000 letters"),
         (
             't,"' + "y\n" * 200_000 + '"',
             "lines must have as many values as the first: field larger",

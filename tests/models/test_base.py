@@ -1,6 +1,7 @@
 """A model is checked when it is made: its formulas, noises, parameters and names."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -79,6 +80,7 @@ def measured_with(noise):
     ("make", "words"),
     [
         # formulas
+        (lambda: changed(initial=3), ["initial", "(w, p)", "got 3"]),
         (lambda: changed(initial=min), ["initial", "must be a function of (w, p)"]),
         (lambda: changed(initial=lambda w: (w[0],)), ["initial", "(w, p)", "got (w)"]),
         (lambda: changed(initial=lambda w, p: w[0]), ["initial", "tuple", "(a,)", "got an array"]),
@@ -107,12 +109,14 @@ def measured_with(noise):
             lambda: changed(parameter_ranges={"scael": (0.0, 1.0)}),
             ["parameter_ranges", "got 'scael'", "parameters: scale"],
         ),
+        (lambda: changed(parameters={"a b": 1.0}, parameter_ranges={}), ["a variable, got 'a b'"]),
         (
             lambda: changed(parameters={"scale": "x"}),
             ["scale must be a number, or a sequence of", "got 'x'"],
         ),
         (lambda: GOOD.with_parameters({"scales": 1.0}), ["unknown", "'scales'", ": scale, shift"]),
         (lambda: GOOD.with_parameters({"scale": -0.1}), ["parameter scale", "0..10, got -0.1"]),
+        (lambda: GOOD.with_parameters({"scale": math.nan}), ["parameter scale", "got nan"]),
         (lambda: GOOD.on_clock([0.0]), ["a clock needs two times or more, got [0.0]"]),
         # names of components
         (lambda: changed(z_names=("a", "b")), ["a name for each of 3 components, got 2"]),
@@ -129,7 +133,7 @@ def test_a_mistake_in_a_model_is_named_when_it_is_made(make, words):
     assert "\n" not in str(caught.value)
 
 
-@in_turn("name", ["1", "", "c [mg", f"c [{'m' * 21}]", "c" * 41, "c.d"])
+@in_turn("name", ["1", "", "c [mg", "c []", "c [a\nb]", f"c [{'m' * 21}]", "c" * 41, "c.d"])
 def test_a_name_that_makes_no_column_is_refused(name):
     with pytest.raises(ModelError, match=r"^model good: z_names: a name must be a letter.*got .*$"):
         changed(z_names=("a", "b", name))

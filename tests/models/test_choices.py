@@ -25,6 +25,7 @@ CHOICES = {
     "clip below": lambda x: np.clip(x, a_min=-1.0, a_max=None),
     "heaviside": lambda x: np.heaviside(x, 0.5),
     "interp": lambda x: np.interp(x, GRID, VALUES),
+    "interp with ends": lambda x: np.interp(x, GRID, VALUES, -9.0, 9.0),
     "interp with an end": lambda x: np.interp(x, GRID, VALUES, right=0),
     "interp of integers": lambda x: np.interp(x, WHOLE, WHOLE),
     "interp at one point": lambda x: np.interp(x, ONE, ONE),

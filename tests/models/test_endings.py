@@ -84,6 +84,7 @@ def evaluating(folder: Path, act: str, where: str, *options: str) -> list[str]:
         pytest.param("raise Interrupted('x')", "Interrupted", id="a KeyboardInterrupt's class"),
         pytest.param("raise StopIteration", "StopIteration", id="StopIteration"),
         pytest.param("act()", "RecursionError: maximum recursion", id="endless recursion"),
+        pytest.param("raise ValueError('a\\nb')", "ValueError: a b", id="an error of two lines"),
         pytest.param("raise ValueError('a' * 10**6)", "aaa ...", id="an error of a megabyte"),
         pytest.param("raise Untold", "Untold", id="an error that cannot be told"),
     ],

@@ -295,7 +295,27 @@ def looks_at_types(x, t, w, p):
     return (x[0] + (0.0 if isinstance(x[0], float) else 1.0), x[1])
 
 
+def looks_up(x, t, w, p):
+    return (TABLE[x[0]], x[1])
+
+
+def gives_text(x, t, w, p):
+    return ("x", x[1])
+
+
+def adds_conditions(x, t, w, p):
+    return (x[0] + ((x[0] > 0) + (w[0] > 0)), x[1])
+
+
+def takes_bytes(x, t, w, p):
+    return ((x[0] * 100).astype(np.uint8) + w[0], x[1])
+
+
 REFUSED = {
+    looks_up: "take(table, value.astype(int))",
+    gives_text: "must give numbers, got str",
+    adds_conditions: "add of two conditions: write a.astype(int)",
+    takes_bytes: "astype(uint8)",
     takes_bits: "write n % 2 and n // 2 for bits",
     looks_at_types: "it computes something else with numbers than with symbols",
     sums_one_component: "np.sum of a single value",
@@ -318,7 +338,7 @@ def test_what_cannot_be_traced_is_named_with_its_line(function):
     assert REFUSED[function] in message
     assert message.startswith("model mine: transition ")
     assert "\n" not in message
-    if function not in (counts_calls, is_random, looks_at_types):
+    if function not in (counts_calls, is_random, gives_text, looks_at_types):
         first = function.__code__.co_firstlineno
         assert any(f"test_tracing.py:{first + k})" in message for k in (1, 2, 3))
         assert "pfdist.BatchedModel" in message

@@ -238,6 +238,21 @@ def test_where_times_cost_money_regular_ones_spend_the_most_on_the_most_measurem
     assert feasible.regular() == min(filter(None, every), key=rank)
 
 
+@in_turn("price", [1, 3])
+@in_turn(
+    ("number", "given_"),
+    [(number, {}) for number in (1, 2, 5, 13, 21, 61)]
+    + [(10, {"forbidden": tuple(range(20, 31))}), (10, {"required": (7, 40)})]
+    + [(10, {"minimum_spacing": 5})],
+)
+def test_where_all_times_cost_the_same_regular_ones_are_those_of_as_many(
+    number: int, given_: dict[str, Any], price: int
+) -> None:
+    left_over = price - 1
+    paid = Feasible(60, price=(price,) * 61, total_price=number * price + left_over, **given_)
+    assert paid.regular() == Feasible(60, number, **given_).regular()
+
+
 @quick
 @given(possible(), st.data())
 def test_a_repaired_set_is_feasible_and_keeps_what_it_can(case: Any, data: Any) -> None:
@@ -321,9 +336,12 @@ BUDGET = {"measurement_budget": 3}
 IMPOSSIBLE = [
     ({}, r"measurement_budget must be given, or instead price and total_price, got none of them$"),
     (BUDGET | {"total_price": 5}, r"must be given, or .*, got measurement_budget and total_price$"),
+    ({"price": ()}, r"got price$"),
+    ({"total_price": 5}, r"got total_price$"),
     ({"price": (1, 2), "total_price": 5}, r"price needs 11 values, one for each instant, got 2$"),
     ({"price": (0,) + (1,) * 10, "total_price": 5}, r"price must be above 0, got 0$"),
     ({"price": (3,) * 11, "total_price": 2}, r"and the cheapest has the price 3, got 2$"),
+    ({"price": (3,) * 11, "total_price": 5, "required": (1, 4)}, r"whose price is 6, got 5$"),
     ({"price": (9999, *(10_000,) * 10), "total_price": 99_999}, r"10,000 times .* rounder prices$"),
     (
         {"forbidden": tuple(range(11)), "price": (1,) * 11, "total_price": 3},
@@ -331,6 +349,7 @@ IMPOSSIBLE = [
     ),
     ({"measurement_budget": 12}, r"at most the number of instants, 11, got 12$"),
     ({"measurement_budget": 5, "minimum_spacing": 3}, r"at most 4, .* minimum_spacing = 3, got 5$"),
+    ({"measurement_budget": 1, "required": (1, 2)}, r"at least 2, .* required times, got 1$"),
     (BUDGET | {"forbidden": (11,)}, r"^forbidden .* 0\.\.10, got 11$"),
     (BUDGET | {"forbidden": (3, 5), "required": (5,)}, r"got 5 in both$"),
     (BUDGET | {"required": (4, 5), "minimum_spacing": 2}, r"= 2, got 4 and 5$"),
