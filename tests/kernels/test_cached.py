@@ -85,13 +85,17 @@ def test_nothing_is_written_beside_the_package_or_at_home(tmp_path):
     assert folders(tmp_path / "place") == {f"pfdist-{os.getuid()}"}
 
 
-def test_the_folder_of_another_user_is_not_used(tmp_path, monkeypatch):
+def test_the_folder_of_another_user_and_a_file_are_not_used(tmp_path, monkeypatch):
     monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path / "kept"))
     find = cached._folder.__wrapped__
     assert Path(find()).is_relative_to(tmp_path)
     user = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: user + 1)
     with pytest.warns(EngineWarning, match="it must belong to this user"):
+        assert find() == ""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path / "file"))
+    with pytest.warns(EngineWarning, match="compiled code is not kept, so each process compiles"):
         assert find() == ""
 
 
