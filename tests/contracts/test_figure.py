@@ -69,8 +69,7 @@ def test_it_is_drawn_into_the_files_that_it_names_and_shows_something(
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name != "bound")) for name in FIGURES],
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "bound")) for name in FIGURES]
 )
 def test_the_same_figure_is_the_same_bytes(name: str, runs: list[Run]) -> None:
     run = next(run for run in runs if FIGURES[name].files(run))

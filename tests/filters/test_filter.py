@@ -11,12 +11,7 @@ from scipy import stats
 import oracles.kalman
 from oracles.in_turn import in_turn
 from pfdist import Cloud, Filter, StateSpaceModel, load_model
-from pfdist.errors import (
-    MeasurementsError,
-    ModelError,
-    PfdistWarning,
-    PriorError,
-)
+from pfdist.errors import MeasurementsError, ModelError, PfdistWarning, PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES

@@ -16,12 +16,10 @@ from pfdist.kernels.prefixes import plan_prefixes
 HORIZON = 12
 UNGM = load_model("ungm")
 DEGENERATE = replace(
-    UNGM,
-    log_likelihood=lambda y, x, t, p: where(y[0] > 20.0, -math.inf, -0.5 * (y[0] - x[0]) ** 2),
+    UNGM, log_likelihood=lambda y, x, t, p: where(y[0] > 20.0, -math.inf, -0.5 * (y[0] - x[0]) ** 2)
 )
 INFINITE = replace(
-    UNGM,
-    quantity_of_interest=lambda x, t, p: (where(abs(x[0]) > 22.0, math.inf, x[0]),),
+    UNGM, quantity_of_interest=lambda x, t, p: (where(abs(x[0]) > 22.0, math.inf, x[0]),)
 )
 
 

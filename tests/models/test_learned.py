@@ -91,8 +91,7 @@ def test_the_exact_error_of_each_set_lies_between_bound_and_filter() -> None:
 def test_a_formula_that_needs_numbers_is_computed_for_each_scenario() -> None:
     """The same draws, bit for bit but for rounding."""
     needs = replace(
-        WALK,
-        transition=lambda x, t, w, p: (x[0] + math.fsum([p.drift, 0.0]) + 0.5 * w[0],),
+        WALK, transition=lambda x, t, w, p: (x[0] + math.fsum([p.drift, 0.0]) + 0.5 * w[0],)
     )
     found, expected = (
         simulate(learned(each, SCENARIOS), HORIZON, range(50), 1) for each in (needs, WALK)

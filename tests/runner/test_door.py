@@ -42,10 +42,7 @@ def fails(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
 
 
 def test_points_beside_a_point_that_fails_compute_what_it_has_not(
-    finished: Callable[..., Path],
-    fails: Callable[[int], None],
-    small_job: Job,
-    tmp_path: Path,
+    finished: Callable[..., Path], fails: Callable[[int], None], small_job: Job, tmp_path: Path
 ) -> None:
     alone = finished("comparison.draws=300")
     fails(7)
@@ -91,9 +88,7 @@ def test_a_sweep_without_workers_ends_with_one_line(
     assert "127.0.0.1:1" in last
 
 
-def test_a_driver_is_closed_before_the_loop_ends_however_it_ends(
-    session: RunSession,
-) -> None:
+def test_a_driver_is_closed_before_the_loop_ends_however_it_ends(session: RunSession) -> None:
     events = list[str]()
 
     @contextlib.contextmanager

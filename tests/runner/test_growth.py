@@ -83,10 +83,7 @@ def test_where_every_gain_is_the_same_all_draws_are_compared_unless_it_is_said(
 
 
 def test_where_it_stops_does_not_depend_on_order_or_kills(
-    small_job: Job,
-    all_draws: pfdist.Run,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    small_job: Job, all_draws: pfdist.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = _until(small_job, _half_widths(all_draws)[200] * (1 + 1e-9))
     whole = pfdist.run(job, tmp_path / "whole", figures=False)

@@ -50,11 +50,7 @@ pool = "serial"
 """
 PRICES = f"problem={{horizon={HORIZON}, total_price=7, price={[1, 2] * 6 + [1]}}}"
 CONSTRAINTS = {
-    "times": [
-        "problem.minimum_spacing=2",
-        "problem.forbidden=[3, 7]",
-        "problem.required=[0, 12]",
-    ],
+    "times": ["problem.minimum_spacing=2", "problem.forbidden=[3, 7]", "problem.required=[0, 12]"],
     "costs": [PRICES],
 }
 

@@ -46,10 +46,7 @@ def test_the_summary_says_what_it_is(
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [(0, 3, 9), ()])
 def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
-    times: tuple[int, ...],
-    small_job: Job,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    times: tuple[int, ...], small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = small_job.with_changes([*SHORT, f"comparison.reference={[*reversed(times)]}"])
     run = pfdist.run(job, tmp_path / "run")

@@ -14,12 +14,7 @@ from pfdist.problem.constraints import Constraints
 from pfdist.problem.feasible import Feasible
 from pfdist.search import StateSpaceRelaxation
 from pfdist.search.programme import Programme
-from pfdist.search.relaxation import (
-    MOST_UNITS,
-    relaxation_for,
-    relaxation_with,
-    relaxation_within,
-)
+from pfdist.search.relaxation import MOST_UNITS, relaxation_for, relaxation_with, relaxation_within
 from pfdist.search.state_space_relaxation import MOST_CELLS
 
 
