@@ -39,17 +39,6 @@ def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, estimator)
         np.testing.assert_allclose(row[: end + 1], expected, rtol=1e-9, atol=1e-9)
 
 
-@estimators
-def test_the_compiled_sums_are_the_plain_ones(estimator):
-    draws, settings = simulate(UNGM, HORIZON, range(9), 2), Estimation(70, estimator=estimator)
-    compiled, plainly = (
-        engine.sum_errors(UNGM, draws, SETS, ENDS, STREAM, settings)
-        for engine in (particle_filter, plain)
-    )
-    for row, expected, end in zip(compiled, plainly, ENDS, strict=True):
-        np.testing.assert_allclose(row[: end + 1], expected[: end + 1], rtol=1e-9)
-
-
 DEGENERATE = {  # some draws alone, and at one instant alone
     "log_likelihood": lambda y, x, t, p: where(
         y[0] > where(t == 7, 3.0, math.inf), -math.inf, -0.5 * (y[0] - x[0]) ** 2
