@@ -90,11 +90,20 @@ def _errors(times: Times, problem: str) -> NDArray[np.float64]:
     if problem in TRUTHS:
         return believed_errors(TRUTHS[problem], BELIEVED, HORIZON, times)
     if problem != NOISY:
-        errors: NDArray[np.float64] = kalman.expected_errors(MODEL, HORIZON, [times])[0]
-        return errors
+        known = _feasible_errors(problem)
+        return (
+            known[times] if times in known else kalman.expected_errors(MODEL, HORIZON, [times])[0]
+        )
     distances = np.zeros(PROBLEMS[problem].horizon + 1)
     distances[list(times)] = [min(abs(time - best) for best in BEST) for time in times]
     return distances
+
+
+@cache
+def _feasible_errors(problem: str) -> dict[Times, NDArray[np.float64]]:
+    """The errors of all feasible sets, at once."""
+    every = list(PROBLEMS[problem].every())
+    return dict(zip(every, kalman.expected_errors(MODEL, HORIZON, every), strict=True))
 
 
 def _evaluation(candidate: Candidate, problem: str) -> Evaluation:

@@ -61,6 +61,9 @@ HEADING = StateSpaceModel(
 POINTS = replace(  # an angle between two components that are none
     HEADING,
     name="points",
+    measurement=lambda x, t, v, p: (x[0] + v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+    measurement_noise=("normal",),
     quantity_of_interest=lambda x, t, p: (x[0] - 1.0, x[0] + 1.0, 0.5 * x[0]),
     z_names=(),
     circular=(1,),

@@ -24,7 +24,7 @@ def filtered(ungm: StateSpaceModel) -> Filtered:
     draws = simulate(ungm, 60, range(300), 2020)
     mean, _ = grid_filter(ungm, draws, TIMES, POINTS)
     estimates = {}
-    for particles in (500, 8000):
+    for particles in (500, 4000):
         estimate = filter_draws(ungm, draws, TIMES, particles, 1, trajectories=True).estimate
         assert estimate is not None
         estimates[particles] = estimate[:, :, 0]

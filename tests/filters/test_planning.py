@@ -104,7 +104,7 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     that contained its truth would find it, and one that excluded the particles of its truth would
     look better than it is, because these lie far from the others.
     """
-    model, times, particles, systems = SYSTEMS["static"], (3, 4, 5, 6, 7, 8), 5, 300
+    model, times, particles, systems = SYSTEMS["static"], (3, 4, 5, 6, 7, 8), 5, 200
     settings, evaluator = Estimation(particles, "systematic"), Evaluator(model, 8)
     draws = evaluator.draws(range(systems), 7)
     replanner = Replanner(evaluator, Feasible(8, 9), QUICK, 5)

@@ -78,7 +78,7 @@ def test_many_particles_give_the_exact_filter_of_distributions() -> None:
 def test_the_exact_error_of_each_set_lies_between_bound_and_filter() -> None:
     """Brute force over all sets of two times; with the truth inside, and by the squared error."""
     sets = [*combinations(range(7), 2)]
-    draws, ends = simulate(LIST, 6, range(3000), 5), [6] * len(sets)
+    draws, ends = simulate(LIST, 6, range(1500), 5), [6] * len(sets)
     exact = np.array([errors(EXACT.estimates(draws.y[:, :, 0], times), draws) for times in sets]).T
     own, _ = filter_checked_sets(LIST, draws, sets, ends, 2, Estimation(200))
     inside, _ = filter_checked_sets(LIST, draws, sets, ends, 2, with_truth(200))

@@ -125,7 +125,8 @@ def test_what_cannot_be_called_as_a_formula_is_refused(wrong):
 
 def test_a_model_of_objects_travels_and_is_known_by_its_programs(tmp_path):
     problem = pfdist.Problem(model_of(Satellite()), horizon=8, measurement_budget=3, particles=50)
-    draws = {"comparison": {"draws": 100}, "search": [{"method": "random", "evaluations": 3}]}
+    draws = {"comparison": {"draws": 100}, "evaluation": {"draws": 20}}
+    draws["search"] = [{"method": "random", "evaluations": 3}]
     run = partial(pfdist.run, results=tmp_path / "run")
     job = problem.job(**draws)
     first, same = run(job, pool="threads"), run(job, pool="threads")  # it is resumed

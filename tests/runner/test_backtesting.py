@@ -102,7 +102,7 @@ def test_surprises_are_p_values_of_the_measurements_of_the_plan(y: Any) -> None:
 
 
 def test_a_right_model_covers_nine_of_ten_values_and_real_errors_are_as_foreseen() -> None:
-    systems = simulate(lake(), HORIZON, range(25), 98).y
+    systems = simulate(lake(), HORIZON, range(16), 98).y
     results = [errors_of_replicates(work(each, draws=60)) for each in systems]
     means_agree(np.array([each.covered for each in results]).T, 0.9)
     expected = exact(systems[0], work(systems[0], draws=1).judged)[1]

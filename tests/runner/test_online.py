@@ -106,7 +106,7 @@ def test_times_depend_on_the_draw_and_the_first_is_that_of_the_plan(run: Run) ->
     assert len(set(chosen)) > 1
 
 
-@pytest.mark.parametrize("constraint", CONSTRAINTS)
+@pytest.mark.parametrize("constraint", ["times", pytest.param("costs", marks=pytest.mark.slow)])
 def test_the_times_of_each_draw_keep_to_the_constraints(
     constraint: str, job: Job, tmp_path: Path
 ) -> None:
