@@ -90,10 +90,10 @@ def _errors(times: Times, problem: str) -> NDArray[np.float64]:
     if problem in TRUTHS:
         return believed_errors(TRUTHS[problem], BELIEVED, HORIZON, times)
     if problem != NOISY:
-        known = _feasible_errors(problem)
-        return (
-            known[times] if times in known else kalman.expected_errors(MODEL, HORIZON, [times])[0]
-        )
+        if (known := _feasible_errors(problem).get(times)) is not None:
+            return known
+        errors: NDArray[np.float64] = kalman.expected_errors(MODEL, HORIZON, [times])[0]
+        return errors
     distances = np.zeros(PROBLEMS[problem].horizon + 1)
     distances[list(times)] = [min(abs(time - best) for best in BEST) for time in times]
     return distances
