@@ -13,11 +13,11 @@ BOX = ((8.8, 24.0), (0.52, 0.84), (-5.8, 5.8))
 
 
 @pytest.mark.parametrize(
-    ("share", "state"),
-    [(0.0, (8.8, 0.52, -5.8)), (0.5, (16.4, 0.68, 0.0)), (1.0, (24.0, 0.84, 5.8))],
+    ("shares", "state"),
+    [((0.0, 0.5, 1.0), (8.8, 0.68, 5.8)), ((1.0, 0.0, 0.5), (24.0, 0.52, 0.0))],
 )
-def test_the_first_state_fills_the_box(share, state):
-    assert TRUTH.initial((share,) * 3, TRUTH.p) == pytest.approx(state, rel=1e-12)
+def test_the_first_state_fills_the_box(shares, state):
+    assert TRUTH.initial(shares, TRUTH.p) == pytest.approx(state, rel=1e-12)
 
 
 def test_the_position_is_a_sine_with_time_in_steps():

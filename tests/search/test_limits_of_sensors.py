@@ -138,6 +138,27 @@ def test_multipliers_give_the_least_error_with_them_and_a_lower_bound(
         assert forgotten > own[feasible].min() / instants
 
 
+@limits
+def test_the_chosen_multipliers_are_the_best_of_a_grid(name: str, money: bool) -> None:
+    constraints, rng = _constraints(name, money=money), np.random.default_rng(4)
+    relaxation = _relaxation(constraints, 4)
+    errors = rng.exponential(size=int(relaxation.offsets[-1]))
+    spent = constraints.total
+    paths = [times for times in _every(constraints) if _passes(name, relaxation, times)]
+    own = np.array([relaxed_errors(relaxation, errors, times).sum() for times in paths])
+    apart = np.array([_counts(times) for times in paths]) - _most(name)
+    known = min(own[[_within(name, times) for times in paths]])
+    found = with_multipliers(relaxation, errors, spent, known / (HORIZON + 1))
+    grid = [
+        np.where([limit.most is not None for limit in LIMITS[name]], each, 0.0)
+        for each in known * rng.uniform(0, 1, (300, 3)) ** 2
+    ]
+    best = max((own + apart @ each).min() for each in (np.zeros(3), *grid))
+    mse = found.mse[spent] * (HORIZON + 1)
+    assert best * (1 - 2e-4) <= mse <= known * (1 + ROUNDING)
+    assert all(each >= 0 for each in found.multipliers)
+
+
 def test_the_highest_of_planes_is_where_they_meet() -> None:
     """The largest of min(a, b, 1 - a - b) is 1/3; on a + b = 1, min(a, 2 b) has it at a = 2/3."""
     planes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, -1.0, -1.0]])
