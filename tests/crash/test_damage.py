@@ -293,7 +293,7 @@ BREAK: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize(("what", "state"), zip(BREAK, cycle(STATES), strict=False))
+@pytest.mark.parametrize(("what", "state"), [*zip(BREAK, cycle(STATES), strict=False)])
 def test_another_job_changes_nothing(
     what: str, state: str, job: Job, runs: dict[str, Path], tmp_path: Path
 ) -> None:
