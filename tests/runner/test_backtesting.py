@@ -28,7 +28,7 @@ from pfdist.runner.build import build
 
 SETS = ((0, 11, 17, 24), (6, 18, 30, 42))
 VARIANCE = 1.7
-DRAWS = 2000
+DRAWS = 1000
 
 
 def work(
