@@ -265,7 +265,7 @@ def test_a_report_is_there_whole_or_not_at_all_and_its_failure_fails_no_run(
         assert [line for line in said if line.startswith("there is no report: cannot write")]
 
 
-@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.crash)])
+@pytest.mark.parametrize("step", [23, pytest.param(1, marks=pytest.mark.crash)])
 @faults
 @pytest.mark.usefixtures("every_format")
 def test_a_figure_is_there_whole_or_not_at_all(

@@ -196,7 +196,6 @@ def test_a_draw_that_never_ends_or_crashes_fails(
     assert DRAW not in _compared(tmp_path / "run")
 
 
-@pytest.mark.fault
 @pytest.mark.parametrize("pool", ["threads", "serial"])
 def test_one_ctrl_c_ends_a_run_whose_formula_never_ends(
     pool: str, command: Make, tmp_path: Path
@@ -216,8 +215,7 @@ def test_one_ctrl_c_ends_a_run_whose_formula_never_ends(
     assert not (run / ".begun").exists()
 
 
-@pytest.mark.fault
-@pytest.mark.parametrize("pool", ["serial", "threads"])
+@pytest.mark.parametrize("pool", ["threads", pytest.param("serial", marks=pytest.mark.crash)])
 def test_after_a_model_has_crashed_the_process_the_next_start_says_so(
     pool: str, command: Make, tmp_path: Path
 ) -> None:
