@@ -36,10 +36,10 @@ draws = 4000
 [[search]]
 method = "genetic"
 population = 10
-generations = 12
+generations = 6
 [[search]]
 method = "random"
-evaluations = 40
+evaluations = 20
 [comparison]
 draws = 60_000
 """
