@@ -8,7 +8,6 @@ import shutil
 import signal
 import sys
 import threading
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
@@ -30,21 +29,8 @@ sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman impor
 settings.register_profile("steady", max_examples=40, deadline=None, derandomize=True, database=None)
 settings.load_profile("steady")
 
-PROMISES = (
-    "a run killed at any instant and started again ends with the same bytes as one never killed",
-    "nothing committed is computed again; a crash loses at most 5 s of work",
-    "no half file is ever read as whole",
-    "damage is found",
-    "one worker or a node dies: the run goes on",
-    "nothing hangs",
-    "a model that fails does not end the run silently, nor retry for ever",
-    "two drivers on one run",
-    "Ctrl-C",
-    "memory is flat",
-    "old results stay readable",
-    "a report that fails spoils neither the run nor the earlier report",
-)
 QUICK = ("common", "problem", "results")  # folders of tests
+collect_ignore = ["oracles"]  # they have no doctests, and would be imported a second time
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
@@ -216,43 +202,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker("fault"):
                 item.add_marker("crash")
-
-
-def pytest_terminal_summary(
-    terminalreporter: pytest.TerminalReporter, config: pytest.Config
-) -> None:
-    """Say for each promise how many faults `pytest -m crash` has injected, and what became of it.
-
-    A test says so with ``record_property("faults", f"{promise}: {how many}")``. If one breaks, all
-    promises of its file are in doubt.
-    """
-    if config.option.markexpr != "crash":
-        return
-    faults: dict[str, int] = defaultdict(int)
-    promises: dict[str, set[str]] = defaultdict(set)  # that a file's tests are about
-    broken: list[str] = []
-    for outcome in ("passed", "failed", "error"):
-        for report in terminalreporter.stats.get(outcome, []):
-            broken += [report.nodeid] if outcome != "passed" else []
-            for name, value in report.user_properties:
-                if name == "faults" and (outcome != "passed" or report.when == "call"):
-                    said, _, count = value.rpartition(": ")
-                    promise = next((known for known in PROMISES if known.startswith(said)), said)
-                    faults[promise] += int(count)
-                    promises[_file(report.nodeid)].add(promise)
-    in_doubt = {promise for test in broken for promise in promises[_file(test)]}
-    terminalreporter.section("faults injected")
-    for promise in dict.fromkeys([*PROMISES, *faults]):
-        state = "BROKEN" if promise in in_doubt else "kept" if faults[promise] else "no test"
-        terminalreporter.line(f"{faults[promise]:7,} faults  {state:7}  {promise}")
-    for test in broken:
-        terminalreporter.line(f"BROKEN by {test}")
-    lost = "nothing was lost" if not broken else f"{len(broken)} tests say that something was lost"
-    terminalreporter.line(f"{sum(faults.values()):7,} faults in all; {lost}")
-
-
-def _file(test: str) -> str:
-    return test.partition("::")[0]
 
 
 class Called(NamedTuple):

@@ -10,7 +10,7 @@ from oracles.in_turn import in_turn
 from pfdist.common.rounding import rounded, with_error, with_interval
 
 LARGE_AND_SMALL = st.floats(-300, 300).map(lambda exponent: 10.0**exponent)
-exactly = settings(max_examples=300)
+exactly = settings(max_examples=100)
 
 
 def _read(text: str) -> tuple[float, float]:

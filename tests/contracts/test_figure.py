@@ -49,18 +49,18 @@ def test_one_sentence_describes_it(name: str) -> None:
 
 
 @every
-def test_some_run_has_it(name: str, runs: list[Run]) -> None:
-    assert any(FIGURES[name].files(run) for run in runs)
-
-
-@every
 def test_it_is_drawn_into_the_files_that_it_names_and_shows_something(
     name: str, runs: list[Run]
 ) -> None:
+    """Its title is a sentence about the run."""
+    assert any(FIGURES[name].files(run) for run in runs)
     for run in runs:
         files = []
         for file, plot in FIGURES[name].plots(Tables(run)):
             files.append(file)
+            assert plot.title[:1].isupper()
+            assert plot.title.endswith(".")
+            assert "nan" not in plot.title.split()
             canvas = Canvas(figsize=(3.5, plot.height), layout="constrained")
             panels = canvas.subplots(plot.panels, squeeze=False)[:, 0].tolist()
             plot.draw(panels)
@@ -68,19 +68,8 @@ def test_it_is_drawn_into_the_files_that_it_names_and_shows_something(
         assert files == FIGURES[name].files(run)
 
 
-@every
-def test_its_title_is_a_sentence_about_the_run(name: str, runs: list[Run]) -> None:
-    titles = [plot.title for run in runs for _, plot in FIGURES[name].plots(Tables(run))]
-    assert all(title[:1].isupper() and title.endswith(".") for title in titles), titles
-    assert not [title for title in titles if "nan" in title.split()], titles
-
-
 @pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] * (name not in ("times", "bound", "draw")))
-        for name in FIGURES
-    ],
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "bound")) for name in FIGURES]
 )
 def test_the_same_figure_is_the_same_bytes(name: str, runs: list[Run]) -> None:
     run = next(run for run in runs if FIGURES[name].files(run))

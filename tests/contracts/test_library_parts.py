@@ -1,17 +1,9 @@
-"""The package uses public parts of Numba and llvmlite, and private ones of Ray.
-
-`pyproject.toml` admits Ray up to the version that was tested. Whoever raises the bound learns here
-which part has gone, and which file uses it.
-"""
+"""The package uses public parts of Numba, llvmlite and Ray alone."""
 
 import ast
 import re
 from collections.abc import Iterator
-from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
-
-from oracles.in_turn import in_turn
 
 PROJECT = Path(__file__).parents[2]
 LIBRARIES = ("llvmlite", "numba", "ray")
@@ -54,39 +46,6 @@ def parts(path: Path) -> Iterator[str]:
         if names and isinstance(value, ast.Name) and value.id in bound:
             module, _, name = bound[value.id].partition(":")
             yield f"{module}:{'.'.join([name, *names] if name else names)}"
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ClassDef):
-            yield from _extended(node, bound)
-
-
-def _extended(node: ast.ClassDef, bound: dict[str, str]) -> Iterator[str]:
-    """Methods that a class extends, of the library's class that it inherits from."""
-    bases = [
-        bound[base.id] for base in node.bases if isinstance(base, ast.Name) and base.id in bound
-    ]
-    for inner in ast.walk(node):
-        if isinstance(inner, ast.Attribute) and isinstance(inner.value, ast.Call):
-            called = inner.value.func
-            if isinstance(called, ast.Name) and called.id == "super":
-                yield from (f"{base}.{inner.attr}" for base in bases)
-
-
-def is_there(part: str) -> bool:
-    """Whether a part is there. A class may set its attributes in ``__init__``: one level counts."""
-    module, _, names = part.partition(":")
-    try:
-        value = import_module(module)
-    except ImportError:
-        return False
-    for name in names.split("."):
-        if not hasattr(value, name):
-            try:
-                value = import_module(f"{value.__name__}.{name}")
-            except (AttributeError, ImportError):
-                return False
-        else:
-            value = getattr(value, name)
-    return True
 
 
 USED = {
@@ -94,33 +53,6 @@ USED = {
     for path in sorted((PROJECT / "pfdist").rglob("*.py"))
     for part in parts(path)
 }
-
-
-@in_turn("part", sorted(USED))
-def test_a_part_of_a_library_that_is_used_is_there(part: str) -> None:
-    library = part.partition(":")[0].partition(".")[0]
-    assert is_there(part), (
-        f"{library} {version(library)} has no {part}, which pfdist/{USED[part]} uses: "
-        "change that file, or lower the bound in pyproject.toml"
-    )
-
-
-def test_parts_are_found_in_the_source_and_a_missing_part_is_noticed(tmp_path: Path) -> None:
-    source = tmp_path / "file.py"
-    source.write_text(
-        "import ray\nfrom numba.core import cgutils\nfrom numba.gone import x\n"
-        "ray._private.services.gone()\ncgutils.alloca_once(1)\ncgutils.gone\n"
-        "from numba.core.lowering import Lower\n"
-        "class Mine(Lower):\n    def lower_gone(self): super().lower_gone(); super().lower()\n"
-    )
-    found = set(parts(source))
-    assert {part for part in found if not is_there(part)} == {
-        "numba.gone:x",
-        "numba.core:cgutils.gone",
-        "numba.core.lowering:Lower.lower_gone",
-        "ray:_private.services.gone",
-    }
-    assert "numba.core:cgutils.alloca_once" in found
 
 
 def is_public(part: str) -> bool:

@@ -20,8 +20,6 @@ from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.runner import comparison_phase
 
 pytestmark = pytest.mark.usefixtures("no_figures")
-FAILS = "a model that fails does not end the run silently, nor retry for ever"
-HANGS = "nothing hangs"
 DRAW, DRAWS = 30, 60  # the one that the fault is in, and how many are compared
 SMALL = [
     "evaluation.draws=10",
@@ -76,7 +74,6 @@ LOOP = "Path(FLAG).touch()\n        while True: pass"
 CRASH = "os.kill(os.getpid(), signal.SIGSEGV)"
 CRASH_ONCE = "if not Path(FLAG).exists(): Path(FLAG).touch(); os.kill(os.getpid(), signal.SIGSEGV)"
 
-Record = Callable[[str, object], None]
 Make = Callable[..., list[str]]
 
 
@@ -118,11 +115,7 @@ def _compared(run: Path) -> set[int]:
 
 
 def test_one_draw_that_fails_ends_the_run_after_all_others_with_its_traceback(
-    pool: str,
-    command: Make,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    record_property: Record,
+    pool: str, command: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"
     assert main(command(RAISE, run, "--pool", pool)) == 1
@@ -138,18 +131,18 @@ def test_one_draw_that_fails_ends_the_run_after_all_others_with_its_traceback(
     lacking = sorted(set(range(DRAWS)) - _compared(run))
     assert DRAW in lacking
     assert lacking == list(range(lacking[0], lacking[-1] + 1))  # one task
-    record_property("faults", f"{FAILS}: {len(errors)}")
 
 
+@pytest.mark.parametrize("pool", ["threads", pytest.param("ray", marks=pytest.mark.crash)])
+@pytest.mark.usefixtures("ray_cluster")
 def test_a_draw_that_fails_once_is_done_again_and_the_run_ends_with_the_same_bytes(
-    pool: str, command: Make, tmp_path: Path, record_property: Record
+    pool: str, command: Make, tmp_path: Path
 ) -> None:
     assert main(command(RAISE_ONCE, tmp_path / "run", "--pool", pool)) == 0
     assert len(_failures(tmp_path / "run")) == 1
     assert main(command(RAISE_ONCE, tmp_path / "whole", "--pool", "serial")) == 0
     assert not _failures(tmp_path / "whole")
     assert hashes(tmp_path / "run") == hashes(tmp_path / "whole")
-    record_property("faults", f"{FAILS}: 1")
 
 
 def test_models_that_a_worker_cannot_make_end_the_run_in_a_line(
@@ -167,21 +160,17 @@ def test_models_that_a_worker_cannot_make_end_the_run_in_a_line(
     assert last.startswith("pfdist: no such package (found by a worker on ")
 
 
-@pytest.mark.parametrize("failures", [0, 5])
+@pytest.mark.parametrize(
+    ("pool", "failures"), [("serial", 5), pytest.param("processes", 0, marks=pytest.mark.crash)]
+)
 def test_a_model_that_always_fails_is_tried_so_often_and_no_more(
-    failures: int,
-    pool: str,
-    command: Make,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    record_property: Record,
+    failures: int, pool: str, command: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # As if only workers could see it: the driver would refuse such a model before any task.
     monkeypatch.setattr("pfdist.runner.build._check_draws", lambda job, evaluator: None)
     options = ["--set", f"execution.failures={failures}", "--pool", pool]
     assert main(command(RAISE, tmp_path / "run", *options, always=True)) == 1
     assert len(_failures(tmp_path / "run")) == failures + 1
-    record_property("faults", f"{FAILS}: {failures + 1}")
 
 
 @pytest.mark.crash
@@ -195,7 +184,6 @@ def test_a_draw_that_never_ends_or_crashes_fails(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    record_property: Record,
 ) -> None:
     monkeypatch.setattr("pfdist.pools.base.PATIENCE_SECONDS", 3.0)
     options = ["--set", "execution.failures=1", "--pool", pool]
@@ -206,13 +194,11 @@ def test_a_draw_that_never_ends_or_crashes_fails(
     assert all(error.startswith(says) for error in errors)
     assert says in capsys.readouterr().err.splitlines()[-1]
     assert DRAW not in _compared(tmp_path / "run")
-    record_property("faults", f"{FAILS}: {len(errors)}")
 
 
-@pytest.mark.fault
 @pytest.mark.parametrize("pool", ["threads", "serial"])
 def test_one_ctrl_c_ends_a_run_whose_formula_never_ends(
-    pool: str, command: Make, tmp_path: Path, record_property: Record
+    pool: str, command: Make, tmp_path: Path
 ) -> None:
     """Threads commit first; this process itself, while it computes, ends after 3 s."""
     run = tmp_path / "run"
@@ -227,13 +213,11 @@ def test_one_ctrl_c_ends_a_run_whose_formula_never_ends(
         return
     assert "comparison" in set(pfdist.open_run(run).table("timings")["phase"])
     assert not (run / ".begun").exists()
-    record_property("faults", f"{HANGS}: 1")
 
 
-@pytest.mark.fault
-@pytest.mark.parametrize("pool", ["serial", "threads"])
+@pytest.mark.parametrize("pool", ["threads", pytest.param("serial", marks=pytest.mark.crash)])
 def test_after_a_model_has_crashed_the_process_the_next_start_says_so(
-    pool: str, command: Make, tmp_path: Path, record_property: Record
+    pool: str, command: Make, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
     words = command(CRASH_ONCE, run)
@@ -246,11 +230,11 @@ def test_after_a_model_has_crashed_the_process_the_next_start_says_so(
         (said,) = (line for line in driver.said if "ended without a message" in line)
         assert "--pool processes isolates the model" in said
     assert hashes(run) == finish(job, tmp_path / "whole", *options)
-    record_property("faults", f"{FAILS}: 1")
 
 
+@pytest.mark.parametrize("pool", ["threads", pytest.param("processes", marks=pytest.mark.crash)])
 def test_a_draw_that_takes_all_memory_it_may_have_fails_with_its_traceback(
-    pool: str, command: Make, tmp_path: Path, record_property: Record
+    pool: str, command: Make, tmp_path: Path
 ) -> None:
     options = ["--set", "execution.failures=1", "--pool", pool]
     assert main(command("limited()", tmp_path / "run", *options)) == 1
@@ -258,12 +242,11 @@ def test_a_draw_that_takes_all_memory_it_may_have_fails_with_its_traceback(
     assert len(errors) == 2
     assert all("MemoryError" in error for error in errors)
     assert all("mine.py" in error for error in errors)
-    record_property("faults", f"{FAILS}: {len(errors)}")
 
 
 @pytest.mark.crash
 def test_a_draw_that_takes_all_memory_there_is_fails_when_ray_ends_its_worker(
-    command: Make, tmp_path: Path, small_job: Job, record_property: Record
+    command: Make, tmp_path: Path, small_job: Job
 ) -> None:
     lines = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
     total, free = (int(lines[key].split()[0]) for key in ("MemTotal", "MemAvailable"))
@@ -282,4 +265,3 @@ def test_a_draw_that_takes_all_memory_there_is_fails_when_ray_ends_its_worker(
     (error,) = _failures(tmp_path / "run")
     assert "memory" in error
     assert "nobody has stopped this" not in error
-    record_property("faults", f"{FAILS}: 3")

@@ -34,29 +34,6 @@ model = StateSpaceModel(
     + """)
 """
 )
-BATCHED = """
-from pathlib import Path
-
-import numpy as np
-from helper import pulled
-from pfdist import BatchedModel
-
-PUSH = float(np.loadtxt(Path(__file__).with_name("rates.csv"))[1])
-
-model = BatchedModel(
-    name="mine",
-    initial=lambda w, p: 3 * w,
-    transition=lambda x, t, w, p: pulled(x) + PUSH * w,
-    measurement=lambda x, t, v, p: x + v,
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: x,
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-    version="1",
-    files=("helper.py", "rates.csv"),
-)
-"""
 DRIVER = """
 import importlib
 import sys
@@ -91,13 +68,11 @@ print(len(nodes), timings["worker"].nunique(), timings["error"].isna().all())
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:model mine is declared:pfdist.errors.EngineWarning")
-@pytest.mark.parametrize("text", [MODEL, BATCHED], ids=["formulas", "batched"])
-def test_nodes_need_neither_the_model_nor_the_files_beside_it(tmp_path: Path, text: str) -> None:
+def test_nodes_need_neither_the_model_nor_the_files_beside_it(tmp_path: Path) -> None:
     model = tmp_path / "model"
     (model / "shared").mkdir(parents=True)
     for name, content in (
-        ("mine.py", text),
+        ("mine.py", MODEL),
         ("helper.py", HELPER),
         ("rates.csv", "0.5\n1.5\n"),
         ("shared/__init__.py", ""),

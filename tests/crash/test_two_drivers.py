@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from pfdist.errors import PfdistWarning, StoreError
 from pfdist.store import files, held
 
 pytestmark = pytest.mark.usefixtures("no_figures")
-PROMISE = "two drivers on one run"
 PATIENCE_SECONDS = 120
 
 STOPS = """
@@ -52,17 +51,10 @@ def first(small_job: Job, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
-    first: subprocess.Popen[str],
-    small_job: Job,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    record_property: Callable[[str, object], None],
+    first: subprocess.Popen[str], small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = str(tmp_path / "run")
-    commands = (
-        ["run", str(small_job.path), "--results", run],
-        ["verify", run],
-    )
+    commands = (["run", str(small_job.path), "--results", run], ["verify", run])
     for command in commands:
         assert main(command) == 1
         error = capsys.readouterr().err
@@ -74,14 +66,10 @@ def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
         assert told, error
         assert 0 <= (datetime.now(UTC) - datetime.fromisoformat(told[1])).total_seconds() < 100
     assert main(["status", run]) == 0  # who only reads is not refused
-    record_property("faults", f"{PROMISE}: {len(commands)}")
 
 
 def test_after_kill_9_the_second_driver_starts_without_hand_work(
-    first: subprocess.Popen[str],
-    small_job: Job,
-    tmp_path: Path,
-    record_property: Callable[[str, object], None],
+    first: subprocess.Popen[str], small_job: Job, tmp_path: Path
 ) -> None:
     whole = pfdist.run(small_job, tmp_path / "whole", figures=False)
     with pytest.raises(StoreError, match="is being computed by"):
@@ -90,7 +78,6 @@ def test_after_kill_9_the_second_driver_starts_without_hand_work(
     assert first.wait(PATIENCE_SECONDS) == -signal.SIGKILL
     pfdist.run(small_job, tmp_path / "run", figures=False)
     assert hashes(tmp_path / "run") == hashes(whole.path)
-    record_property("faults", f"{PROMISE}: 2")
 
 
 @pytest.mark.parametrize(

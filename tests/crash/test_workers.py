@@ -28,8 +28,6 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.runner.progress import Progress
 
-DIES = "one worker or a node dies: the run goes on"
-HANGS = "nothing hangs"
 JOB = """
 seed = 6
 [problem]
@@ -52,8 +50,6 @@ LOST = "pfdist: (no answer from (the Ray cluster|any worker) for|the Ray)"
 ENDED = "pfdist: The process that computes ended with exit code 1 and without a message: "
 
 RAYLET, GCS, AGENT = "raylet/raylet", "gcs_server", "dashboard/agent.py"
-
-Record = Callable[[str, object], None]
 
 
 @pytest.fixture(scope="module")
@@ -85,10 +81,9 @@ def _is_comparing(driver: Running) -> bool:
     return driver.parts("comparison") > 0 and bool(driver.workers())
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("ray_cluster")
 def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
-    small_job: Job, tmp_path: Path, record_property: Record
+    small_job: Job, tmp_path: Path
 ) -> None:
     killed = {}
 
@@ -105,12 +100,11 @@ def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
     assert hashes(run.path) == hashes(
         pfdist.run(job, tmp_path / "whole", pool="serial", figures=False).path
     )
-    record_property("faults", f"{DIES}: {len(killed)}")
 
 
 @pytest.mark.crash
 def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
-    make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+    make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
     job, rng, kills, killed = make_job(800_000), random.Random(0), 12, set[Process]()
     with running(job, tmp_path / "run", *TWO) as driver:
@@ -125,7 +119,6 @@ def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
                 killed.add(worker)
         assert driver.wait() == 0, driver.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)
-    record_property("faults", f"{DIES}: {len(killed)}")
 
 
 @pytest.mark.crash
@@ -133,7 +126,7 @@ def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
     "stopped", [[RAYLET], [GCS], [RAYLET, GCS], [GCS, WORKER], [RAYLET, GCS, WORKER]]
 )
 def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
-    stopped: list[str], make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+    stopped: list[str], make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
     job = make_job(100_000)
     with running(job, tmp_path / "run", *TWO) as driver:
@@ -150,15 +143,12 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
             assert re.search(LOST, said)
         until(lambda: all_gone(everything), 2 * GONE_SECONDS)  # Ray's agents wait for a minute
     assert finish(job, tmp_path / "run", "--pool", "serial") == _whole(job)
-    record_property("faults", f"{HANGS}: {len(stopped)}")
 
 
-@pytest.mark.parametrize(
-    "killed",
-    [pytest.param(AGENT, marks=pytest.mark.fault), pytest.param(RAYLET, marks=pytest.mark.crash)],
-)
+@pytest.mark.crash
+@pytest.mark.parametrize("killed", [AGENT, RAYLET])
 def test_a_run_whose_server_is_killed_says_so_with_exit_code_75_and_leaves_nothing(
-    killed: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+    killed: str, make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
     """Ray ends the process that computes, with exit code 1 and without a line."""
     job = make_job(100_000)
@@ -171,12 +161,11 @@ def test_a_run_whose_server_is_killed_says_so_with_exit_code_75_and_leaves_nothi
         assert driver.said[-1].startswith(ENDED) or re.match(LOST, driver.said[-1])
         until(lambda: all_gone(everything), 2 * GONE_SECONDS)
     assert finish(job, tmp_path / "run", "--pool", "threads") == _whole(job)
-    record_property("faults", f"{HANGS}: 1")
 
 
 @pytest.mark.crash
 def test_a_run_whose_nodes_are_killed_added_and_frozen_ends_with_the_same_bytes(
-    make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+    make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
     job = make_job(500_000)
     with nodes(tmp_path, 3) as cluster:
@@ -196,13 +185,11 @@ def test_a_run_whose_nodes_are_killed_added_and_frozen_ends_with_the_same_bytes(
             assert driver.wait() == 0, driver.said[-3:]
         cluster.add()  # the cluster is not the run's, and goes on
     assert hashes(tmp_path / "run") == _whole(job)
-    record_property("faults", f"{DIES}: 2")
-    record_property("faults", f"{HANGS}: 1")
 
 
 @pytest.mark.crash
 def test_two_runs_share_a_cluster_and_end_with_the_same_bytes(
-    make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+    make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
     job = make_job(100_000)
     with nodes(tmp_path, 3) as cluster:
@@ -216,12 +203,11 @@ def test_two_runs_share_a_cluster_and_end_with_the_same_bytes(
             assert [first.wait(), second.wait()] == [0, 0], (first.said[-3:], second.said[-3:])
     for run in ("first", "second"):
         assert hashes(tmp_path / run) == _whole(job)
-    record_property("faults", f"{DIES}: 1")
 
 
 @pytest.mark.crash
 def test_a_run_whose_head_is_killed_says_so_keeps_what_is_committed_and_resumes(
-    make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+    make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
     job = make_job(100_000)
     with nodes(tmp_path, 3) as cluster:
@@ -235,24 +221,6 @@ def test_a_run_whose_head_is_killed_says_so_keeps_what_is_committed_and_resumes(
             assert re.search(LOST, driver.said[-1])
             assert driver.parts("comparison") >= commits
     assert finish(job, tmp_path / "run", "--pool", "threads") == _whole(job)
-    record_property("faults", f"{HANGS}: 1")
-
-
-@pytest.mark.crash
-@pytest.mark.parametrize("phase", ["search", "comparison"])
-def test_a_run_whose_only_worker_is_killed_ends_with_the_same_bytes(
-    phase: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
-) -> None:
-    job = make_job(100_000)
-    table = {"search": "draws", "comparison": "comparison"}[phase]
-    with running(job, tmp_path / "run", *TWO) as driver:
-        driver.wait_for(lambda: driver.parts(table) and driver.workers())
-        killed = driver.workers()
-        for worker in killed:
-            os.kill(worker.pid, signal.SIGKILL)
-        assert driver.wait() == 0, driver.said[-3:]
-    assert hashes(tmp_path / "run") == _whole(job)
-    record_property("faults", f"{DIES}: {len(killed)}")
 
 
 @pytest.mark.crash

@@ -4,7 +4,6 @@ import dataclasses
 import gc
 import json
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -30,18 +29,15 @@ from pfdist.models.written import models_of, text_of_models
 HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
 UNGM = load_model("ungm")
 KINDS = [
-    pytest.param(UNGM, Estimation(100), id="ungm", marks=pytest.mark.slow),
-    pytest.param(UNGM, Estimation(101, "sorted_systematic"), id="sorted", marks=pytest.mark.slow),
     pytest.param(
         UNGM, Estimation(100, "residual", threshold=0.5), id="carried", marks=pytest.mark.slow
     ),
     pytest.param(UNGM, Estimation(100, estimator=FILTER_NOISE.name), id="two filters"),
     pytest.param(UNGM, with_truth(100), id="truth inside"),
-    *(
-        pytest.param(load_model(name), Estimation(100), id=name, marks=pytest.mark.slow)
-        for name in ("bearings_only", "robot", "pharmacokinetics", "lotka_volterra")
+    pytest.param(
+        load_model("pharmacokinetics"), Estimation(100), id="clock", marks=pytest.mark.slow
     ),
-    pytest.param(load_model("xray_tumour"), Estimation(100), id="sensors"),
+    pytest.param(load_model("xray_tumour"), Estimation(100), id="two of y"),
 ]
 
 
@@ -73,14 +69,10 @@ def test_a_batched_model_has_the_errors_of_its_formulas(model, settings):
         expected, found = (filter_checked_sets(each, *given, errors) for each in (formulas, arrays))
         np.testing.assert_allclose(found.mse, expected.mse, rtol=1e-7)
         np.testing.assert_allclose(found.errors, expected.errors, rtol=1e-7)
-
-
-@pytest.mark.parametrize(("model", "settings"), KINDS[:7])
-def test_trajectories_are_those_of_the_formulas(model, settings):
-    formulas, arrays = pair(model)
-    draws, times = simulate(formulas, HORIZON, range(10), 3), sets_of(model)[0]
+    if settings.estimator == FILTER_NOISE.name:
+        return  # one filter has trajectories
     expected, found = (
-        filter_checked_draws(each, draws, times, STREAM, settings, trajectories=True)
+        filter_checked_draws(each, draws[:10], sets[0], STREAM, settings, trajectories=True)
         for each in (formulas, arrays)
     )
     for name in ("mse", "estimate", "variance", "ranks", "sizes"):
@@ -120,23 +112,6 @@ def test_a_function_always_gets_as_many_particles():
     for some in (draws, draws[:1], draws[7:20]):
         filter_checked_sets(arrays, some, (TIMES,), (HORIZON,), STREAM, Estimation(100))
     assert len(sizes) == 1
-
-
-def test_threads_filter_together():
-    arrays, found = batched(UNGM), dict[int, object]()
-    draws = simulate(arrays, HORIZON, range(200), 3)
-
-    def filtered(number: int) -> None:
-        given = draws, (TIMES,), (HORIZON,), STREAM, Estimation(100)
-        found[number] = filter_checked_sets(arrays, *given)[0]
-
-    threads = [threading.Thread(target=filtered, args=[number]) for number in range(4)]
-    for each in threads:
-        each.start()
-    for each in threads:
-        each.join()
-    for number in range(4):
-        np.testing.assert_array_equal(found[number], found[0])
 
 
 def test_a_coupled_model_has_the_particles_of_one_draw_in_an_array():
@@ -215,14 +190,10 @@ def changing(x, t, w, p):
     [
         (lambda x, t, w, p: 1 / 0 if t == 3 else x + w, r"transition failed: ZeroDivisionError"),
         (lambda x, t, w, p: x[:, :-1], r"transition must give an array \(components, particles\)"),
-        (lambda x, t, w, p: x.T, r"got float64 of shape"),
         (lambda x, t, w, p: x.astype(np.float32), r"got float32 of shape \(1, 2\): JAX computes"),
-        (lambda x, t, w, p: x.astype(int), r"got int64 of shape"),
-        (lambda x, t, w, p: None, r"got object of shape"),
         (changing, r"transition failed: ValueError: output array is read-only"),
         (lambda x, t, w, p: x + np.nan, r"must stay finite, got x\[0\] = nan at t = 1"),
         (lambda x, t, w, p: (np.zeros(3),), r"failed: ValueError: .*\(3,\).*shape \(2,\)"),
-        (lambda x, t, w, p: (), r"transition failed: ValueError: need at least one array"),
         (lambda x, t, w, p: (x[0], x[0]), r"as many components as initial, 1, got 2"),
     ],
 )
@@ -259,13 +230,6 @@ def test_a_function_may_give_a_view_of_its_argument():
     np.testing.assert_array_equal(
         filter_checked_sets(view, *given)[0], filter_checked_sets(copy, *given)[0]
     )
-
-
-def test_an_error_of_one_call_does_not_reach_the_next():
-    fails = batched(UNGM, transition=lambda x, t, w, p: x if t < 3 else x[:, 1:])
-    with pytest.raises(ModelError):
-        simulate(fails, HORIZON, range(5), 3)
-    simulate(batched(UNGM), HORIZON, range(5), 3)
 
 
 # --- identity -------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from oracles.guided import sharp_walk
 from oracles.kalman import SCALAR
@@ -19,7 +18,6 @@ from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import ALWAYS, threshold_of
 
 HORIZON, TIMES = 12, (0, 3, 4, 9, 12)
-Array = NDArray[np.float64]
 
 STEPS = StateSpaceModel(
     name="steps",
@@ -44,8 +42,6 @@ growth = load_model("ungm")
         (growth, "multinomial", ALWAYS),
         (growth, "sorted_systematic", 0.1),
         (STEPS, "systematic", 0.1),
-        pytest.param(STEPS, "residual", 0.1, marks=pytest.mark.slow),
-        pytest.param(growth, "systematic", 0.1, marks=pytest.mark.slow),
     ],
     ids=lambda each: getattr(each, "name", str(each)),
 )
@@ -142,12 +138,10 @@ def test_equal_weights_are_never_resampled_below_the_whole() -> None:
 
 
 @pytest.mark.parametrize("resample", ["always", "below 0.5"])
-@pytest.mark.parametrize("engine", ["compiled", pytest.param("numpy", marks=pytest.mark.slow)])
-def test_a_filter_of_real_measurements_has_the_bits_of_a_run(resample: str, engine: str) -> None:
-    following = Filter(growth, 200, 5, resample=resample, engine=engine, horizon=HORIZON)
+def test_a_filter_of_real_measurements_has_the_bits_of_a_run(resample: str) -> None:
+    following = Filter(growth, 200, 5, resample=resample, engine="compiled", horizon=HORIZON)
     draws = simulate(growth, HORIZON, range(1), 3)
-    function = {"compiled": filter_draws, "numpy": plain.filter_draws}[engine]
-    whole = function(
+    whole = filter_draws(
         growth, draws, TIMES, 200, following.stream, "systematic", True, None,
         threshold_of(resample),
     )  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from oracles.guided import echoes, sharp_walk
+from oracles.guided import sharp_walk
 from oracles.three_sensors import ThreeSensors
 from pfdist import StateSpaceModel, load_model, where
 from pfdist.errors import ModelError
@@ -22,7 +22,7 @@ from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.guiding import Guide, guide_of
+from pfdist.filters.guiding import guide_of
 from pfdist.filters.interface import SUMS
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
@@ -47,32 +47,21 @@ def standard_errors(difference: Array) -> Array:
 # --- exact filters --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("dimensions", "times"),
-    [
-        (6, (1, 8)),
-        *(
-            pytest.param(n, times, marks=pytest.mark.slow)
-            for n in (1, 2, 4, 6)
-            for times in ((0, 7), (1, 8), (2, 3, 4, 5), (6,))
-        ),
-    ],
-)
-def test_sharp_sensors_give_the_kalman_filter(dimensions: int, times: tuple[int, ...]) -> None:
-    """Sensors of .001 of the prior's deviation, gaps of 1 to 7, t = 0 measured or not: within 1 %.
+@pytest.mark.parametrize("times", [(1, 8), pytest.param((0, 3, 4, 9), marks=pytest.mark.slow)])
+def test_sharp_sensors_give_the_kalman_filter(times: tuple[int, ...]) -> None:
+    """Sensors of .001 of the prior's deviation in six dimensions, gaps of 1 to 7: within 1 %.
 
     The exact filter has the same draws, so the difference of the errors counts, and not their
-    spread. The plain filter of six dimensions loses 6 % and more.
+    spread. The plain filter loses 6 % and more.
     """
-    model = sharp_walk(dimensions)
+    model = sharp_walk(6)
     draws = simulate(model, HORIZON, range(200), 1)
     exact = kalman.filter_draws(model, draws, times, 1, 2).mse
     loss = filter_checked_draws(model, draws, times, 2, guided(500)).mse - exact
     plain = filter_checked_draws(model, draws, times, 2, Estimation(500)).mse - exact
     error = loss.std(ddof=1) / math.sqrt(loss.size)
     assert loss.mean() + 3 * error < 0.01 * exact.mean()
-    if dimensions == 6:
-        assert plain.mean() > 0.05 * exact.mean()
+    assert plain.mean() > 0.05 * exact.mean()
 
 
 def test_a_target_that_is_seen_sharply_is_not_lost() -> None:
@@ -92,16 +81,6 @@ def test_a_target_that_is_seen_sharply_is_not_lost() -> None:
     assert (
         filter_checked_draws(model, draws, times, 7, Estimation(2000)).mse.mean() > 2 * many.mean()
     )
-
-
-def test_four_sharp_sensors_with_clutter() -> None:
-    """One echo in a hundred is clutter, which the linear measurement does not know."""
-    model = echoes
-    draws = simulate(model, 30, range(100), 5)
-    mse = filter_checked_draws(model, draws, tuple(range(31)), 7, guided(500)).mse
-    assert mse.mean() - 3 * mse.std() / math.sqrt(mse.size) < 0.06
-    assert mse.mean() < 0.09
-    assert filter_checked_draws(model, draws, tuple(range(31)), 7, Estimation(500)).mse.mean() > 3.0
 
 
 # --- with the truth inside ------------------------------------------------------------------------
@@ -165,54 +144,19 @@ def truths_inside(
 @pytest.mark.parametrize(
     "model",
     [
-        sharp_walk(1, sensor=0.3),
         MIXED,
         COUNTS,
         CORRELATED,
-        *(
-            pytest.param(load_model(name), marks=pytest.mark.slow)
-            for name in ("ungm", "bearings_only", "constant_velocity", "lotka_volterra")
-        ),
+        pytest.param(load_model("lotka_volterra"), marks=pytest.mark.slow),
         SENSORS.as_model(),
     ],
     ids=lambda model: model.name,
 )
-@pytest.mark.parametrize(
-    "particles", [6, *(pytest.param(each, marks=pytest.mark.slow) for each in (2, 50))]
-)
-def test_the_variance_is_the_squared_error_on_average(
-    model: StateSpaceModel, particles: int
-) -> None:
+def test_the_variance_is_the_squared_error_on_average(model: StateSpaceModel) -> None:
     times = (1, 8, 9, 17, 27, 28) if model.sensors else TIMES
-    difference = truths_inside(model, with_truth(particles, GUIDED), times=times)
+    difference = truths_inside(model, with_truth(6, GUIDED), times=times)
     assert abs(standard_errors(difference.mean(axis=1))) < 4
     assert (abs(standard_errors(difference)) < 4.5).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("wrong", ["noise", "density", "share"])
-def test_a_proposal_that_is_wrong_shows(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The truth's noise of another stream; a weight without p / q; one without the mixture."""
-    model, right = replace(MIXED, name=wrong), Guide.drawn
-    if wrong == "density":
-        monkeypatch.setattr(
-            Guide, "drawn", lambda self, x, u, p: tuple(
-                0.0 * each if k == self.rows else each
-                for k, each in enumerate(right(self, x, u, p))
-            ),
-        )  # fmt: skip
-    elif wrong == "share":  # half the particles are drawn by the model, and the density knows none
-        monkeypatch.setattr("pfdist.filters.guiding.SHARE", 1.0 - 1e-12)
-        monkeypatch.setattr(
-            Guide, "drawn", lambda self, x, u, p: right(self, x, (*u[:-1], 2.0 * u[-1]), p)
-        )
-    change = partial_stream if wrong == "noise" else lambda each: each
-    difference = truths_inside(model, with_truth(6, GUIDED), 4000, change)
-    assert abs(standard_errors(difference)).max() > 5
-
-
-def partial_stream(draws: Draws) -> Draws:
-    return replace(draws, stream=draws.stream + 1)
 
 
 def test_weights_that_are_carried_count() -> None:
@@ -340,7 +284,7 @@ def test_the_likelihood_serves_where_measurements_at_noise_0_do_not(
 
 
 def test_a_sensor_that_is_blind_at_times_is_guided_at_others() -> None:
-    """Its measurements do not depend on x at t = 0; one that never sees is left as it is."""
+    """Its measurements do not depend on x at t = 0; one that never sees is not guided."""
     turning = replace(
         MIXED,
         name="turning",
@@ -352,27 +296,16 @@ def test_a_sensor_that_is_blind_at_times_is_guided_at_others() -> None:
     difference = truths_inside(turning, with_truth(6, GUIDED))
     assert (abs(standard_errors(difference)) < 4.5).all()
     assert guide_of(turning, range(1)) is None
-    draws = simulate(turning, HORIZON, range(20), 3)[:5].upto(0)
-    found = filter_checked_draws(turning, draws, (0,), 9, guided(20)).mse
-    np.testing.assert_array_equal(
-        found, filter_checked_draws(turning, draws, (0,), 9, Estimation(20)).mse
-    )
 
 
-@pytest.mark.parametrize(
-    "kind",
-    ["chosen", *(pytest.param(each, marks=pytest.mark.slow) for each in ("root", "logarithm"))],
-)
-def test_where_a_derivative_is_not_finite_the_noise_is_that_of_the_model(kind: str) -> None:
-    """The square root at 0, the logarithm at 0, and a root that is not chosen."""
-    sensors = {
-        "root": lambda x: np.sqrt(np.maximum(x, 0.0)),
-        "logarithm": lambda x: np.log(np.abs(x)),
-        "chosen": lambda x: where(x > 0.0, np.sqrt(x), 0.0),
-    }
-    sensor = sensors[kind]
+def test_where_a_derivative_is_not_finite_the_noise_is_that_of_the_model() -> None:
+    """The root of a negative number, which is not chosen."""
+
+    def sensor(x: Any) -> Any:
+        return where(x > 0.0, np.sqrt(x), 0.0)
+
     model = StateSpaceModel(
-        name=kind,
+        name="chosen",
         initial=lambda w, p: (w[0],),
         transition=lambda x, t, w, p: (0.9 * x[0] + 0.5 * w[0],),
         measurement=lambda x, t, v, p: (sensor(x[0]) + 0.1 * v[0],),

@@ -1,13 +1,11 @@
 """The Monte Carlo estimate, and that it finds what mathematics says is best."""
 
-import itertools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
@@ -59,27 +57,6 @@ def test_trajectories_are_those_of_the_draws(ungm: StateSpaceModel) -> None:
     result = Evaluator(ungm, 9)(replace(_work(((3,), (1, 2)), 9, 30, (0, 5)), trajectories=True))
     error = (result.z[None] - result.estimates) ** 2  # (S, D, T+1, q)
     np.testing.assert_allclose(error.sum(axis=3).mean(axis=2).T, result.mse)
-
-
-@pytest.mark.parametrize(
-    ("system", "horizon", "budget"), [(SCALAR, 8, 3), (TRACKING, 6, 2)], ids=["n1", "n2"]
-)
-def test_brute_force_finds_the_set_with_the_least_riccati_cost(
-    system: LinearGaussian, horizon: int, budget: int
-) -> None:
-    particles, draws = 200, 1500
-    evaluator = Evaluator(system.as_model(), horizon)
-    sets = list(itertools.combinations(range(horizon + 1), budget))
-    exact = np.array([riccati_cost(system, horizon, times) for times in sets])
-    # Common draws and filter noise for all sets: the comparison is paired.
-    estimation, alike = Estimation(particles, "systematic"), (1,) * len(sets)
-    mse = evaluator(
-        FilterWork(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), estimation)
-    ).mse
-    assert sets[mse.mean(axis=0).argmin()] == sets[exact.argmin()]
-    # The filter's own noise adds a few times 1/particles of the variance to the error.
-    standard_error = mse.std(axis=0) / math.sqrt(draws)
-    assert (np.abs(mse.mean(axis=0) - exact) < 4 * standard_error + 3 * exact / particles).all()
 
 
 @pytest.mark.parametrize("block", [1, 3, 7, 100])

@@ -66,7 +66,7 @@ def test_the_exact_evidence_is_that_of_the_filter_of_one_system(measured: np.nda
 def test_the_density_is_estimated_without_bias(measured: np.ndarray) -> None:
     exact = exact_log_evidence(walk(), measured)
     ratios = np.array(
-        [np.exp(log_evidence(walk(), measured, 300, stream) - exact) for stream in range(40)]
+        [np.exp(log_evidence(walk(), measured, 300, stream) - exact) for stream in range(30)]
     )
     error = ratios.std(axis=0, ddof=1) / np.sqrt(len(ratios))
     assert np.abs(ratios.mean(axis=0) - 1).max() < 4 * error.max()

@@ -105,15 +105,14 @@ def test_a_draw_whose_error_is_infinite_has_no_finite_error(engine: Any) -> None
     np.testing.assert_array_equal(np.isinf(errors[:, 0]).all(axis=1), ~is_finite)
 
 
-@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("controlled", [False, True])
-def test_sums_over_ranges_do_not_depend_on_how_draws_are_cut(seed: int, controlled: bool) -> None:
+def test_sums_over_ranges_do_not_depend_on_how_draws_are_cut(controlled: bool) -> None:
     scenarios = tuple(Scenario(0.5, {"process_sd": sd}) for sd in (2.0, 4.0))
     evaluator = Evaluator(UNGM, 12, scenarios=scenarios, told=True)
     others = {"filter_streams": (3, 4), "controlled": controlled, "over_time": 8}
     work = evaluator.work([(0, 5), (2, 9)], 3, 5, (5, 90), Estimation(20), **others)
     [whole] = evaluator.results([work])
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     ends = [5, *np.sort(rng.choice(range(6, 90), 7, replace=False)).tolist(), 90]
     pieces = [work.part(piece) for piece in pairwise(ends)]
     sums = {}

@@ -12,7 +12,7 @@ import pytest
 from pfdist import load_model, where
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.interface import SUMS
-from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
+from pfdist.filters.particle_filter import filter_checked_sets
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
@@ -20,57 +20,24 @@ from pfdist.kernels.estimators import ESTIMATORS
 HORIZON, PARTICLES, STREAM = 12, 60, 5
 SETS = [(0, 3, 7), (0, 3), (), (0, 3, 7, 11), (0, 4), (3,), (0, 3, 7)]
 ENDS = [9, 6, 12, 12, 4, 8, 12]
-UNGM, VELOCITY = load_model("ungm"), load_model("constant_velocity")
+UNGM = load_model("ungm")
 
 
 engines = pytest.mark.parametrize("engine", [particle_filter, plain], ids=["compiled", "plain"])
-models = pytest.mark.parametrize(
-    "model",
-    [pytest.param(UNGM, id="ungm"), pytest.param(VELOCITY, id="velocity", marks=pytest.mark.slow)],
-)
 estimators = pytest.mark.parametrize("estimator", ESTIMATORS)
 
 
 @engines
-@models
 @estimators
-def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, estimator):
-    draws = simulate(model, HORIZON, range(3, 10), 1)
+def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, estimator):
+    draws = simulate(UNGM, HORIZON, range(3, 10), 1)
     settings = Estimation(PARTICLES, estimator=estimator)
-    found = engine.filter_checked_sets(model, draws, SETS, ENDS, STREAM, settings, SUMS).errors
+    found = engine.filter_checked_sets(UNGM, draws, SETS, ENDS, STREAM, settings, SUMS).errors
     for row, times, end in zip(found, SETS, ENDS, strict=True):
         prefixes = [tuple(time for time in times if time <= t) for t in range(end + 1)]
-        upto = filter_checked_sets(model, draws, prefixes, range(end + 1), STREAM, settings)[0]
+        upto = filter_checked_sets(UNGM, draws, prefixes, range(end + 1), STREAM, settings)[0]
         expected = np.diff(upto.sum(axis=0), prepend=0.0) * (HORIZON + 1)
         np.testing.assert_allclose(row[: end + 1], expected, rtol=1e-9, atol=1e-9)
-
-
-@models
-@estimators
-def test_the_compiled_sums_are_the_plain_ones(model, estimator):
-    draws, settings = simulate(model, HORIZON, range(9), 2), Estimation(70, estimator=estimator)
-    compiled, plainly = (
-        engine.filter_checked_sets(model, draws, SETS, ENDS, STREAM, settings, SUMS).errors
-        for engine in (particle_filter, plain)
-    )
-    for row, expected, end in zip(compiled, plainly, ENDS, strict=True):
-        np.testing.assert_allclose(row[: end + 1], expected[: end + 1], rtol=1e-9)
-
-
-@pytest.mark.slow
-@engines
-def test_the_error_of_the_model_itself_is_summed(engine):
-    """The squared error stands for whatever the model calls the error."""
-    model = replace(UNGM, error=lambda z, estimate, t, p: (1 + t) * abs(z[0] - estimate[0]))
-    draws = simulate(UNGM, HORIZON, range(5), 1)
-    settings, times = Estimation(PARTICLES), (0, 3, 7)
-    estimate = filter_draws(UNGM, draws, times, PARTICLES, STREAM, trajectories=True).estimate
-    expected = (1 + np.arange(HORIZON + 1)) * np.abs(draws.z - estimate)[:, :, 0].sum(axis=0)
-    with_error = replace(draws, model=model)
-    (found,) = engine.filter_checked_sets(
-        model, with_error, [times], [HORIZON], STREAM, settings, SUMS
-    ).errors
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 DEGENERATE = {  # some draws alone, and at one instant alone

@@ -15,7 +15,7 @@ from pfdist.models.program import Operation, Program, merged
 from pfdist.models.repeating import repeated_steps
 from pfdist.models.tracing import Formula, trace
 
-MODELS = ("ungm", "bearings_only", "robot", "lotka_volterra", "epidemic_counts", "xray_tumour")
+MODELS = ("ungm", "robot", "epidemic_counts", "xray_tumour")
 LAYOUT = {"x": ("slots", 0), "w": ("noise", 0), "y": ("given", 0)}
 
 
@@ -148,15 +148,14 @@ def test_machine_code_calls_no_library(triple, processor):
 
 def test_a_long_program_has_the_same_bits_in_pieces(monkeypatch):
     model, rng = load_model("robot"), np.random.default_rng(1)
-    x, v = rng.uniform(0.2, 1.5, size=(3, 1, 48)), rng.uniform(size=(2, 1, 48)).astype(np.float32)
-    arguments = {"x": 3, "t": 0, "v": 2, "p": 0}
-    formula = Formula(model.measurement, "measurement", arguments, model.parameters, "robot")
-    layout = {"x": ("slots", 0), "v": ("noise", 0)}
-    source, results = Source(trace(formula, range(1)), layout, model.parameters, 2), []
+    x, w = rng.uniform(0.2, 1.5, size=(3, 1, 48)), rng.normal(size=(2, 1, 48)).astype(np.float32)
+    arguments = {"x": 3, "t": 0, "w": 2, "p": 0}
+    formula = Formula(model.transition, "transition", arguments, model.parameters, "robot")
+    source, results = Source(trace(formula, range(1)), LAYOUT, model.parameters, 3), []
     for most in (300, 7):
         monkeypatch.setattr(lowering, "MOST_TOGETHER", most)
         lowering.machine_code.cache_clear()
         compiled = compile_blocks([source], range(1))
-        results.append(called(compiled.blocks, 0, x, v, np.zeros((1, 1)), 2))
+        results.append(called(compiled.blocks, 0, x, w, np.zeros((1, 1)), 3))
     lowering.machine_code.cache_clear()
     np.testing.assert_array_equal(*results)

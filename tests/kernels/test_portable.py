@@ -75,5 +75,5 @@ def test_a_processor_without_fused_multiply_add_is_noticed(name, has):
 def test_check_model_says_that_a_processor_lacks_it(monkeypatch):
     monkeypatch.setattr(checks_of_models, "has_fused_multiply_add", lambda: False)
     checks = checks_of_models.check_loaded(lambda: load_model("random_walk"), 3, 10)
-    (text,) = (each.text for each in checks if each.name == "compile")
+    text = next(each.text for each in checks if each.name == "compile")
     assert "about 10 times as long" in text

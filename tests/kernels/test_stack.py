@@ -133,10 +133,7 @@ def frames(text):
 
 
 @pytest.mark.parametrize("processor", ["haswell", *map(slow, [*PROCESSORS][1:])])
-@pytest.mark.parametrize(
-    ("write", "size"),
-    [*CASES, *(slow(*each) for each in LIMITS)],
-)
+@pytest.mark.parametrize(("write", "size"), [*CASES, *(slow(*each) for each in LIMITS)])
 def test_no_frame_exceeds_64_kb(write, size, processor):
     """A value takes 128 bytes, so 520 values would fill such a frame."""
     halves = [each for each in split(write(size), LAYOUT)[::2] if each.outputs]

@@ -17,8 +17,6 @@ import numpy as np
 from pfdist import StateSpaceModel
 
 TABLE = np.array([1.0, 2.0, 3.0])
-SQUARE = np.arange(9.0).reshape(3, 3)
-PAIR = (1.0, 2.0)
 
 
 def look_up(k):
@@ -64,7 +62,6 @@ method = "random"
 EVERY_TIME = range(13)
 BAD = {
     "a table too short": ("transition", "TABLE[t]", "IndexError", "HERE"),
-    "a tuple too short": ("transition", "PAIR[t]", "IndexError", "HERE"),
     "in a helper": ("transition", "look_up(t)", "IndexError", "HELPER"),
     "by zero": ("transition", "1 // (t - 3)", "ZeroDivisionError", "HERE"),
     "an error of its own": ("transition", "picky(t)", "ValueError", "RAISED"),
@@ -104,18 +101,6 @@ def test_a_bad_formula_is_refused_with_its_line_whatever_computes_it(
         with pytest.raises(ModelError, match=message):
             evaluated(tmp_path, engine, EVERY_TIME)
     assert any(re.search(message, text) for text in wrong_checks(tmp_path))
-
-
-@pytest.mark.slow
-def test_right_indices_and_integers_give_in_compiled_code_what_they_give_in_numpy(
-    tmp_path: Path,
-) -> None:
-    terms = ["TABLE[t % 3]", "TABLE[-1 - t % 3]", "PAIR[-1 - t % 2]", "SQUARE[-3, t % 3]"]
-    terms += ["7 // (t + 1)", "0.1 * (t << 3)", "0.1 * t**3"]
-    written(tmp_path, "transition", " + ".join(terms))
-    compiled, plain = (evaluated(tmp_path, engine, (0, 3, 6)) for engine in ("compiled", "numpy"))
-    assert compiled == pytest.approx(plain, rel=1e-9)
-    assert wrong_checks(tmp_path) == []
 
 
 def test_an_index_far_outside_ends_in_a_line_and_not_in_the_process(tmp_path: Path) -> None:

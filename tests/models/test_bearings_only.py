@@ -4,9 +4,6 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from oracles.moments import assert_covariance, assert_mean, assert_positive
-from pfdist.filters.particle_filter import filter_draws
-from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
 
 MODEL = load_model("bearings_only")
@@ -63,44 +60,3 @@ def test_log_likelihood_is_that_of_a_wrapped_normal_but_for_what_comes_round(y, 
     d = np.abs(np.angle(np.exp(1j * (y - bearing))))
     assert (difference > -1e-11).all()
     assert (difference < np.log1p(2 * np.exp(-2 * np.pi * (np.pi - d) / sd**2)) + 1e-11).all()
-
-
-@pytest.mark.zoo
-def test_simulated_draws_have_the_moments_of_the_formulas():
-    draws = simulate(MODEL.with_parameters({"acceleration_sd": 0.3}), 1, range(100_000), 5)
-    x, y, vx, vy = draws.x[:, 0].T
-    mean, shrink = math.radians(80), math.exp(-(math.radians(1.5) ** 2) / 2)
-    assert_mean(x, 5 * math.sin(mean) * shrink)
-    assert_mean(y, 5 * math.cos(mean) * shrink)
-    assert_mean(x**2 + y**2, 5**2 + 2**2)
-    assert_mean(x**2 - y**2, -(5**2 + 2**2) * math.cos(2 * mean) * shrink**4)
-    assert_mean(vx, -4 * KNOT * math.sin(mean) * 2 / np.pi)  # the course is uniform in a half turn
-    assert_mean(vy, -4 * KNOT * math.cos(mean) * 2 / np.pi)
-    assert_mean(vx**2 + vy**2, (4**2 + 2**2) * KNOT**2)
-    assert_mean(vx**2 - vy**2, 0.0)
-    pushed = draws.x[:, 1] - np.stack([x + vx, y + vy, vx, vy], axis=1)
-    covariance = 0.3**2 * np.kron([[1 / 4, 1 / 2], [1 / 2, 1]], np.eye(2))
-    assert_covariance(pushed, covariance)
-    assert (np.abs(draws.y) <= np.pi).all()
-
-
-@pytest.mark.zoo
-def test_without_measurements_the_expected_mse_is_the_priors_variance():
-    t, particles = np.arange(31), 500
-    here = 29 - 25 * math.exp(-(math.radians(1.5) ** 2))
-    moving = (20 - (4 * 2 / np.pi) ** 2) * KNOT**2
-    # A push at s < t moves the position by (t - s - 1/2) a, in each direction.
-    variance = here + moving * t**2 + 2 * MODEL.p.acceleration_sd**2 * t * (4 * t**2 - 1) / 12
-    mse = filter_draws(MODEL, simulate(MODEL, 30, range(5000), 3), (), particles, 1).mse
-    assert_mean(mse, variance.mean() * (1 + 1 / particles))
-
-
-@pytest.mark.zoo
-def test_it_is_the_turn_that_shows_the_range():
-    straight = MODEL.with_parameters({"second_course": MODEL.p.first_course})
-    blind, turning, going_on = (  # the target is the same
-        filter_draws(model, simulate(model, 30, range(500), 3), times, 2000, 1).mse
-        for model, times in ((MODEL, ()), (MODEL, range(31)), (straight, range(31)))
-    )
-    assert_positive(blind - going_on)
-    assert_positive(going_on - turning)

@@ -18,7 +18,6 @@ POINTS = [*GRID.tolist(), -3.0, -0.75, -0.25, 0.3, 3.9, 5.0, -math.inf, math.inf
 
 CHOICES = {
     "where": lambda x: np.where(x > 0, x, 0.5),
-    "where of integers": lambda x: np.where(x > 0, 1, 2),
     "from numpy import where": lambda x: numpy_where(x > 0, 1, x),
     "where with &": lambda x: np.where((x > 0) & (x < 2), x, -x),
     "clip": lambda x: np.clip(x, -1, 0.5),
@@ -30,7 +29,6 @@ CHOICES = {
     "interp with an end": lambda x: np.interp(x, GRID, VALUES, right=0),
     "interp of integers": lambda x: np.interp(x, WHOLE, WHOLE),
     "interp at one point": lambda x: np.interp(x, ONE, ONE),
-    "select of lists": lambda x: np.select([x > 1, x > 0], [x, 2.0], -1.0),
     "select of tuples": lambda x: np.select((x > 1, x > 0), (x, 2 * x)),
 }
 choices = pytest.mark.parametrize("function", CHOICES.values(), ids=CHOICES)

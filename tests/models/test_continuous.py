@@ -10,6 +10,7 @@ from scipy.linalg import expm
 from oracles.moments import assert_covariance
 from pfdist import StateSpaceModel, ode, sde
 from pfdist.errors import ArgumentError, ModelError
+from pfdist.filters import plain
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
 from pfdist.models import continuous
@@ -54,9 +55,8 @@ def solved(transition, clock=CLOCK):
 def test_the_error_falls_with_the_order_of_the_method(method, order):
     """Against the exponential of the matrix, on an uneven clock; the ratio has an error O(h)."""
     exact = np.array([expm(A * t) @ START for t in CLOCK])
-    errors = [
-        np.abs(solved(ode(linear, method=method, substeps=n)) - exact).max() for n in (4, 8, 16)
-    ]
+    models = [made(ode(linear, method=method, substeps=n)).on_clock(CLOCK) for n in (4, 8, 16)]
+    errors = [np.abs(plain.simulate(each, 5, range(1), 0).x[0] - exact).max() for each in models]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     np.testing.assert_allclose(orders, order, atol=0.25)
 
@@ -176,8 +176,6 @@ def test_paths_converge_strongly_with_the_order_one_half():
     "diffusion",
     [
         lambda x, t, p: ((0.3, 0.1 * x[0]), (0.0, 0.2)),
-        lambda x, t, p: [[0.3, 0.1 * x[0]], [0.0, 0.2]],
-        lambda x, t, p: (np.array([0.3, 0.1 * x[0]]), np.array([0.0, 0.2])),
         lambda x, t, p: np.array([[0.3, 0.1 * x[0]], [0.0, 0.2]]),
     ],
 )
@@ -233,7 +231,7 @@ def test_a_program_does_not_grow_with_the_number_of_steps():
     assert sizes[0] == sizes[1]
 
 
-@pytest.mark.parametrize("substeps", [1, 2, 7])
+@pytest.mark.parametrize("substeps", [1, 7])
 def test_a_loop_has_the_bits_of_steps_that_are_written_out(substeps):
     flow = tank(substeps)
 

@@ -5,10 +5,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
 
-import pfdist
 from oracles.moments import assert_mean
-from pfdist import load_job
-from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
 from pfdist.models.library.epidemic import TESTS
 
@@ -48,15 +45,15 @@ def test_shares_stay_within_0_and_1_however_long_the_step_is():
     assert 0 <= susceptible <= susceptible + infectious <= 1
 
 
-@pytest.mark.zoo
-@pytest.mark.parametrize("times", [(0, 1, 2, 3), (0, 0.5, 0.6, 7)], ids=["even", "irregular"])
-def test_the_log_transmission_rate_has_stationary_moments_and_its_correlation(times):
-    model = SOURCE.on_clock(times)
-    x = simulate(model, 3, range(100_000), 5).x[:, :, 2] - MEAN
-    for t, (time, later) in enumerate(pairwise(times)):
-        assert_mean(x[:, t], 0.0)
-        assert_mean(x[:, t] ** 2, SD**2)
-        assert_mean(x[:, t] * x[:, t + 1], SD**2 * np.exp(-(later - time) / RETURN))
+def test_the_log_transmission_rate_is_a_stationary_autoregression():
+    """Its covariance over a time d is SD^2 exp(-d / RETURN)."""
+    model = SOURCE.on_clock((0.0, 0.5, 7.0))
+    first = model.initial((0.0, 2.0), model.p)
+    assert first[2] == pytest.approx(MEAN + 2 * SD, rel=1e-12)
+    for t, days in enumerate((0.5, 6.5)):
+        kept = np.exp(-days / RETURN)
+        expected = MEAN + kept * (first[2] - MEAN) - SD * np.sqrt(1 - kept**2)
+        assert model.transition(first, t, (-1.0,), model.p)[2] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("prevalence", [0.0, 0.03, 0.5, 1.0])
@@ -78,10 +75,3 @@ def test_a_measurement_is_a_binomial_count_and_the_likelihood_is_its_probability
 
 def test_the_prevalence_is_wanted_in_per_cent():
     assert MODEL.quantity_of_interest((0.5, 0.25, 0.0), 4, MODEL.p) == pytest.approx((25.0,))
-
-
-@pytest.mark.zoo
-def test_the_job_speaks_of_days(request):
-    job = load_job(request.config.rootpath / "jobs" / "epidemic.toml")
-    evaluation = pfdist.evaluate(job, [20, 40], draws=20, particles=20)
-    assert evaluation.measurement_times == (20.0, 40.0)

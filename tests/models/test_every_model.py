@@ -3,49 +3,8 @@
 import pytest
 
 from oracles.in_turn import in_turn
-from oracles.moments import assert_positive
-from pfdist.common.measurement_times import regular
 from pfdist.errors import ModelError
-from pfdist.filters.particle_filter import filter_draws
-from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-
-HOURS = (0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 11, 14, 18, 24, 30, 36, 42, 48)
-CLOCKS = {
-    "epidemic": range(81),
-    "epidemic_counts": range(81),
-    "pharmacokinetics": HOURS,
-    "two_compartments": HOURS,
-}
-
-
-@pytest.mark.zoo
-@pytest.mark.parametrize(
-    ("name", "horizon", "some_times", "draws", "particles"),
-    [
-        ("ungm_gordon", 60, regular(60, 21), 1000, 500),
-        ("stochastic_volatility", 60, regular(60, 21), 1000, 500),
-        ("lorenz63", 30, regular(30, 6), 1000, 500),
-        ("lotka_volterra", 30, regular(30, 5), 1000, 500),
-        ("constant_velocity", 40, regular(40, 6), 500, 500),
-        ("epidemic", 80, regular(80, 12), 1000, 500),
-        ("epidemic_counts", 80, regular(80, 12), 1000, 500),
-        ("pharmacokinetics", 17, (2, 5, 9, 13), 1000, 1000),
-        ("two_compartments", 17, (4, 11, 18, 27), 1000, 1000),
-        ("robot", 40, regular(40, 6), 1000, 1000),
-    ],
-)
-def test_measurements_help(name, horizon, some_times, draws, particles):
-    model = load_model(name)
-    model = model.on_clock(CLOCKS[name]) if name in CLOCKS else model
-    drawn = simulate(model, horizon, range(draws), 1)
-    nothing, some, everything = (
-        filter_draws(model, drawn, times, particles, 1).mse
-        for times in ((), some_times, range(horizon + 1))
-    )
-    assert_positive(nothing - some)
-    assert_positive(some - everything)
-
 
 OUTSIDE = {
     "constant_velocity": {"acceleration_sd": -0.1, "range_sd": 0.0, "bearing_sd": 0.0},

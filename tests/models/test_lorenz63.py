@@ -3,8 +3,6 @@ import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
 
-from oracles.moments import assert_covariance, assert_mean
-from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
 
 MODEL = load_model("lorenz63")
@@ -36,6 +34,12 @@ def test_a_transition_is_ten_euler_maruyama_steps():
     assert following == pytest.approx(tuple(x), rel=1e-12)
 
 
+def test_the_start_is_normal_around_a_known_point():
+    w = (1.0, -0.5, 2.0)
+    first = MODEL.initial(w, MODEL.p)
+    assert first == pytest.approx(tuple(START + np.sqrt(2) * np.array(w)), rel=1e-6)
+
+
 @pytest.mark.parametrize("x", [(0.0, 0.0, 0.0), (9.0, 9.0, 27.0), (-9.0, -9.0, 27.0)])
 def test_the_fixed_points_stay_where_they_are(x):  # +-sqrt(beta (rho - 1)), rho - 1
     p = MODEL.with_parameters({"beta": 3.0}).p
@@ -49,28 +53,6 @@ def test_without_noise_it_approaches_the_equations_solution_in_the_first_order()
     first, second = errors[0] / errors[1] - 2, errors[1] / errors[2] - 2
     assert (np.abs(second) < 0.1).all()
     np.testing.assert_allclose(first / second, 2, atol=0.3)
-
-
-@pytest.mark.zoo
-def test_simulated_draws_have_the_moments_of_the_start_and_of_a_short_step():
-    step, diffusion = 1e-6, 2.0
-    short = MODEL.with_parameters({"step": step, "diffusion": diffusion})
-    draws = simulate(short, 1, range(100_000), 5)
-    before, later = draws.x[:, 0].T, draws.x[:, 1].T
-    pushed = (later - before - step * velocity(before)) / (diffusion * np.sqrt(step))
-    for noise in ((before - START[:, None]) / np.sqrt(2), pushed):
-        assert_covariance(noise.T, np.eye(3))
-
-
-@pytest.mark.zoo
-def test_simulated_draws_have_the_stationary_moments_of_the_chain():
-    # After a substep the means of c and of a^2 are what they were, so with h the substep's length
-    # E[ab] = beta E[c] and 2 sigma E[a^2 - ab] = h sigma^2 E[(b - a)^2] + diffusion^2.
-    model = MODEL.with_parameters({"diffusion": 3.0})
-    a, b, c = simulate(model, 300, range(4000), 5).x[:, 150:].transpose(2, 0, 1)
-    assert_mean(np.mean(a * b - BETA * c, axis=1), 0.0)
-    gained = 0.01 * SIGMA**2 * (b - a) ** 2 + 3.0**2
-    assert_mean(np.mean(2 * SIGMA * a * (a - b) - gained, axis=1), 0.0)
 
 
 @pytest.mark.parametrize("y", [-9.0, 0.0, 3.5])

@@ -2,7 +2,7 @@
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -39,7 +39,6 @@ model = StateSpaceModel(
 """
 )
 WAYS = {  # `test_tracing.py` has more of them; these are compiled in different ways
-    "a dictionary": ("DOSES = {0: 5.0, 4: 3.0}", "return (x[0] / 2 + DOSES.get(t, 0.0) + w[0],)"),
     "a regime by a table": (
         "GAINS = [0.9, -0.5, 0.1]",
         "return (pfdist.take(GAINS, np.clip(np.abs(x[0]), 0, 2).astype(int)) * x[0] + w[0],)",
@@ -73,33 +72,7 @@ def test_a_formula_may_be_written_in_many_ways(way, tmp_path):
     assert_same_filters(load_model("mine.py:model", tmp_path))
 
 
-@pytest.mark.usefixtures("as_written")
-def test_a_model_may_have_twenty_components():
-    matrix = 0.9 * np.linalg.qr(np.random.default_rng(1).normal(size=(20, 20)))[0]
-    model = StateSpaceModel(
-        name="twenty",
-        initial=lambda w, p: w,
-        transition=lambda x, t, w, p: tuple(matrix @ np.array(x) + 0.3 * np.array(w)),
-        measurement=lambda x, t, v, p: (x[0] + v[0], x[19] + v[1]),
-        log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) ** 2 + (y[1] - x[19]) ** 2),
-        quantity_of_interest=lambda x, t, p: x,
-        initial_noise=("normal",) * 20,
-        process_noise=("normal",) * 20,
-        measurement_noise=("normal",) * 2,
-    )
-    assert model.components == (20, 2, 20)
-    assert_same_filters(model)
-
-
 # --- objects --------------------------------------------------------------------------------------
-
-
-def norm_by_hand(x, t, p):
-    return (np.sqrt(x[0] * x[0] + x[1] * x[1]),)
-
-
-def norm(x, t, p):
-    return (np.linalg.norm(np.array(x[:2])),)
 
 
 def test_methods_compute_what_their_formulas_written_out_compute():
@@ -116,14 +89,6 @@ def test_methods_compute_what_their_formulas_written_out_compute():
     assert_same_filters(by_methods)
 
 
-def test_a_sum_over_the_components_of_a_state_does_not_mix_particles():
-    model = replace(model_of(Satellite()), quantity_of_interest=norm)
-    by_hand = replace(model, quantity_of_interest=norm_by_hand)
-    draws = plain.simulate(model, 5, range(4), 1)
-    np.testing.assert_allclose(draws.z, plain.simulate(by_hand, 5, range(4), 1).z, rtol=1e-12)
-    assert_same_filters(model)
-
-
 class Position:
     """A callable object as a formula."""
 
@@ -132,16 +97,6 @@ class Position:
 
     def __call__(self, x, t, p):
         return x[: self.components]
-
-
-@dataclass
-class Squared:
-    """A callable object without a hash, as an error."""
-
-    factor: float
-
-    def __call__(self, z, estimate, t, p):
-        return self.factor * (z[0] - estimate[0]) ** 2
 
 
 class Missing:
@@ -162,15 +117,6 @@ def test_callable_objects_and_partial_functions_are_formulas():
         assert_same_filters(model)
 
 
-def test_a_callable_object_needs_no_hash():
-    def mse(factor: float):
-        model = replace(model_of(Satellite()), error=Squared(factor))
-        draws = simulation.simulate(model, 8, range(10), 1)
-        return particle_filter.filter_draws(model, draws, (0, 4), 50, 2).mse
-
-    np.testing.assert_allclose(mse(2.0), 2 * mse(1.0), rtol=1e-12)
-
-
 @pytest.mark.parametrize("wrong", [5, "f", Missing()])
 def test_what_cannot_be_called_as_a_formula_is_refused(wrong):
     with pytest.raises(ModelError, match=r"quantity_of_interest must be a function of \(x, t, p\)"):
@@ -179,7 +125,8 @@ def test_what_cannot_be_called_as_a_formula_is_refused(wrong):
 
 def test_a_model_of_objects_travels_and_is_known_by_its_programs(tmp_path):
     problem = pfdist.Problem(model_of(Satellite()), horizon=8, measurement_budget=3, particles=50)
-    draws = {"comparison": {"draws": 100}, "search": [{"method": "random", "evaluations": 3}]}
+    draws = {"comparison": {"draws": 100}, "evaluation": {"draws": 20}}
+    draws["search"] = [{"method": "random", "evaluations": 3}]
     run = partial(pfdist.run, results=tmp_path / "run")
     job = problem.job(**draws)
     first, same = run(job, pool="threads"), run(job, pool="threads")  # it is resumed

@@ -68,10 +68,7 @@ LAST = len(program(json.loads(text_of_models(MODEL, MODEL)))["operations"]) - 1
         (lambda data: program(data, "log_likelihood").update(outputs=[0] * 500), "other results"),
         (lambda data: program(data).update(outputs=[0] * 10**6), "1,000,000 results"),
         (lambda data: data["truth"].update(name=None), "name must be a string, got None"),
-        (
-            lambda data: data["truth"].update(process_noise=["normal"] * 10**5),
-            "at most 1000 items",
-        ),
+        (lambda data: data["truth"].update(process_noise=["normal"] * 10**5), "at most 1000 items"),
         (operation(LAST, "sin", "", None), "arguments must be lists"),
         (lambda data: program(data).update(constants=[]), "no row of constants"),
         (lambda data: program(data)["constants"][0].__setitem__(0, "x"), "a part is missing"),
@@ -200,9 +197,7 @@ def test_a_result_within_a_loop_is_refused() -> None:
 @in_turn(
     "content",
     [
-        b"",
         b"null",
-        b"[]",
         b"{",
         b"\xff\xfe",
         b"[" * 100_000,

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable
 from dataclasses import replace
 from functools import cache
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,17 +41,11 @@ Array = NDArray[np.float64]
 
 
 def with_each(names: Collection[str]) -> pytest.MarkDecorator:
-    """Each linear system with one of some names, in turn; all others are slow."""
-    count = len(names)
+    """Each linear system with one of some names, in turn."""
+    pairs = zip(SYSTEMS.items(), cycle(names), strict=False)
     return pytest.mark.parametrize(
         ("model", "name"),
-        [
-            pytest.param(
-                model, name, id=f"{system}-{name}", marks=[pytest.mark.slow] * (k % count != j)
-            )
-            for k, (system, model) in enumerate(SYSTEMS.items())
-            for j, name in enumerate(names)
-        ],
+        [pytest.param(model, name, id=f"{system}-{name}") for (system, model), name in pairs],
     )
 
 

@@ -87,9 +87,7 @@ def test_the_least_ray_that_is_admitted_has_tokens() -> None:
         pytest.param("nonsense", id="no-port"),
         pytest.param("head:65536", id="port-too-large"),
         pytest.param("head:" + "9" * 5000, id="port-of-5000-digits"),
-        pytest.param("head:1_0", id="underscore"),
         pytest.param("head:٦٣٧٩", id="arabic-digits"),
-        pytest.param("a\0b:6379", id="nul"),
         pytest.param("x" * 3_000_000, id="three-megabytes"),
     ],
 )
@@ -104,9 +102,7 @@ def test_what_is_no_address_is_refused_in_one_short_line(address: str) -> None:
     ("address", "words"),
     [
         pytest.param("127.0.0.1:1", "Connection refused", id="closed-port"),
-        pytest.param("ray://127.0.0.1:1", "Connection refused", id="client"),
         pytest.param("[::1]:1", "no Ray cluster at '[::1]:1'", id="version-6"),
-        pytest.param("a" * 64 + ".invalid:1", "no Ray cluster at", id="label-too-long"),
         pytest.param("x" * 3000 + ":1", "no Ray cluster at", id="name-of-3000-letters"),
     ],
 )

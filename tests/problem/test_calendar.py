@@ -82,7 +82,7 @@ def test_a_text_means_the_instants_whose_local_date_matches(
 
 
 @pytest.mark.parametrize("start", [SPRING, AUTUMN])
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(ends=st.tuples(st.integers(0, DAYS), st.integers(0, DAYS)).map(sorted))
 def test_a_range_of_dates_has_both_ends(start: str, ends: list[int]) -> None:
     clock, (first, last) = half_hours(start, ZONE), ends

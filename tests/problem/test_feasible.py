@@ -22,8 +22,7 @@ from pfdist.search.exchange import shifts
 
 NAMES = "|".join(field.name for field in fields(Constraints))
 quick = settings(
-    max_examples=20,
-    suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
+    max_examples=20, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow]
 )
 LARGE = [
     {"horizon": 11, "measurement_budget": 4, "minimum_spacing": 2, "forbidden": (3, 4)},

@@ -137,10 +137,7 @@ MISTAKES = [
     ("search.random.name=regular", r"names must not be 'regular', .* got 'regular' "),
     ("search.random.name=genetic", r"must differ from each other, got 'genetic' twice"),
     ("comparison.reference=even", r"reference must be .* got 'even' "),
-    (
-        "online.draws=100001",
-        r"online\.draws of at most comparison\.draws = 100000, got 100001",
-    ),
+    ("online.draws=100001", r"online\.draws of at most comparison\.draws = 100000, got 100001"),
     (
         "online={}",
         "comparison.until.half_width=0.1",

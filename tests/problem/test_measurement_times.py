@@ -38,7 +38,6 @@ def test_valid_times_are_sorted_python_integers(times):
 
 
 APART = Spacing.constant(4, 10)
-RNG = np.random.default_rng(1)
 
 
 @in_turn(

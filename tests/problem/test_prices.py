@@ -86,11 +86,7 @@ def test_sentences_have_the_money_as_it_is_written() -> None:
     [
         ((0.5, 0.0), 1.0, r"^price must be above 0, got 0"),
         ((0.5, 0.75), 0.25, r"the cheapest has the price 0\.5, got 0\.25$"),
-        (
-            (0.001, 12.3456),
-            12.5,
-            r"10,000 times .* whole, 0\.0002, got 12\.5: give rounder",
-        ),
+        ((0.001, 12.3456), 12.5, r"10,000 times .* whole, 0\.0002, got 12\.5: give rounder"),
         ((1 / 3, 1), 2, r"10,000 times the largest unit"),
     ],
 )

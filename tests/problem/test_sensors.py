@@ -118,11 +118,7 @@ def test_a_measurement_is_read_as_it_is_written(t: int, sensor: int) -> None:
 
 @pytest.mark.parametrize(
     ("written", "numbers"),
-    [
-        ("0, 2:4 ct, 1 x-ray", [0, 4, 6, 8, 3]),
-        (["0:4:2 x-ray", "1 ct"], [1, 5, 9, 2]),
-        ("", []),
-    ],
+    [("0, 2:4 ct, 1 x-ray", [0, 4, 6, 8, 3]), (["0:4:2 x-ray", "1 ct"], [1, 5, 9, 2]), ("", [])],
 )
 def test_several_times_may_precede_their_sensor(written: object, numbers: list[int]) -> None:
     assert POINTS.read(written) == tuple(numbers)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracles.in_turn import in_turn
@@ -68,6 +68,7 @@ VALUES = st.one_of(
 )
 
 
+@settings(max_examples=20)
 @given(st.lists(VALUES, min_size=1, max_size=6, unique_by=repr))
 def test_every_value_reaches_the_job_as_it_is_and_names_are_those_of_folders(
     values: list[Any],

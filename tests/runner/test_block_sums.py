@@ -84,9 +84,7 @@ def test_means_are_those_of_all_draws_and_blocks_that_are_stored_are_not_filtere
 @pytest.mark.parametrize(
     "changes",
     [
-        [],
         ["problem.instant_weights=[1, 0.3, 1, 2, 3, 0.7, 5, 6, 7, 8, 9, 0.1, 2]"],
-        ["filter.engine=numpy"],
         [
             "filter.engine=numpy",
             "problem.instant_weights=[1, 0.3, 1, 2, 3, 0.7, 5, 6, 7, 8, 9, 0.1, 2]",

@@ -41,16 +41,11 @@ def fails(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     return let
 
 
-@pytest.mark.parametrize("number", [pytest.param(1, marks=pytest.mark.slow), 7])
 def test_points_beside_a_point_that_fails_compute_what_it_has_not(
-    number: int,
-    finished: Callable[..., Path],
-    fails: Callable[[int], None],
-    small_job: Job,
-    tmp_path: Path,
+    finished: Callable[..., Path], fails: Callable[[int], None], small_job: Job, tmp_path: Path
 ) -> None:
     alone = finished("comparison.draws=300")
-    fails(number)
+    fails(7)
     options: Any = {"results": tmp_path / "sweep", "figures": False}
     with pytest.raises(SweepError) as caught:
         pfdist.sweep(small_job, ALIKE, changes=["execution.failures=0"], **options)
@@ -93,9 +88,7 @@ def test_a_sweep_without_workers_ends_with_one_line(
     assert "127.0.0.1:1" in last
 
 
-def test_a_driver_is_closed_before_the_loop_ends_however_it_ends(
-    session: RunSession,
-) -> None:
+def test_a_driver_is_closed_before_the_loop_ends_however_it_ends(session: RunSession) -> None:
     events = list[str]()
 
     @contextlib.contextmanager

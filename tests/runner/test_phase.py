@@ -3,10 +3,8 @@
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -30,11 +28,6 @@ from pfdist.search import Candidate, Optimiser, RandomTrials
 Completed = Callable[..., Any]
 
 
-def _counted(calls: list[str], real: Any, *arguments: Any, **more: Any) -> Any:
-    calls.append(real.__name__)
-    return real(*arguments, **more)
-
-
 def _phase(built: Built, optimiser: Optimiser) -> Phase:
     return Phase("mine", optimiser, "search", built.searches[0].settings, built, MEAN)
 
@@ -55,28 +48,6 @@ def test_other_times_than_there_are_end_in_an_error_before_anything_is_computed(
         driver = run_comparison(session, {"regular": (0, 4, 8, 12), "mine": (0, 13)})
     with pytest.raises(MeasurementTimesError, match=r"in 0..12, got 13 \((search )?mine\)$"):
         completed(driver)
-
-
-@pytest.mark.slow
-def test_what_the_build_has_checked_no_task_checks_again(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The number of checks depends on the sets alone, not on draws, tasks and filters."""
-    calls: list[str] = []
-    for place in ("filters.evaluator", "filters.interface"):
-        for name in ("check_filter", "validated_from"):
-            counted = partial(_counted, calls, resolve_name(f"pfdist.{place}:{name}"))
-            monkeypatch.setattr(f"pfdist.{place}.{name}", counted)
-    counts, tasks = [], []
-    for draws in (10, 400):
-        monkeypatch.setattr(Pace, "size", lambda pace, remaining: 13 * 40)
-        calls.clear()
-        job = small_job.with_changes([f"comparison.draws={draws}"])
-        run = pfdist.run(job, tmp_path / f"{draws}", figures=False)
-        counts.append(len(calls))
-        tasks.append(len(run.table("timings")))
-    assert tasks[1] > tasks[0] + 100
-    assert counts[0] == counts[1]
 
 
 def test_a_problem_checks_a_work_that_comes_from_outside(built: Built) -> None:

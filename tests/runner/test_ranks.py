@@ -68,7 +68,7 @@ def finding(
     return wrong_likelihood(work.result(evaluator).sums, DRAWS)
 
 
-@pytest.mark.parametrize("particles", [2, 7, 100])
+@pytest.mark.parametrize("particles", [2, 100])
 @pytest.mark.parametrize("name", [*RIGHT_MODELS])
 def test_a_right_likelihood_passes(name: str, particles: int) -> None:
     assert not finding(RIGHT_MODELS[name], particles=particles)

@@ -9,7 +9,6 @@ import pfdist
 from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.errors import RunMismatchError
 from pfdist.questions.evaluate import evaluate
 from pfdist.results.sets import described
 
@@ -47,10 +46,7 @@ def test_the_summary_says_what_it_is(
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [(0, 3, 9), ()])
 def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
-    times: tuple[int, ...],
-    small_job: Job,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    times: tuple[int, ...], small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = small_job.with_changes([*SHORT, f"comparison.reference={[*reversed(times)]}"])
     run = pfdist.run(job, tmp_path / "run")
@@ -73,18 +69,3 @@ def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     assert "regular" not in text
     assert main(["why", str(run.path / "job.toml"), "--draws", "20"]) == 0
     assert "reference: expected MSE " in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_with_another_reference_it_is_another_run_of_the_same_searches(
-    small_job: Job, tmp_path: Path
-) -> None:
-    few, runs = small_job.with_changes(SHORT), []
-    for number, reference in enumerate(("'regular'", "[0, 3, 9]")):
-        job = few.with_changes([f"comparison.reference={reference}"])
-        runs.append(pfdist.run(job, tmp_path / f"{number}", figures=False))
-    for name in ("genetic", "random"):
-        np.testing.assert_array_equal(*[run.table("comparison")[f"mse_{name}"] for run in runs])
-    other = few.with_changes(["comparison.reference=[0, 3, 8]"])
-    with pytest.raises(RunMismatchError, match=r"comparison.reference: \[0, 3, 9\] -> \[0, 3, 8"):
-        pfdist.run(other, runs[-1].path)

@@ -34,7 +34,7 @@ def test_it_goes_on_with_those_that_may_be_the_best_and_decides_on_all_their_dra
     larger than if as many draws were spread evenly.
     """
     sets: list[Times] = [(0, t) for t in range(1, 17)]
-    apart, races = 0.06, 1000
+    apart, races = 0.06, 400
     means = np.array([0.0, apart, *[1.0] * 14])
     wins, spent = 0, []
     for seed in range(races):

@@ -6,6 +6,7 @@ import re
 import tokenize
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -32,9 +33,12 @@ LOW_ROOMS = (
 )
 
 
+parsed = cache(ast.parse)
+
+
 def names(source: str) -> Iterator[tuple[int, str]]:
     """Every variable, argument, attribute, definition and imported name, with its line."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         name = ""
         if isinstance(node, ast.Name):
             name = node.id
@@ -63,7 +67,7 @@ def calendar_names(source: str) -> Iterator[str]:
 
 def prose(source: str) -> Iterator[tuple[int, str]]:
     """Every docstring and every block of comments, with its first line."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
             doc = ast.get_docstring(node)
             if doc:
@@ -75,7 +79,7 @@ def prose(source: str) -> Iterator[tuple[int, str]]:
 
 def messages(source: str) -> Iterator[tuple[int, str]]:
     """Every string that is no docstring, with its line."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
@@ -111,7 +115,7 @@ ENGINES_HAVE = {"filter_checked_draws", "log_evidence", "simulate"}
 
 def public_names(source: str) -> Iterator[str]:
     """Each public class and function of a module, by name; variants for a type checker once."""
-    body = ast.parse(source).body
+    body = parsed(source).body
     kinds = (ast.ClassDef, ast.FunctionDef)
     names = {node.name for node in body if isinstance(node, kinds)}
     yield from (name for name in names - ENGINES_HAVE if not name.startswith("_"))
