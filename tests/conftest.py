@@ -148,18 +148,21 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Finished runs without figures, shared by all tests of the session; nobody changes them.
 
     ``finished("comparison.draws=60")`` is the folder of the small job's run with this change,
-    ``finished(job="...")`` that of another job, given as TOML. Ask for it before you patch the
-    program: the run is made when it is first asked for.
+    ``finished(job="...")`` that of another job, given as TOML; ``proved`` is the number of draws of
+    its bound. Ask for it before you patch the program: the run is made when it is first asked for.
     """
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base  # by all processes
 
-    def find(*changes: str, job: str = SMALL_JOB) -> Path:
-        folder = shared / f"finished-{sha256(repr((job, changes)).encode()).hexdigest()[:12]}"
+    def find(*changes: str, job: str = SMALL_JOB, proved: int = 0) -> Path:
+        key = repr((job, changes, proved)).encode()
+        folder = shared / f"finished-{sha256(key).hexdigest()[:12]}"
         if not folder.exists():
             scratch = tmp_path_factory.mktemp("scratch")
             (scratch / "job.toml").write_text(job)
-            pfdist.run(scratch / "job.toml", scratch / "run", changes=changes, figures=False)
+            run = pfdist.run(scratch / "job.toml", scratch / "run", changes=changes, figures=False)
+            if proved:
+                pfdist.bound(run, proved, pool="serial", figures=False)
             with contextlib.suppress(OSError):  # another process was quicker
                 scratch.rename(folder)
         return folder / "run"

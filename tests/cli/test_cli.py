@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ import pfdist
 from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.errors import PoolError, StoreError
-from pfdist.runner.build import Built, build
 
 Call = Callable[..., Any]  # exit code, output and errors of a line
 
@@ -148,19 +146,6 @@ def test_plot_draws_every_figure_as_png_svg_and_pdf(run: Path, call: Call) -> No
 def test_models_lists_every_model_with_a_line(call: Call) -> None:
     lines = call("models").out.splitlines()
     assert any(line.startswith("ungm ") and "growth model" in line for line in lines)
-
-
-@pytest.mark.slow
-def test_the_seconds_of_evaluate_are_those_of_the_draws(
-    run: Path, monkeypatch: pytest.MonkeyPatch, call: Call
-) -> None:
-    def slowly(job: Job) -> Built:  # as where all must be compiled
-        time.sleep(5.0)
-        return build(job)
-
-    monkeypatch.setattr("pfdist.questions.evaluate.build", slowly)
-    line = f"evaluate {run}/job.toml --times 0,3 --json"
-    assert json.loads(call(line).out)["seconds"] < 5.0
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -146,36 +146,6 @@ def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[st
     _play(page, capsys)
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("checkout")
-def test_the_worked_example_prints_what_its_page_shows(capsys: pytest.CaptureFixture[str]) -> None:
-    names = _play("example", capsys)
-    assert Path("lake.filtered.png").stat().st_size > 10_000
-    assert names["planner"].measured == (6, 10, 17, 26)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("checkout")
-def test_the_page_about_particles_prints_and_draws_what_it_shows(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    names = _play("particles", capsys)
-    assert names["axes"].has_data()
-    assert names["losses"]["particle_loss"].is_monotonic_decreasing
-    (_, section), *_ = _blocks(DOCS / "particles.md", "toml")
-    assert tomllib.loads(section) == {"filter": {"particles": "auto"}}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("checkout")
-@pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")  # y fits no model
-def test_the_planner_of_the_page_about_online_times_measures_as_often_as_the_plan(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    names = _play("online", capsys, measure_at=lambda t: 0.3 * t)
-    assert len(names["planner"].measured) == 21
-
-
 def test_the_job_of_the_page_about_online_times_has_the_settings_of_the_page() -> None:
     assert pfdist.load_job(ROOT / "jobs" / "online.toml").online == Online()
 

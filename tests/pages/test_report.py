@@ -444,13 +444,3 @@ def test_a_run_with_quotes_in_its_name_is_loaded_as_the_report_says(make: Make) 
     ]
     compile(code, "report", "exec")
     assert '"a \\"run\\" \U0001f600"' in code
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("error::UserWarning")
-def test_long_names_of_many_searches_leave_room_for_the_curves(make: Make, see: See) -> None:
-    """Matplotlib warns if a legend leaves no room."""
-    names = [f"{'long' * 9}_{number}" for number in range(5)]
-    several = ", ".join(f"{{method='random', name='{name}', evaluations=2}}" for name in names)
-    page = see(make(f"search=[{several}]"))
-    assert "root mean square error" in page.text

@@ -85,9 +85,8 @@ def test_where_the_filter_does_not_know_the_truth_a_job_cannot_ask_and_questions
     run = pfdist.compare(job, times=SETS, results=tmp_path / "compare", figures=False)
     assert not _controls(run)
     assert "control" not in run.job["comparison"]
-    pfdist.run(job, tmp_path / "run", figures=False)
-    found = pfdist.why(tmp_path / "run", 20, figures=False)
-    assert (found.sets["expected_mse"] > 0).all()
+    if changes is NOMINAL:
+        assert (pfdist.why(run, 20, figures=False).sets["expected_mse"] > 0).all()
 
 
 def test_questions_have_controls_unless_the_job_says_no(small_job: Job, tmp_path: Path) -> None:
@@ -127,10 +126,10 @@ def test_told_scenarios_have_their_own_controls_and_agree_with_kalman_filters(
         walks.WALK,
         horizon=walks.HORIZON,
         measurement_budget=4,
-        particles=1000,
+        particles=400,
         scenarios={"parameters": walks.SCENARIOS, "weights": walks.WEIGHTS, "filter": "told"},
     )
-    run = pfdist.compare(problem, times=SETS, results=tmp_path / "run", draws=2000, figures=False)
+    run = pfdist.compare(problem, times=SETS, results=tmp_path / "run", draws=800, figures=False)
     exact = walks.costs([*SETS.values()], told=True)
     rows = run.table("scenarios").set_index(["name", "scenario"])
     for name, of_scenarios in zip(SETS, exact, strict=True):

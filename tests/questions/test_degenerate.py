@@ -43,7 +43,8 @@ def test_there_is_no_plan_if_most_draws_are_degenerate(
 ) -> None:
     """No particle has the likelihood of a measurement without noise: all draws are degenerate."""
     monkeypatch.setattr(comparison_phase, "BLOCK", 20)  # after so many draws it is known
-    changes, named = ["comparison.draws=400"], "check-model .* 'kalman' .* 'continue'"
+    named = "check-model .* 'kalman' .* 'continue'"
+    changes = ["comparison.draws=400", "search.relaxation.evaluation.draws=20"]
     path = tmp_path / "run"
     with pytest.raises(SearchError, match=f"no plan, because .* of .* degenerate .* {named}"):
         pfdist.plan(PROBLEM, path, changes=changes, pool="serial", figures=False, bound_draws=0)
@@ -112,7 +113,7 @@ def test_from_1_percent_on_degenerate_draws_are_said_first(
     assert " ".join(lines_of(evaluated._page())).replace("\n", " ").count("degenerate") == 1
 
 
-@pytest.mark.parametrize("reason", [CHECK_FAILS, pytest.param(RANKS_FAIL, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("reason", [CHECK_FAILS, RANKS_FAIL])
 def test_a_wrong_likelihood_is_said_first(
     reason: str, finished: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

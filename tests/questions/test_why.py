@@ -198,26 +198,6 @@ def test_the_effective_sample_size_is_that_of_the_draws_with_trajectories(
     assert why(run, draws=2).profile.equals(profile)  # from the same noise
 
 
-@pytest.mark.slow
-def test_degenerate_draws_are_counted_up_to_each_instant(small_job: Job, tmp_path: Path) -> None:
-    (tmp_path / "cut.py").write_text(
-        "from dataclasses import replace\n"
-        "import numpy as np\n"
-        "from pfdist import load_model, where\n"
-        "walk = load_model('random_walk')\n"
-        "model = replace(walk, log_likelihood=lambda y, x, t, p:\n"
-        "    where(abs(y[0] - x[0]) > 3.5, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
-    )
-    changes = ["model.filter.name=cut.py:model", "filter.particles=5"]
-    job = small_job.with_changes([*WALK, *changes, "evaluation.degenerate_draws=continue"])
-    found = pfdist.why(pfdist.run(job, tmp_path / "run", figures=False), draws=50, figures=False)
-    known = found.sets.set_index("name")["degenerate_draws"]
-    for name, rows in found.profile.groupby("name"):
-        counts = rows["degenerate_draws"].to_numpy()
-        assert np.all(np.diff(counts) >= 0), name
-        assert 0 < counts[-1] == known[name]
-
-
 def test_a_lost_answer_is_computed_when_it_is_asked_for(
     run_of: Callable[..., Run],
 ) -> None:

@@ -68,15 +68,6 @@ def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say)
     assert "finished" in say("status", "--", new)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [os.fsdecode(b"a\xffb"), "exp:1"])
-def test_figures_are_drawn_into_a_folder_of_any_name(name: str, small_job: Job, say: Say) -> None:
-    say("run", str(small_job.path), f"--results={name}", "--set", *SMALL)
-    say("plot", name)
-    assert f"{name}/figures/why-genetic.svg" in say("why", f"{name}/job.toml", "--draws", "20")
-    assert Path(name, "figures", "why-genetic.svg").exists()
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param("n" * 256, id="256 characters"), pytest.param("d/" * 3000, id="deep")]
 )
