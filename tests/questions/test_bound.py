@@ -295,20 +295,17 @@ def test_a_proof_that_fails_is_named_at_the_end_of_every_answer(
         raise ModelError("the log-likelihood does not fit the measurements")
 
     again: Any = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS}
+    line = "Not proved: the log-likelihood does not fit the measurements."
     with monkeypatch.context() as patched:
         patched.setattr(Prover, "_parts", refuse)
-        with pytest.warns(PfdistWarning, match="^Not proved: the log-likelihood does not fit"):
+        with pytest.warns(PfdistWarning, match=f"^{line}"):
             run = pfdist.run(walk / "job.toml", walk, **again)
-    line = "Not proved: the log-likelihood does not fit the measurements."
     assert run.as_json()["unproved"] == line
     assert repr(run).endswith(f" | {line}>")
-    with monkeypatch.context() as patched:
-        patched.setattr(Prover, "_sums", refuse)
-        proved = bound(walk)
-    of_set = line.replace("proved", "proved for random")
-    assert repr(proved).endswith(f" | {of_set}>")
-    of_sets = of_set.replace("random", "genetic, random")
-    assert pfdist.open_run(walk).as_json()["unproved"] == of_sets
+    monkeypatch.setattr(Prover, "_sums", refuse)
+    of_sets = line.replace("proved", "proved for {}")
+    assert repr(bound(walk)).endswith(f" | {of_sets.format('random')}>")
+    assert pfdist.open_run(walk).as_json()["unproved"] == of_sets.format("genetic, random")
 
 
 def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(

@@ -58,7 +58,7 @@ def test_of_a_model_that_is_too_slow_nothing_is_filtered_but_the_time_is_known(
 
 @pytest.mark.parametrize(
     ("seconds", "says"),
-    [(0.001, "; 500 are enough"), (0.4, "; no more, up to 20,000, can be tried in 20 s")],
+    [(1e-5, "; 500 are enough"), (0.4, "; no more, up to 20,000, can be tried in 20 s")],
 )
 def test_more_particles_are_tried_only_if_there_is_time(
     seconds: float, says: str, monkeypatch: pytest.MonkeyPatch

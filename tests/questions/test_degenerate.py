@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import pfdist
-from pfdist import Problem, StateSpaceModel
+from oracles.systems import one_state
+from pfdist import Problem
 from pfdist.common.parts import Page
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL
 from pfdist.common.shown import as_fragment
@@ -22,16 +23,12 @@ from pfdist.questions.run_page import answer_in_a_line, answer_of, page_of
 from pfdist.results import stored_run
 from pfdist.runner import comparison_phase
 
-EXACT = StateSpaceModel(
-    name="a sensor of deviation 0",
+EXACT = one_state(
+    "a sensor of deviation 0",
     initial=lambda w, p: (2.0 * w[0],),
     transition=lambda x, t, w, p: (x[0] + 0.4 * w[0],),
     measurement=lambda x, t, v, p: (x[0] + p.sd * v[0],),
     log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / p.sd) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
     parameters={"sd": 0.0},
     linear_gaussian=True,
 )
@@ -53,14 +50,6 @@ def test_there_is_no_plan_if_most_draws_are_degenerate(
     with pytest.raises(SearchError, match="no plan"):  # at once: the draws are there
         pfdist.plan(PROBLEM, path, changes=changes, pool="serial", figures=False, bound_draws=0)
     assert pfdist.open_run(path).draws_compared == compared
-
-
-def test_a_search_that_kills_every_set_names_the_same_ways_out(tmp_path: Path) -> None:
-    job = PROBLEM.job(search=[{"method": "random", "evaluations": 3}])
-    with pytest.raises(
-        SearchError, match=r"infinite error.* check-model .* 'kalman' .* 'continue'"
-    ):
-        pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
 
 
 def test_a_job_may_continue_and_its_answer_says_first_that_draws_are_degenerate(

@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 import pfdist
+from oracles.systems import one_state
 from pfdist.filters.evaluator import recorded_evaluator
 from pfdist.filters.evidence import exact_log_evidence
 from pfdist.questions.fit import Fitted
@@ -19,16 +20,12 @@ START = {"a": 0.6, "sd": 1.0, "noise": 1.0}
 
 def model_with(**parameters: float) -> pfdist.StateSpaceModel:
     """A stationary autoregression that is measured with noise."""
-    return pfdist.StateSpaceModel(
-        name="autoregression",
+    return one_state(
+        "autoregression",
         initial=lambda w, p: (p.sd / np.sqrt(1 - p.a**2) * w[0],),
         transition=lambda x, t, w, p: (p.a * x[0] + p.sd * w[0],),
         measurement=lambda x, t, v, p: (x[0] + p.noise * v[0],),
         log_likelihood=lambda y, x, t, p: pfdist.densities.normal_logpdf(y[0], x[0], p.noise),
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        measurement_noise=("normal",),
         parameters=parameters,
         parameter_ranges={"a": (0.0, 0.99), "sd": (1e-3, 10.0), "noise": (1e-3, 10.0)},
         linear_gaussian=True,
@@ -125,8 +122,8 @@ def test_a_maximum_outside_of_the_bounds_is_on_a_bound(
 
 def cubic(**parameters: float) -> pfdist.StateSpaceModel:
     """Measurements k^2 and .3 k of a constant k: with k = -1, another maximum is near k = .9."""
-    return pfdist.StateSpaceModel(
-        name="cubic",
+    return one_state(
+        "cubic",
         initial=lambda w, p: (p.spread * w[0],),
         transition=lambda x, t, w, p: (x[0] + 0.0 * w[0],),
         measurement=lambda x, t, v, p: (x[0] + p.k**2 + 0.1 * v[0], 0.3 * p.k + 0.1 * v[1]),
@@ -134,9 +131,6 @@ def cubic(**parameters: float) -> pfdist.StateSpaceModel:
             pfdist.densities.normal_logpdf(y[0], x[0] + p.k**2, 0.1)
             + pfdist.densities.normal_logpdf(y[1], 0.3 * p.k, 0.1)
         ),
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
         measurement_noise=("normal", "normal"),
         parameters={"k": 0.8, "spread": 0.02, **parameters},
         parameter_ranges={"spread": (0.0, 9.0)},

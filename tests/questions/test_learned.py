@@ -77,11 +77,7 @@ def test_the_parameters_can_be_what_is_estimated() -> None:
     ("change", "says"),
     [
         ({"criterion": "worst"}, "'learned' takes 'mean' as scenarios.criterion, got 'worst'"),
-        ({"count": 4}, "'learned' takes no scenarios.count, got 4"),
-        (
-            {"motion": 0.1, "filter": "nominal", "count": 4},
-            r"motion needs .* got 0.1",
-        ),
+        ({"motion": 0.1, "filter": "nominal", "count": 4}, r"motion needs .* got 0.1"),
         ({"parameters": {"speed": {"uniform": [-1.0, 1.0]}}}, "unknown parameter 'speed'"),
     ],
 )

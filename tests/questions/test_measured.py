@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from oracles.clocked import with_clock
+from oracles.systems import one_state
 from pfdist import StateSpaceModel, load_model
 from pfdist.filters import plain
 from pfdist.models import installed_models
@@ -26,15 +27,11 @@ def _normal(apart: Any, sd: Any) -> Any:
 
 
 def _model(measurement: Any, log_likelihood: Any, *noise: str, **fields: Any) -> StateSpaceModel:
-    return StateSpaceModel(
-        name="mine",
-        initial=lambda w, p: (w[0],),
+    return one_state(
+        "mine",
         transition=lambda x, t, w, p: (0.9 * x[0] + w[0],),
         measurement=measurement,
         log_likelihood=log_likelihood,
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
         measurement_noise=noise,
         **{"normalised": True, **fields},
     )

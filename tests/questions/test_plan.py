@@ -9,6 +9,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.systems import one_state
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import JobError
@@ -95,15 +96,11 @@ def test_few_particles_find_the_optimum_where_the_likelihood_has_bounded_support
 
     If these draws killed a set, or did not count, a search would measure where it is of no use.
     """
-    model = pfdist.StateSpaceModel(
-        name="bounded",
+    model = one_state(
+        "bounded",
         initial=lambda w, p: (0.1 * w[0],),
         transition=lambda x, t, w, p: (x[0] + pfdist.where(t == 2, 1.6, 0.3) * w[0],),
-        measurement=lambda x, t, v, p: (x[0] + v[0],),
         log_likelihood=lambda y, x, t, p: pfdist.where(abs(y[0] - x[0]) <= 0.5, 0.0, -np.inf),
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
         measurement_noise=("centred",),
     )
     problem = pfdist.Problem(model, horizon=5, measurement_budget=1, particles=500)

@@ -133,7 +133,7 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
         "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
     )
     changes = ['model.name="hopeless.py:hopeless"', "filter.engine=numpy", "evaluation.draws=3"]
-    with pytest.raises(SearchError, match=r"genetic: every set of times .* degenerate"):
+    with pytest.raises(SearchError, match=r"genetic: every set of times .* check-model .* 'continue'"):
         pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
     rows = pfdist.open_run(tmp_path / "run").table("evaluations")
     assert (rows["degenerate_draws"] == rows["draws"]).all()
