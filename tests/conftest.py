@@ -286,3 +286,15 @@ def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., Called]:
         return Called(code, *capsys.readouterr())
 
     return called
+
+
+@pytest.fixture
+def said(call: Callable[..., Called]) -> Callable[..., str]:
+    """Call pfdist with words; give what it prints, or with another code than 0 its error."""
+
+    def printed(*words: object, code: int = 0) -> str:
+        called = call("", *words)
+        assert called.code == code, called.err
+        return called.err if code else called.out
+
+    return printed

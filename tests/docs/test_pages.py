@@ -8,7 +8,7 @@ import runpy
 import shlex
 import shutil
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from doctest import ELLIPSIS, OutputChecker
 from pathlib import Path
 from typing import Any
@@ -184,7 +184,7 @@ def test_what_is_not_explained_has_the_numbers_of_the_table_above() -> None:
 
 @pytest.mark.slow
 def test_the_model_with_angles_is_checked_as_its_page_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Callable[..., str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     blocks = [text for _, text in _blocks(DOCS / "models.md")]
@@ -192,8 +192,7 @@ def test_the_model_with_angles_is_checked_as_its_page_shows(
     (console,) = (text for text in blocks if text.startswith("$ pfdist check-model vane.py"))
     Path("vane.py").write_text(code, encoding="utf-8")
     command, _, shown = console.partition("\n")
-    assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
-    printed = capsys.readouterr().out
+    printed = said(*shlex.split(command.removeprefix("$ pfdist ")))
     assert OutputChecker().check_output(shown, printed, ELLIPSIS), printed
 
 

@@ -253,7 +253,7 @@ def test_pages_of_fewer_draws_stay_until_new_ones_replace_them(
     exact: Job,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    said: Callable[..., str],
 ) -> None:
     """Also if the run is stopped in the comparison, or killed before its new pages are made."""
     edition, folder = ["first"], tmp_path / "run"
@@ -266,8 +266,7 @@ def test_pages_of_fewer_draws_stay_until_new_ones_replace_them(
 
     def places() -> list[str]:
         assert not list(verify_run(folder))
-        assert main(["status", str(folder)]) == 0
-        return re.findall("^(tables|figures|report):", capsys.readouterr().out, re.MULTILINE)
+        return re.findall("^(tables|figures|report):", said("status", folder), re.MULTILINE)
 
     pfdist.run(exact, folder, report=True)
     before, more = pages(), exact.with_changes(["comparison.draws=60"])
@@ -381,13 +380,11 @@ def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) 
     [("problem.minimum_spacing=1", False), ("problem.minimum_spacing=2", True)],
 )
 def test_report_and_commands_say_alike_whether_constraints_exclude_times(
-    make: Make, capsys: pytest.CaptureFixture[str], change: str, is_constrained: bool
+    make: Make, said: Callable[..., str], change: str, is_constrained: bool
 ) -> None:
     run = make(change)
-    assert main(["bound", str(run.path / "job.toml")]) == 0
-    of_bound = capsys.readouterr().out
-    assert main(["status", str(run.path)]) == 0
-    for text in (of_bound, capsys.readouterr().out, _text(run)):
+    of_bound = said("bound", run.path / "job.toml")
+    for text in (of_bound, said("status", run.path), _text(run)):
         assert ("that the constraints allow" in " ".join(text.split())) == is_constrained
 
 

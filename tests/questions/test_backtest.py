@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ import pfdist
 from oracles import lake
 from oracles.bytes_of import hashes
 from oracles.lake import HORIZON, days, estimates
-from pfdist.cli.main import main
 from pfdist.errors import (
     ArgumentError,
     JobError,
@@ -162,22 +162,20 @@ def test_a_replicate_has_the_same_errors_whatever_others_are_in_the_table(planne
 
 
 def test_the_command_says_the_verdict_and_gives_json(
-    planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    planned: Path, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     data = tmp_path / "days.csv"
     days(4).assign(train=lambda table: (table["day"] == "d0").astype(int)).to_csv(data, index=False)
     words = ["backtest", str(planned), str(data), "--pool", "serial", "--times", "mine=0,1,2,3"]
     words.append("--no-report")
-    assert main(words) == 0
-    text = " ".join(capsys.readouterr().out.split())
+    text = " ".join(said(*words).split())
     gains = r"With the plan, the error is .* than with .*, and .* than with .*\. It is [\d.]+ times"
     assert re.match(gains, text)
     assert "not decided" not in text  # the verdicts are details
     assert "left out d0: the model was fitted to it" in text
     assert "not checked" not in text
     assert "the set mine" in text
-    assert main([*words, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(said(*words, "--json"))
     assert {*answer["promises"]} == {"from_start", "centred", "mine"}
     assert {*answer["sets"]} == {"plan", *answer["promises"]}
     assert answer["replicates"] == 3

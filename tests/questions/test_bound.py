@@ -253,14 +253,14 @@ def test_an_error_of_the_users_own_has_no_bound(small_job: Job, tmp_path: Path) 
 
 
 def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
-    walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    walk: Path, monkeypatch: pytest.MonkeyPatch, said: Callable[..., str]
 ) -> None:
     """The speed is that of the run's own comparison, not a guess for all models.
 
     The last sentence of every answer says why there is no proof, and which command makes one, in
     how many minutes.
     """
-    table, said = Run.table, list[str]()
+    table, lines = Run.table, list[str]()
 
     def slow(run: Run, name: str, draws: int | None = None) -> pd.DataFrame:
         rows = table(run, name, draws)
@@ -269,8 +269,8 @@ def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
     again: Any = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS}
     with monkeypatch.context() as patched:
         patched.setattr(Run, "table", slow)
-        assert "bound" not in pfdist.run(walk / "job.toml", walk, **again, say=said.append).tables
-    (line,) = said  # no pool was started
+        assert "bound" not in pfdist.run(walk / "job.toml", walk, **again, say=lines.append).tables
+    (line,) = lines  # no pool was started
     says = r"Not proved: `pfdist bound JOB --draws 480` takes about ([\d,]+) minutes of one core\."
     told = re.fullmatch(says, line)
     assert told is not None
@@ -279,8 +279,7 @@ def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
     assert repr(run).endswith(f"draws compared | {line}>")
     assert run._repr_html_().endswith(f"<p>Note: {line}</p>")
     assert line in str(page_of(run))
-    assert main(["status", str(walk)]) == 0
-    printed, _, _ = capsys.readouterr().out.partition(f"\n\n{walk}: ")
+    printed, _, _ = said("status", walk).partition(f"\n\n{walk}: ")
     assert " ".join(printed.split()).endswith(f" Note: {line}")
     assert "bound" in pfdist.run(walk / "job.toml", walk, **again).tables
     assert pfdist.open_run(walk).as_json()["unproved"] == ""
@@ -459,7 +458,7 @@ def test_work_that_may_be_left_out_is_told_apart(walk: Path) -> None:
 
 
 def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(
-    proved: Path, capsys: pytest.CaptureFixture[str]
+    proved: Path, said: Callable[..., str]
 ) -> None:
     whole = bound(proved, 2 * LEAST_DRAWS)
     widest = max(gap.gap_at_most for gap in whole.gaps[1:])  # without the reference's
@@ -475,18 +474,17 @@ def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(
         assert gap.bound == other.bound
         assert gap.gap_at_most < other.gap_at_most
     demand = ["--pool", "serial", "--draws", "480", "--within", "0.0001", "--no-report"]
-    assert main(["bound", str(proved / "job.toml"), *demand]) == 0
-    assert "Not all limits are at most 0.01 % with 480 draws." in capsys.readouterr().out
+    assert "Not all limits are at most 0.01 % with 480 draws." in said(
+        "bound", proved / "job.toml", *demand
+    )
 
 
-def test_the_command_says_how_much_is_left(exact: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_how_much_is_left(exact: Path, said: Callable[..., str]) -> None:
     words = ["bound", str(exact / "job.toml"), "--pool", "serial"]
-    assert main([*words, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(said(*words, "--json"))
     assert list(answer["sets"]) == ["regular", "genetic", "random"]
     assert answer == bound(exact).as_json()
-    assert main(words) == 0
-    text = " ".join(capsys.readouterr().out.split())
+    text = " ".join(said(*words).split())
     for name, gap in answer["sets"].items():
         percent = f"{100 * rounded_up(gap['gap']):.2g} %"
         sentence = (

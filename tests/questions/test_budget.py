@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -168,15 +169,14 @@ def test_the_command_says_how_many_are_enough(
     found: pd.DataFrame,
     small_job: Job,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    said: Callable[..., str],
 ) -> None:
     run = shutil.copytree(exact.path, tmp_path / "run")
     costs, bounds = found["expected_mse"], found["bound"]
     target = (costs[3] + costs[4]) / 2
     words = f"--measurements 1:6 --draws 300 --target {target} --set {' '.join(EXACT)} --results"
     command = ["budget", "--no-report", str(small_job.path), *words.split(), str(run)]
-    assert main([*command, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(said(*command, "--json"))
     sets = {row["name"]: row for row in answer["sets"]}
     assert sets[f"{DEFAULT_METHOD}_05"]["expected_mse"] == costs[5]
     assert answer["target"] == target
@@ -185,26 +185,22 @@ def test_the_command_says_how_many_are_enough(
     row = sets[f"{DEFAULT_METHOD}_03"]
     assert row["bound"] == row["bound_low"] == row["search_mse"] > target
     assert sets["regular_03"]["bound"] is None
-    assert main(command) == 0
-    text = capsys.readouterr().out
+    text = said(*command)
     assert f"\nTo reach an MSE of {target:g} you need 4 measurements: t = " in text
     assert "; 3 are provably too few." in " ".join(text.split())
     row = rf"^5 +[0-9.]+ +{rounded(costs[5])} +\S.* {rounded(bounds[5])}$"
     assert re.search(row, text, re.MULTILINE)
-    assert main(["status", str(run)]) == 0
-    assert "\n1  " in capsys.readouterr().out
-    assert main(["why", str(run / "job.toml")]) == 1
-    assert "several numbers of measurements" in capsys.readouterr().err
+    assert "\n1  " in said("status", run)
+    assert "several numbers of measurements" in said("why", run / "job.toml", code=1)
 
 
 @pytest.mark.usefixtures("no_figures")
 def test_without_draws_there_is_no_bound(
-    exact_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    exact_job: Job, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     words = f"--measurements 3 --draws 20 --target 2 --bound-draws 0 --set {' '.join(EXACT)}"
     command = ["budget", str(exact_job.path), *words.split(), "--results", str(tmp_path / "run")]
-    assert main([*command, "--no-report"]) == 0
-    text = capsys.readouterr().out
+    text = said(*command, "--no-report")
     assert "bound" not in text
     assert "too few" not in text
     run = pfdist.open_run(tmp_path / "run")

@@ -5,6 +5,7 @@ The oracle is an Ornstein-Uhlenbeck process, whose transition over any time is k
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,7 +142,7 @@ LAST = [0, 0, 0, 0, 0, 0, 0, 1]
 
 @pytest.mark.parametrize("weights", [[], [f"problem.instant_weights={LAST}"]])
 def test_evaluate_and_the_comparison_show_the_error_itself_and_the_typical_error(
-    weights: list[str], job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    weights: list[str], job: Path, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     """Neither is weighted: at the last instant the error is the variance then."""
     asked, times = pfdist.load_job(job, weights), [0.5, 5, 8]
@@ -160,8 +161,7 @@ def test_evaluate_and_the_comparison_show_the_error_itself_and_the_typical_error
         np.testing.assert_allclose(profile["weight"], np.divide(given, np.mean(given)))
     assert row["typical_error"] == [pytest.approx(np.sqrt(row["expected_mse"]))]
     words = [word for change in weights for word in ("--set", change)]
-    assert main(["evaluate", str(job), "--times", "0.5,5,8", "--profile", *words]) == 0
-    shown = capsys.readouterr().out
+    shown = said("evaluate", job, "--times", "0.5,5,8", "--profile", *words)
     assert re.search(r"typical error \d", shown)
     assert re.search(r"^\[h\] +weight +error$", shown, re.MULTILINE)
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -96,11 +97,10 @@ def test_an_exact_engine_gives_the_exact_differences_and_ranks(job: Job, exact: 
 
 
 def test_one_command_gives_the_numbers_of_three_lines_of_python(
-    compared: Run, folder: Path, capsys: pytest.CaptureFixture[str]
+    compared: Run, folder: Path, said: Callable[..., str]
 ) -> None:
     words = ["compare", str(folder / "walk.toml"), *WORDS, "--results", str(folder / "command")]
-    assert main([*words, "--no-report", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(said(*words, "--no-report", "--json"))
     assert answer["pairs"] == compared.table("pairs").to_dict("records")
     assert answer["ranks"] == compared.table("ranks").to_dict("records")
     assert _bytes(folder / "command") == _bytes(compared.path)
@@ -141,10 +141,9 @@ def test_sets_that_do_not_differ_clearly_are_all_named(few: Job, tmp_path: Path)
 
 
 def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
-    compared: Run, capsys: pytest.CaptureFixture[str]
+    compared: Run, said: Callable[..., str]
 ) -> None:
-    assert main(["status", str(compared.path)]) == 0
-    *lines, place, files = capsys.readouterr().out.splitlines()
+    *lines, place, files = said("status", compared.path).splitlines()
     assert place.startswith(f"{compared.path}: finished, ")
     assert files.startswith("tables: ")
     assert [line for line in lines if len(line) > 80] == []
@@ -153,8 +152,9 @@ def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     assert "is compared all the same: problem.measurement_budget is 4, got 2 times." in text
     assert "Best first, on 500 draws" in text
     assert "Pairs of sets" not in text
-    assert main(["status", str(compared.path), "--verbose"]) == 0
-    assert "Pairs of sets first second" in " ".join(capsys.readouterr().out.split())
+    assert "Pairs of sets first second" in " ".join(
+        said("status", compared.path, "--verbose").split()
+    )
     page = str(page_of(compared))
     assert "How the sets compare" in page
     assert "problem.measurement_budget is 4, got 2 times" in page

@@ -17,7 +17,6 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Filter, Job
-from pfdist.cli.main import main
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError, MeasurementsError, PfdistWarning, PriorError, StoreError
 from pfdist.filters.simulation import simulate
@@ -121,12 +120,11 @@ def test_a_prior_is_where_the_filter_starts(job: Path, y: Any, tmp_path: Path) -
 
 
 def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
-    job: Path, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    job: Path, y: Any, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
     words = ["filter", str(job), str(path), "--planned", "regular"]
-    assert main(words) == 0
-    text = capsys.readouterr().out
+    text = said(*words)
     assert re.match(r"At t = 8: z0 = [\d.-]+ \(90 % band [\d.-]+ to [\d.-]+\)\. The 3\n?", text)
     assert "The 3 measurements fit the model." in " ".join(text.split())
     for line in (
@@ -140,8 +138,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
         assert line in text
     assert "may be wrong" not in text
     words.append("--no-report")
-    assert main([*words, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(said(*words, "--json"))
     assert {key: answer[key] for key in ("measured", "missing", "extra", "to_come")} == {
         "measured": [0, 5, 8], "missing": [4], "extra": [5], "to_come": [12],
     }  # fmt: skip
@@ -150,8 +147,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     assert answer["most_surprising"]["t"] in (0, 5, 8)
     y[5] = 1e3
     _written(path, (0, 5, 8), y)
-    assert main(words) == 0
-    text = capsys.readouterr().out
+    text = said(*words)
     few = "The estimate is that of a few particles, not the model's: the effective sample size "
     assert " ".join(text.split()).startswith(f"{few}falls below 5 at t = 5. What may help: ")
     assert "most surprising       t = 5, p at most " in text
@@ -206,7 +202,7 @@ def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
 
 
 def test_the_exact_filter_gives_its_evidence(
-    finished: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Callable[..., Path], tmp_path: Path, said: Callable[..., str]
 ) -> None:
     job = finished(*FEW, "model.name=random_walk", "filter.engine=kalman") / "job.toml"
     path = tmp_path / "mine.csv"
@@ -217,14 +213,15 @@ def test_the_exact_filter_gives_its_evidence(
     exact.update(4, 1.0)
     assert found.log_evidence == exact.log_evidence
     path.write_text("t,y0\n0,3.0\n4,1e6\n")
-    with pytest.warns(PfdistWarning, match="improbable, p = ") as said:
+    with pytest.warns(PfdistWarning, match="improbable, p = ") as warned:
         assert pfdist.filter_measurements(job, path, report=False).collapsed is None
-    assert len(said) == 1
+    assert len(warned) == 1
     path.write_text("t,y0\n0,3.0\n4,1.0\n")
     assert found.table["effective_sample_size"].isna().all()
     np.testing.assert_array_equal(found.table["mean_0"][4:], exact.now.mean[0])
-    assert main(["filter", str(job), str(path), "--no-report"]) == 0
-    assert f"  log evidence          {exact.log_evidence:.4f}\n" in capsys.readouterr().out
+    assert f"  log evidence          {exact.log_evidence:.4f}\n" in said(
+        "filter", job, path, "--no-report"
+    )
 
 
 def test_no_file_of_others_is_overwritten(job: Path, y: Any, tmp_path: Path) -> None:
@@ -248,15 +245,14 @@ def test_no_file_of_others_is_overwritten(job: Path, y: Any, tmp_path: Path) -> 
 
 
 def test_a_set_or_a_folder_that_there_is_not_is_one_line(
-    job: Path, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    job: Path, y: Any, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 3), y)
     for words, message in (
         (["--planned", "none"], ", genetic, random, got 'none'\n"),
         (["--out", str(path)], "cannot "),
     ):
-        assert main(["filter", str(job), str(path), *words]) == 1
-        error = capsys.readouterr().err
+        error = said("filter", job, path, *words, code=1)
         assert error.count("\n") == 1
         assert message in error
     assert [*tmp_path.iterdir()] == [path]

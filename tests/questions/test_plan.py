@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.systems import one_state
 from pfdist import Job
-from pfdist.cli.main import main
 from pfdist.errors import JobError
 
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]
@@ -68,19 +68,21 @@ def test_its_own_folder_unless_the_job_is_the_same(
 
 @pytest.mark.usefixtures("no_figures")
 def test_the_command_takes_what_run_takes_and_answers_in_the_same_json(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_job: Job, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     job = shlex.quote(str(small_job.path))
     a, b = (shlex.quote(str(path)) for path in (tmp_path / "a", tmp_path / "b"))
     changes = f"{' '.join(EXACT)} comparison.draws=3 search.relaxation.paths=3"
     command = f"plan {job} --pool serial --json --bound-draws 0 --no-report --set {changes}"
-    assert main(shlex.split(f"{command} --results {a}")) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert main(["status", str(tmp_path / "a"), "--json"]) == 0
-    assert answer == json.loads(capsys.readouterr().out)
+    answer = json.loads(said(*shlex.split(f"{command} --results {a}")))
+    assert answer == json.loads(said("status", tmp_path / "a", "--json"))
     assert pfdist.open_run(tmp_path / "a").job["search"][0]["paths"] == 3
-    assert main(shlex.split(f"{command} comparison.draws=4 --results {b} --reuse {a}")) == 0
-    assert json.loads(capsys.readouterr().out)["draws_compared"] == 4
+    assert (
+        json.loads(said(*shlex.split(f"{command} comparison.draws=4 --results {b} --reuse {a}")))[
+            "draws_compared"
+        ]
+        == 4
+    )
 
 
 def test_a_job_has_only_the_search_that_it_is_planned_with(small_job: Job, tmp_path: Path) -> None:

@@ -292,20 +292,19 @@ def test_the_command_says_when_or_why_no_measurement_is_left(
 
 
 def test_measurements_that_contradict_the_model_are_told(
-    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kept: Path, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     file = tmp_path / "y.csv"
     file.write_text("t,y0\n0,3000.0\n")
-    with pytest.warns(PfdistWarning) as said:
+    with pytest.warns(PfdistWarning) as warned:
         told = pfdist.next_time(kept, file)
-    few, wrong = (str(each.message) for each in said)
+    few, wrong = (str(each.message) for each in warned)
     assert few.startswith("The estimate is that of a few particles, not the model's")
     assert wrong.startswith("The model may be wrong about this system: look at")
     assert told.is_improbable
     assert repr(told).startswith(f"<{few} | {wrong} | Measure next at t = ")
     assert (told.collapsed, told.as_json()["collapsed"]) == (0, 0)
-    assert main(["next", str(kept), str(file)]) == 0
-    text = " ".join(capsys.readouterr().out.split())
+    text = " ".join(said("next", kept, file).split())
     assert text.startswith(f"{few} {wrong} Measure next")
     planner = pfdist.Planner(kept)
     with pytest.warns(PfdistWarning, match="^The estimate is that of a few particles"):
@@ -314,7 +313,7 @@ def test_measurements_that_contradict_the_model_are_told(
 
 
 def test_a_first_plan_that_is_no_longer_possible_is_not_compared(
-    finished: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Callable[..., Path], tmp_path: Path, said: Callable[..., str]
 ) -> None:
     """It would cost less than any plan that can be made, because it breaks a constraint."""
     spaced = finished(SEARCH, "problem.minimum_spacing=3", job=JOB) / "job.toml"
@@ -324,5 +323,4 @@ def test_a_first_plan_that_is_no_longer_possible_is_not_compared(
     assert found.planned_before[0] == second
     assert found.expected_before is None
     assert found.as_json()["expected_mse_before"] is None
-    assert main(["next", str(spaced), str(file)]) == 0
-    assert "no longer possible" in capsys.readouterr().out
+    assert "no longer possible" in said("next", spaced, file)

@@ -4,6 +4,7 @@ Its mean with the column ``weight`` is the expected MSE.
 """
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ import pytest
 
 import pfdist
 from oracles.kalman import TRACKING, kalman_filter
-from pfdist.cli.main import main
 
 SETS = {"few": [0, 6], "many": "0:12:3"}
 WEIGHTS = "problem.instant_weights=[0, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0]"
@@ -85,18 +85,15 @@ def test_figures_take_it(small_job: pfdist.Job) -> None:
 
 
 def test_the_command_has_it_as_a_table_and_as_json(
-    small_job: pfdist.Job, capsys: pytest.CaptureFixture[str]
+    small_job: pfdist.Job, said: Callable[..., str]
 ) -> None:
     path = str(small_job.path)
     words = ["evaluate", path, "--times", "few=0,6", "--times", "many=0:12:3"]
-    assert main([*words, "--profile"]) == 0
-    shown = capsys.readouterr().out
+    shown = said(*words, "--profile")
     assert "Expected error at each instant" in shown
-    assert main([*words, "--profile", "--json"]) == 0
-    answer: dict[str, Any] = json.loads(capsys.readouterr().out)["sets"]
+    answer: dict[str, Any] = json.loads(said(*words, "--profile", "--json"))["sets"]
     found = pfdist.evaluate(Path(path), SETS, profile=True)
     for name, each in found.items():
         profile = each.profile[["t", "weight", "error", "standard_error"]].to_dict("list")
         assert answer[name]["profile"] == profile
-    assert main([*words, "--json"]) == 0
-    assert "profile" not in json.loads(capsys.readouterr().out)["sets"]["few"]
+    assert "profile" not in json.loads(said(*words, "--json"))["sets"]["few"]

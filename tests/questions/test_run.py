@@ -16,7 +16,6 @@ from oracles.counted import A_DRAW, count_draws
 from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from pfdist import Job, load_job
-from pfdist.cli.main import main
 from pfdist.errors import PfdistError, SearchError, TaskError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork
@@ -133,7 +132,8 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
         "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
     )
     changes = ['model.name="hopeless.py:hopeless"', "filter.engine=numpy", "evaluation.draws=3"]
-    with pytest.raises(SearchError, match=r"genetic: every set of times .* check-model .* 'continue'"):
+    says = r"genetic: every set of times .* check-model .* 'continue'"
+    with pytest.raises(SearchError, match=says):
         pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
     rows = pfdist.open_run(tmp_path / "run").table("evaluations")
     assert (rows["degenerate_draws"] == rows["draws"]).all()
@@ -304,7 +304,7 @@ def test_progress_counts_all_work_once(small_job: Job, tmp_path: Path) -> None:
 
 
 def test_between_search_and_comparison_the_found_times_are_told(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_job: Job, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     def stop(progress: Progress) -> None:
         if progress.phase == "comparison":
@@ -318,8 +318,7 @@ def test_between_search_and_comparison_the_found_times_are_told(
     assert set(results) == {"regular", "genetic", "random"}
     assert len(results["genetic"].measurement_times) == 4
     assert results["genetic"].expected_mse is None
-    assert main(["status", str(tmp_path / "run")]) == 0
-    text = capsys.readouterr().out
+    text = said("status", tmp_path / "run")
     assert "genetic: measure at t = " in text
     assert "The search estimated an error of" in " ".join(text.split())
     assert f"tables: {tmp_path / 'run' / 'tables'}" in text

@@ -239,19 +239,18 @@ def test_a_point_that_is_free_again_is_computed_and_the_others_stay_left_out(
 
 
 def test_a_point_that_another_process_computes_is_left_out_and_said(
-    swept: Sweeping, small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    swept: Sweeping, small_job: Job, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     folder = tmp_path / "sweep"
-    said: list[str] = []
+    lines: list[str] = []
     with held(folder / "seed=1"):
-        sweep = swept(SEEDS, changes=EXACT, say=said.append)
+        sweep = swept(SEEDS, changes=EXACT, say=lines.append)
         assert (list(sweep.runs), sweep.busy) == (["seed=2"], ("seed=1",))
         words = ["sweep", str(small_job.path), "--results", str(folder), "--no-report"]
         words += ["--set", *EXACT, "--over"]
-        assert main([*words, "seed=1:2"]) == 0
-        assert "other processes compute seed=1\n" in capsys.readouterr().out
+        assert "other processes compute seed=1\n" in said(*words, "seed=1:2")
         assert main([*words, "seed=1"]) == 0
-    assert any(line.startswith("seed=1: left out: ") and "by process" in line for line in said)
+    assert any(line.startswith("seed=1: left out: ") and "by process" in line for line in lines)
     again = swept(SEEDS, changes=EXACT)
     assert (list(again.runs), again.busy) == (["seed=1", "seed=2"], ())
 
@@ -347,7 +346,7 @@ def test_a_wrong_sweep_file_is_told_in_one_line(text: str, words: str, sweep_fil
 
 
 def test_a_sweep_has_the_table_of_its_points_and_one_figure(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_job: Job, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     """Its folder is no run: commands about a run name one of its points."""
     over = {"problem.measurement_budget": [3, 4]}
@@ -359,8 +358,7 @@ def test_a_sweep_has_the_table_of_its_points_and_one_figure(
     assert not (folder / ".lock").exists()
     drawn = sweep.figures[0].read_bytes()
     sweep.figures[0].unlink()
-    assert main(["plot", str(folder)]) == 0
-    assert {*map(Path, capsys.readouterr().out.splitlines())} == {*sweep.figures}
+    assert {*map(Path, said("plot", folder).splitlines())} == {*sweep.figures}
     assert sweep.figures[0].read_bytes() == drawn
     more = partial(
         pfdist.sweep, small_job, {"problem.measurement_budget": [5]}, results=folder, changes=EXACT
@@ -369,8 +367,7 @@ def test_a_sweep_has_the_table_of_its_points_and_one_figure(
     assert len(pd.read_csv(file)) == len(pfdist.table(folder)) > len(frame)
     assert sweep.figures[0].read_bytes() != drawn
     for command in ("report", "status", "verify"):
-        assert main([command, str(folder)]) == 1
-        line = capsys.readouterr().err
+        line = said(command, folder, code=1)
         assert f"holds several runs, as a sweep does: name one of them, such as {folder}/" in line
 
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -81,14 +82,11 @@ def test_a_damaged_run_that_is_reused_names_the_file(
     assert not (tmp_path / "new").exists()
 
 
-def test_keys_that_are_lacking_have_their_defaults(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_keys_that_are_lacking_have_their_defaults(run: Path, said: Callable[..., str]) -> None:
     # As a version has written them that did not know the keys.
     text = _job('name = "genetic"\n', "").decode()
     rewrite(run / "job.toml", text)
-    assert main(["status", str(run)]) == 0
-    assert "finished" in capsys.readouterr().out
+    assert "finished" in said("status", run)
 
 
 def test_a_key_that_is_gone_is_no_mistake_of_a_run_if_its_value_is_that_of_every_job(

@@ -69,9 +69,8 @@ def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say)
 )
 @in_turn("command", ["status", "verify", "plot", "why"])
 def test_a_name_that_no_file_can_have_is_refused_in_one_line(
-    name: str, command: str, capsys: pytest.CaptureFixture[str]
+    name: str, command: str, said: Callable[..., str]
 ) -> None:
-    assert main([command, name]) == 1
-    error = capsys.readouterr().err
+    error = said(command, name, code=1)
     assert error.count("\n") == 1
     assert len(error) < 1300
