@@ -395,27 +395,18 @@ def test_the_best_of_online_and_plan_is_named(exact: Job, tmp_path: Path) -> Non
     )
 
 
-def test_a_report_names_no_folder_of_the_machine(exact: Job, tmp_path: Path) -> None:
-    file = tmp_path / "secret" / "walk.py"
-    file.parent.mkdir()
-    file.write_text("from pfdist import load_model\nmodel = load_model('random_walk')\n")
-    job = exact.with_changes([f"model.name={file}:model"])
-    text = _text(pfdist.run(job, tmp_path / "run", figures=False))
-    assert str(tmp_path) not in text
-    assert "walk.py:model" in text
-
-
-def test_the_title_of_a_report_has_the_name_that_the_model_gives_itself(
+def test_a_report_has_the_models_own_name_and_no_folder_of_the_machine(
     exact: Job, tmp_path: Path
 ) -> None:
-    file = tmp_path / "walk.py"
+    file = tmp_path / "secret" / "walk.py"
+    file.parent.mkdir()
     file.write_text(
         "from dataclasses import replace\nfrom pfdist import load_model\n"
         "model = replace(load_model('random_walk'), name='a <walk> in the park')\n"
     )
-    run = pfdist.run(
-        exact.with_changes([f"model.name={file}:model"]), tmp_path / "run", figures=False
-    )
+    job = exact.with_changes([f"model.name={file}:model"])
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    assert str(tmp_path) not in _text(run)
     assert "When to measure: a <walk> in the park" in _text(run)
     about = json.loads((run.path / "run.json").read_text())
     del about["provenance"]["name_of_model"]  # as in a run of an earlier version

@@ -104,14 +104,6 @@ def test_a_wrong_model_is_found_and_a_promise_is_kept(planned: Path) -> None:
     assert found.improbable > 0.02
 
 
-def test_better_times_than_the_plan_have_no_promise(planned: Path) -> None:
-    """A set of half of all instants is better than the plan."""
-    found = judged(planned, days(3), times={"half": range(0, 48, 2)})
-    assert found.promises["centred"].verdict == NOT_DECIDED
-    assert found.promises["half"].verdict == NOTHING_FORESEEN
-    assert found.promises["half"].foreseen < 0.0
-
-
 def test_files_are_written_and_replaced_and_nothing_else(planned: Path, tmp_path: Path) -> None:
     data = tmp_path / "days.csv"
     days(3).to_csv(data, index=False)
@@ -129,16 +121,6 @@ def test_files_are_written_and_replaced_and_nothing_else(planned: Path, tmp_path
     assert str(tmp_path) not in report
     once = [file.read_bytes() for file in found.files]
     assert [file.read_bytes() for file in judged(planned, data).files] == once
-
-
-def test_parquet_gives_parquet_in_another_folder(planned: Path, tmp_path: Path) -> None:
-    days(3).to_parquet(tmp_path / "days.parquet")
-    found = judged(planned, tmp_path / "days.parquet", out=tmp_path / "new", report=False)
-    names = [file.name for file in found.files]
-    assert names == ["days.backtest.parquet", "days.backtest.png"]
-    assert found.files[0].parent == tmp_path / "new"
-    pd.testing.assert_frame_equal(pd.read_parquet(found.files[0]), found.table, check_dtype=False)
-    pd.testing.assert_frame_equal(judged(planned, days(3)).table, found.table)
 
 
 def test_every_pool_gives_the_same_bytes(planned: Path) -> None:

@@ -186,7 +186,9 @@ CANNOT_TELL = {
 
 
 @EITHER
-@pytest.mark.parametrize("name", RIGHT)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * ("counts" in name)) for name in RIGHT]
+)
 def test_a_right_likelihood_agrees(name: str, draws: int) -> None:
     state, text = looked(RIGHT[name], draws)
     assert state == "ok", text

@@ -77,7 +77,7 @@ def test_a_filter_that_believes_another_model_loses_what_it_loses_in_its_own_wor
 def test_a_run_has_the_number_goes_on_with_it_and_answers_questions(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(particles, "_DRAWS", (500,))  # whether it is enough, others test
+    monkeypatch.setattr(particles, "_DRAWS", (1000,))  # whether it is enough, others test
     monkeypatch.setattr(particles, "NUMBERS", (200, 500))
     job, said = walk(small_job, "comparison.draws=20"), list[str]()
     run = pfdist.run(job, tmp_path / "run", figures=False, say=said.append)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import pfdist
@@ -74,14 +73,6 @@ def test_it_is_that_of_the_worst_scenario_where_this_decides(
     found = pfdist.evaluate(job, [0, 4, 8], profile=True)
     assert found.profile["error"].mean() == pytest.approx(found.expected_mse, rel=1e-12)
     assert "name" not in found.profile
-
-
-def test_figures_take_it(small_job: pfdist.Job) -> None:
-    found = pfdist.evaluate(small_job, SETS, profile=True)
-    [line] = pfdist.plots.error_profile(found["few"]).get_lines()
-    assert line.get_ydata().tolist() == found["few"].profile["error"].tolist()
-    both = pd.concat([each.profile for each in found.values()])
-    assert len(pfdist.plots.error_profile(both).get_lines()) == 2
 
 
 def test_the_command_has_it_as_a_table_and_as_json(

@@ -69,7 +69,8 @@ def test_only_the_run_of_the_job_decides(tmp_path: Path) -> None:
 def test_a_run_says_which_and_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same call goes on with the proposal of the run, and measures nothing again."""
     said, quiet = list[str](), {"pool": "serial", "figures": False}
-    quiet |= {"changes": ["search.random.evaluations=2"], "search": "random", "bound_draws": 0}
+    quiet |= {"changes": ["search.random.evaluations=2", "comparison.draws=6000"]}
+    quiet |= {"search": "random", "bound_draws": 0}
     job = problem(SHARP)
     run = pfdist.plan(job, tmp_path / "run", say=said.append, **quiet)
     assert any(line.startswith("filter.proposal: guided") for line in said)

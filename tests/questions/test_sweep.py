@@ -396,7 +396,7 @@ def test_a_point_has_the_particles_and_the_proposal_that_were_found(
     swept: Sweeping, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report of a point needs them."""
-    monkeypatch.setattr("pfdist.runner.particles._DRAWS", (500,))
+    monkeypatch.setattr("pfdist.runner.particles._DRAWS", (1000,))
     changes = ["filter.particles=auto", "filter.proposal=auto", "model.name=random_walk"]
     changes += ["comparison.draws=30", "search=[{method='random', evaluations=2}]"]
     (run,) = swept({"seed": [1]}, changes=changes, report=True).runs.values()
