@@ -27,6 +27,8 @@ from pfdist.store.folder import FORMATS
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
+from oracles.undrawn import undraw  # noqa: E402  found by the line above
+
 # No test depends on measured time, and each finds the same when it is repeated.
 settings.register_profile("steady", max_examples=40, deadline=None, derandomize=True, database=None)
 settings.load_profile("steady")
@@ -188,6 +190,12 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures and reports by a command line: they take the longest."""
     monkeypatch.setattr("pfdist.plots.draw_missing_figures", lambda run, there: [])
     monkeypatch.setattr("pfdist.questions.run.try_report", lambda run, say: None)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save each figure as an empty picture."""
+    undraw(monkeypatch)
 
 
 @pytest.fixture(scope="session")

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from matplotlib.figure import Figure
 
 import pfdist
 from oracles.results_of import results_of
+from oracles.undrawn import EMPTY, undraw
 from pfdist import Job
 from pfdist.errors import PoolError, StoreError
 
@@ -28,7 +28,7 @@ def run(finished: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory)
     """A finished run of the small job with figures."""
     folder = Path(shutil.copytree(finished(), tmp_path_factory.mktemp("cli") / "run"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "savefig", lambda _, path, **__: path.write_text("drawn"))
+        undraw(patch)
         pfdist.run(folder / "job.toml", folder, report=False)
     return folder
 
@@ -137,17 +137,14 @@ def test_evaluate_says_how_many_draws_are_degenerate(
     assert answer["degenerate_draws"] == answer["draws"] == 30
 
 
-@pytest.mark.usefixtures("every_format")
-def test_plot_draws_every_figure_as_png_svg_and_pdf(
-    run: Path, call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("every_format", "undrawn")
+def test_plot_draws_every_figure_as_png_svg_and_pdf(run: Path, call: Call) -> None:
     """That there are three files of a figure, with content, is tested with the figures."""
-    monkeypatch.setattr(Figure, "savefig", lambda _, path, **__: path.write_text("drawn"))
     files = [Path(line) for line in call(f"plot {run}").out.splitlines()]
     names = {"searches", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
     wanted = {f"{name}.{kind}" for name in names for kind in ("png", "svg", "pdf")}
     assert {file.name for file in files} == wanted
-    assert {file.read_text() for file in files} == {"drawn"}
+    assert {file.read_text() for file in files} == {EMPTY}
 
 
 def test_models_lists_every_model_with_a_line(call: Call) -> None:

@@ -55,12 +55,6 @@ def run(make: Make) -> pfdist.Run:
     return make()
 
 
-@pytest.fixture
-def bare(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports without figures, which take the longest."""
-    monkeypatch.setattr("pfdist.pages.figure.Figure.plots", lambda *_: iter(()))
-
-
 def _text(run: pfdist.Run) -> str:
     return str(page_of(run))
 
@@ -125,6 +119,7 @@ def test_it_has_the_sampling_windows_of_every_set(run: pfdist.Run, see: See) -> 
             assert window.text in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_name_in_a_runs_files_cannot_become_markup(make: Make, see: See) -> None:
     hostile = "<script>alert(1)</script><img src=x onerror=alert(1)>"
     run = make(name="<b>run &amp; co")
@@ -175,6 +170,7 @@ def test_of_many_searches_the_best_sets_have_figures(make: Make, see: See) -> No
     assert len(page.html.encode()) < 2_000_000
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_errors_that_are_unknown_are_said(small_job: Job, tmp_path: Path, see: See) -> None:
     """Every set that is tried has infinite errors."""
     (small_job.path.parent / "far.py").write_text(
@@ -190,7 +186,7 @@ def test_errors_that_are_unknown_are_said(small_job: Job, tmp_path: Path, see: S
     assert "When to measure" in see(pfdist.open_run(tmp_path / "run")).text
 
 
-@pytest.mark.usefixtures("bare")
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_prints_the_file_and_watches_until_the_run_is_finished(
     exact: Job,
     tmp_path: Path,
@@ -234,7 +230,7 @@ def test_what_is_no_run_has_no_report(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.usefixtures("bare")
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_of_the_unfinished_run_gives_way_when_the_run_ends(
     run: pfdist.Run, exact: Job, see: See
 ) -> None:
@@ -290,7 +286,7 @@ def test_pages_of_fewer_draws_stay_until_new_ones_replace_them(
     assert pages() == after
 
 
-@pytest.mark.usefixtures("bare")
+@pytest.mark.usefixtures("undrawn")
 def test_a_users_own_file_stays_and_no_command_calls_it_a_result(
     run: pfdist.Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -309,6 +305,7 @@ def test_a_users_own_file_stays_and_no_command_calls_it_a_result(
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("a\nb"), StoreError("disk full")])
+@pytest.mark.usefixtures("undrawn")
 def test_a_mistake_in_the_report_does_not_spoil_a_finished_run(
     run: pfdist.Run, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:

@@ -48,6 +48,7 @@ def _written(path: Path, times: Any, y: Any) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_is_the_filter_of_the_run_at_every_instant(
     job: Path, y: Any, tmp_path: Path
 ) -> None:
@@ -258,6 +259,7 @@ def test_a_set_or_a_folder_that_there_is_not_is_one_line(
     assert [*tmp_path.iterdir()] == [path]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
     small_job: Job, y: Any, tmp_path: Path
 ) -> None:

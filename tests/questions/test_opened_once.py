@@ -11,6 +11,7 @@ from pfdist import Job
 from pfdist.store import listing
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_reads_files_json_and_validates_a_job_at_most_three_times(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

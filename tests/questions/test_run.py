@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 import pfdist
 from oracles.bytes_of import hashes
@@ -327,6 +326,7 @@ def test_between_search_and_comparison_the_found_times_are_told(
         pfdist.why(tmp_path / "run" / "job.toml", figures=False)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -341,12 +341,11 @@ def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
             "comparison": [math.ceil(job.comparison.draws / cut["comparison"])],
         }
 
-    monkeypatch.setattr(Figure, "savefig", lambda _, path, **__: path.write_text("drawn"))
     paper = parts(load_job(ROOT / "jobs" / "paper.toml"))
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 400)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 100)
     job = small_job.with_changes(["search.random.evaluations=24"])
-    run = pfdist.run(job, tmp_path / "run", report=False)
+    run = pfdist.run(job, tmp_path / "run")
     assert [len(small_job.search), sum(paper["comparison"])] == [2, 2]
     for table, files in parts(job).items():
         assert len(list((run.path / "tables" / table).iterdir())) == sum(files)
@@ -355,4 +354,4 @@ def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
     files = [path for path in run.path.rglob("*") if path.is_file()]
     drawn = [path for path in files if path.suffix == ".svg"]
     assert len(drawn) > 3
-    assert len(files) + (len(FORMATS) - 1) * len(drawn) < 59  # and a report
+    assert len(files) + (len(FORMATS) - 1) * len(drawn) < 60

@@ -392,6 +392,7 @@ def test_an_error_of_the_table_or_the_figure_is_a_line_and_the_sweep_stands(
     assert "ZeroDivisionError: a mistake (`pfdist plot " in said[-1]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_point_has_the_particles_and_the_proposal_that_were_found(
     swept: Sweeping, monkeypatch: pytest.MonkeyPatch
 ) -> None:
