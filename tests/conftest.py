@@ -25,6 +25,8 @@ from pfdist.errors import started_in
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
+from oracles.undrawn import undraw  # noqa: E402  found by the line above
+
 # No test depends on measured time, and each finds the same when it is repeated.
 settings.register_profile("steady", max_examples=40, deadline=None, derandomize=True, database=None)
 settings.load_profile("steady")
@@ -124,18 +126,21 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Finished runs without figures, shared by all tests of the session; nobody changes them.
 
     ``finished("comparison.draws=60")`` is the folder of the small job's run with this change,
-    ``finished(job="...")`` that of another job, given as TOML. Ask for it before you patch the
-    program: the run is made when it is first asked for.
+    ``finished(job="...")`` that of another job, given as TOML; ``proved`` is the number of draws of
+    its bound. Ask for it before you patch the program: the run is made when it is first asked for.
     """
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base  # by all processes
 
-    def find(*changes: str, job: str = SMALL_JOB) -> Path:
-        folder = shared / f"finished-{sha256(repr((job, changes)).encode()).hexdigest()[:12]}"
+    def find(*changes: str, job: str = SMALL_JOB, proved: int = 0) -> Path:
+        key = repr((job, changes, proved)).encode()
+        folder = shared / f"finished-{sha256(key).hexdigest()[:12]}"
         if not folder.exists():
             scratch = tmp_path_factory.mktemp("scratch")
             (scratch / "job.toml").write_text(job)
-            pfdist.run(scratch / "job.toml", scratch / "run", changes=changes, figures=False)
+            run = pfdist.run(scratch / "job.toml", scratch / "run", changes=changes, figures=False)
+            if proved:
+                pfdist.bound(run, proved, pool="serial", figures=False)
             with contextlib.suppress(OSError):  # another process was quicker
                 scratch.rename(folder)
         return folder / "run"
@@ -161,6 +166,12 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures and reports by a command line: they take the longest."""
     monkeypatch.setattr("pfdist.plots.draw_missing_figures", lambda run, there: [])
     monkeypatch.setattr("pfdist.questions.run.try_report", lambda run, say: None)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save each figure as an empty picture."""
+    undraw(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -222,3 +233,15 @@ def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., Called]:
         return Called(code, *capsys.readouterr())
 
     return called
+
+
+@pytest.fixture
+def said(call: Callable[..., Called]) -> Callable[..., str]:
+    """Call pfdist with words; give what it prints, or with another code than 0 its error."""
+
+    def printed(*words: object, code: int = 0) -> str:
+        called = call("", *words)
+        assert called.code == code, called.err
+        return called.err if code else called.out
+
+    return printed

@@ -107,21 +107,6 @@ def test_json_has_every_column(runs: Path, printed: Printed) -> None:
                 assert (tuple(value) if isinstance(value, list) else value) == expected[key]
 
 
-@pytest.mark.slow
-def test_the_unit_of_the_clock_is_in_the_json_and_in_the_heads(
-    finished: Callable[..., Path], tmp_path: Path, printed: Printed
-) -> None:
-    run = finished("problem.time_step=0.5", 'problem.time_unit="h"')
-    answer = json.loads(printed("table", run, "--json"))
-    assert answer["time_unit"] == "h"
-    assert all(2 * time == int(2 * time) for time in answer["rows"][0]["measurement_times"])
-    out = tmp_path / "t.csv"
-    assert printed("table", run, "--out", out) == f"{out}\n"
-    assert pd.read_csv(out)["expected_mse"].tolist() == [
-        row["expected_mse"] for row in answer["rows"]
-    ]
-
-
 def test_a_list_shows_state_age_size_and_gain(runs: Path, tmp_path: Path, printed: Printed) -> None:
     for name in ("a", "b", "c"):
         shutil.copytree(runs / name, tmp_path / name)

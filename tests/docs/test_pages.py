@@ -8,7 +8,7 @@ import runpy
 import shlex
 import shutil
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from doctest import ELLIPSIS, OutputChecker
 from pathlib import Path
 from typing import Any
@@ -37,8 +37,8 @@ VALUES = {"COMMAND": "run", "SHELL": "bash", "TIMES": "0:60:3", "NUMBERS": "5:41
 VALUES |= {"[RUN": "RUN", "...]": "RUN"}
 A_FILE = re.compile(r"# (\w+\.(?:py|toml|csv))")  # the first line of a block that is a file
 PAGES_PLAYED = (
-    "choose-model", "compare", "cookbook", "densities", "filter", "guided", "questions", "robust",
-    "sensors", "start",
+    "choose-model", "compare", "cookbook", "densities", "example", "filter", "guided", "online",
+    "particles", "questions", "robust", "sensors", "start",
 )  # fmt: skip
 PROSE = ("pfdist finds", "pfdist needs")  # sentences of the README that begin a line
 SECONDS = 600  # for a cell of the notebook, on a machine with other work
@@ -138,42 +138,13 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("checkout")
+@pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")  # y fits no model
 @pytest.mark.parametrize("page", PAGES_PLAYED)
 def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert _blocks(DOCS / f"{page}.md", "console|python")
     if page == "start":  # its first command computes this run; the committed one is of version 0.4
         shutil.rmtree("results/quick")
-    _play(page, capsys)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("checkout")
-def test_the_worked_example_prints_what_its_page_shows(capsys: pytest.CaptureFixture[str]) -> None:
-    names = _play("example", capsys)
-    assert Path("lake.filtered.png").stat().st_size > 10_000
-    assert names["planner"].measured == (6, 10, 17, 26)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("checkout")
-def test_the_page_about_particles_prints_and_draws_what_it_shows(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    names = _play("particles", capsys)
-    assert names["axes"].has_data()
-    assert names["losses"]["particle_loss"].is_monotonic_decreasing
-    (_, section), *_ = _blocks(DOCS / "particles.md", "toml")
-    assert tomllib.loads(section) == {"filter": {"particles": "auto"}}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("checkout")
-@pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")  # y fits no model
-def test_the_planner_of_the_page_about_online_times_measures_as_often_as_the_plan(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    names = _play("online", capsys, measure_at=lambda t: 0.3 * t)
-    assert len(names["planner"].measured) == 21
+    _play(page, capsys, measure_at=lambda t: 0.3 * t)  # what a planner of a page measures
 
 
 def test_the_job_of_the_page_about_online_times_has_the_settings_of_the_page() -> None:
@@ -202,18 +173,9 @@ def test_the_page_about_jobs_shows_a_clock_and_sets_that_a_job_may_have(tmp_path
     assert "2026-04-06T12:00" not in allowed  # Easter Monday
 
 
-def test_what_is_not_explained_has_the_numbers_of_the_table_above() -> None:
-    text = (DOCS / "paper.md").read_text(encoding="utf-8")
-    table, _, rest = text.partition("<!-- end -->")
-    unexplained = rest.partition("## What is not explained")[2].partition("\n## ")[0]
-    numbers = re.findall(r"\d+\.\d+", unexplained)
-    assert {"27.7", "87.5", "31.08"} <= set(numbers)
-    assert set(numbers) <= set(re.findall(r"\d+\.\d+", table))
-
-
 @pytest.mark.slow
 def test_the_model_with_angles_is_checked_as_its_page_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Callable[..., str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     blocks = [text for _, text in _blocks(DOCS / "models.md")]
@@ -221,8 +183,7 @@ def test_the_model_with_angles_is_checked_as_its_page_shows(
     (console,) = (text for text in blocks if text.startswith("$ pfdist check-model vane.py"))
     Path("vane.py").write_text(code, encoding="utf-8")
     command, _, shown = console.partition("\n")
-    assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
-    printed = capsys.readouterr().out
+    printed = said(*shlex.split(command.removeprefix("$ pfdist ")))
     assert OutputChecker().check_output(shown, printed, ELLIPSIS), printed
 
 
@@ -296,13 +257,6 @@ def test_the_table_of_real_data_has_the_gains_that_the_pages_print() -> None:
 def test_the_models_to_start_from_are_those_that_ship() -> None:
     named = set(re.findall(r"`(\w+)`", (DOCS / "choose-model.md").read_text(encoding="utf-8")))
     assert set(installed_models()) <= named
-
-
-def test_the_cookbook_has_thirteen_recipes() -> None:
-    text = (DOCS / "cookbook.md").read_text(encoding="utf-8")
-    recipes = text.split("\n## ")[1:]
-    assert len(recipes) == 13
-    assert all("Guide" in recipe for recipe in recipes[:-1])
 
 
 def test_each_name_of_the_library_has_an_example_that_could_run() -> None:

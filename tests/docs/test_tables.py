@@ -3,6 +3,7 @@
 import importlib.util
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -12,7 +13,6 @@ import pytest
 
 from oracles.in_turn import in_turn
 from pfdist.cli.commands import COMMANDS
-from pfdist.cli.main import main
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
 from pfdist.kernels.schemes import SCHEMES
@@ -123,14 +123,13 @@ def test_a_measured_number_with_an_error_stands_in_a_made_table_or_in_what_a_com
 
 
 def test_the_numbers_of_the_readme_are_those_of_the_tables(
-    capsys: pytest.CaptureFixture[str],
+    said: Callable[..., str],
 ) -> None:
     """The gain and the times of the example run; a golden test has the claim and its proof."""
     root = DOCS.parent
     readme = " ".join((root / "README.md").read_text(encoding="utf-8").split())
     start = " ".join((DOCS / "start.md").read_text(encoding="utf-8").split())
-    assert main(["status", str(root / "results" / "example")]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
+    printed = " ".join(said("status", root / "results" / "example").split())
     for pattern in (r"The expected MSE is .*? instead of [\d.]+\.", r"Measure at t = [\d, ]+\."):
         answer = re.search(pattern, printed)
         assert answer is not None

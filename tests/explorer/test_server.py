@@ -21,6 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from oracles.explored import SMALL, TOKEN, served
+from oracles.in_turn import in_turn
 from pfdist.explorer.server import MOST_BYTES
 
 FILES = ("", "explore.js", "explore.css")
@@ -73,7 +74,7 @@ def test_the_token_is_needed(port: int, path: str) -> None:
 
 
 @pytest.mark.parametrize("file", FILES)
-@pytest.mark.parametrize(
+@in_turn(
     "headers",
     [
         {"host": "evil.example"},

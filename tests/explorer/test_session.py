@@ -204,10 +204,13 @@ def test_times_that_are_none_are_refused(session: ExplorerSession) -> None:
 # --- a run ----------------------------------------------------------------------------------------
 
 
-def test_a_run_shows_its_plan_its_bound_and_its_windows(small_run: pfdist.Run) -> None:
-    pfdist.bound(small_run, pool="serial", figures=False)
-    pfdist.why(small_run, draws=40, figures=False)
-    run = pfdist.open_run(small_run.path)
+def test_a_run_shows_its_plan_its_bound_and_its_windows(
+    finished: Callable[..., Path], tmp_path: Path
+) -> None:
+    changes = "model.name=random_walk", "filter.particles=20", "comparison.draws=300"
+    quick = "search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"
+    run = pfdist.open_run(shutil.copytree(finished(*quick, *changes, proved=960), tmp_path / "run"))
+    pfdist.why(run, draws=40, figures=False)
     session = ExplorerSession(run)
     state, best = session.state(), run.best
     assert [*state["plan"]] == best.measurement_times
@@ -357,7 +360,7 @@ def test_intervals_of_judgements_hold_together() -> None:
 
     More than 8 of 40 users would have a probability below 1e-4.
     """
-    job = job_of("model.name=random_walk", "filter.particles=30", "comparison.draws=60")
+    job = job_of("model.name=random_walk", "filter.particles=20", "comparison.draws=40")
     many = FilteredSets(ExplorerSession(job).built, stream_of("evaluate", 99))
     sets = [MINE, OTHER, (2, 5, 8, 11), (3, 6, 9, 12)]
     even = job.problem.feasible.regular()
@@ -394,7 +397,7 @@ def test_the_job_and_the_command_have_the_sets(
     assert of_sensors.command_line({"mine": (0, 4)}).startswith("pfdist.compare(problem, times=")
 
 
-@pytest.mark.parametrize("name", ["<img src=x onerror=alert(1)>", "Mine", "", "regular", "a" * 65])
+@pytest.mark.parametrize("name", ["<img src=x onerror=alert(1)>", "regular"])
 def test_a_name_that_no_job_may_have_is_refused(session: ExplorerSession, name: str) -> None:
     answer = reply(session, {"ask": "take", "sets": {name: [1, 2]}, "id": 7})
     assert answer.keys() == {"id", "ask", "error"}
@@ -418,10 +421,7 @@ def test_a_message_that_is_none_is_answered_with_one_line(
     assert answer["error"]
 
 
-@pytest.mark.parametrize(
-    "error", [KeyError("a"), MemoryError(), RecursionError("deep"), OverflowError("large"),
-              KeyboardInterrupt(), ZeroDivisionError("a\nb")],
-)  # fmt: skip
+@pytest.mark.parametrize("error", [MemoryError(), KeyboardInterrupt(), ZeroDivisionError("a\nb")])
 def test_a_message_is_answered_whatever_it_causes(error: BaseException) -> None:
     def answer(_: object, __: int) -> None:
         raise error

@@ -1,5 +1,7 @@
 """Linear-Gaussian systems of many kinds, whose expected errors are known without draws."""
 
+from typing import Any
+
 from oracles.kalman import SCALAR, THREE, TRACKING
 from pfdist import StateSpaceModel, linear_gaussian, load_model
 
@@ -15,6 +17,19 @@ def scalar(name: str, factor: float, push: float, noise: float) -> StateSpaceMod
         measurement_noise=[[noise]],
         quantity_of_interest=[[1.0]],
     )
+
+
+def one_state(name: str, **changes: Any) -> StateSpaceModel:
+    """x' = x + w, measured with v, all noise standard normal, but for these formulas and fields."""
+    noises = ("initial_noise", "process_noise", "measurement_noise")
+    given: dict[str, Any] = dict.fromkeys(noises, ("normal",)) | {
+        "initial": lambda w, p: (w[0],),
+        "transition": lambda x, t, w, p: (x[0] + w[0],),
+        "measurement": lambda x, t, v, p: (x[0] + v[0],),
+        "log_likelihood": lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+        "quantity_of_interest": lambda x, t, p: (x[0],),
+    }
+    return StateSpaceModel(name=name, **given | changes)
 
 
 SYSTEMS = {

@@ -186,7 +186,6 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
     sets = {"regular": [0, 3], "mine": [1]}
     calls = {
         "against": [
-            call(STUDY),
             call(STUDY, "filter.particles", "gain_of_means"),
             call(SimpleNamespace(table=lambda: MINE)),
         ],
@@ -195,7 +194,6 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "budget": [call(several), call(several.table("sets"))],
         "comparison": [call(plain), call(proved.table("ranks"))],
         "searches": [
-            call(plain),
             call(plain, ["survivors"]),
             call(proved.table("evaluations").assign(end=12)),
         ],
@@ -203,11 +201,10 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "effective_sample_size": [call(WHY, particles=50), call(filtered)],
         "error_profile": [call(PROFILE), call(WHY, SETS)],
         "gain": [
-            call(plain, "survivors"),
             call(plain, beside="survivors"),
             call(plain.table("comparison"), "genetic", reference="survivors"),
         ],
-        "one_draw": [call(plain), call(plain, "survivors", draw=4), call(_trajectory(), sets)],
+        "one_draw": [call(plain, "survivors", draw=4), call(_trajectory(), sets)],
         "online_gain": [call(proved)],
         "online_raster": [call(proved)],
         "online_shares": [call(proved)],
@@ -216,7 +213,6 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "sampling_windows": [
             call(proved),
             call(WINDOWS, "mine"),
-            call(WHY),
             call(WINDOWS.drop(columns="name").head(4)),
         ],
         "worth": [call(WORTH), call(WHY)],
@@ -233,41 +229,36 @@ def test_plots_are_found_under_pfdist() -> None:
 
 
 @every
-def test_it_draws_into_given_axes_and_makes_new_ones_in_the_users_style(
+def test_it_draws_into_given_axes_or_new_ones_and_its_legend_covers_no_data(
     name: str, drawings: dict[str, list[Draw]]
 ) -> None:
+    """Most data lie within the axes; new ones have the user's style."""
     for draw in drawings[name]:
-        axes = _axes()
-        assert draw(ax=axes) is axes
-        assert axes.has_data()
-        assert not pyplot.get_fignums()
-        with pyplot.style.context({"lines.linewidth": 7.5, "figure.facecolor": "0.9"}):
-            new = draw()
-        assert new.figure is pyplot.gcf()
-        assert new.figure.get_facecolor()[:3] == (0.9, 0.9, 0.9)
-        assert _shapes(new) == _shapes(axes)
-        pyplot.close("all")
-
-
-def _shapes(axes: Axes) -> list[list[float]]:
-    return [np.asarray(line.get_xydata()).ravel().tolist() for line in axes.get_lines()]
-
-
-@every
-@pytest.mark.parametrize("style", [PRINT, pytest.param(SCREEN, marks=pytest.mark.slow)])
-def test_its_legend_covers_no_data_and_most_of_it_lies_within_the_axes(
-    name: str, style: str, drawings: dict[str, list[Draw]]
-) -> None:
-    with styled(style):
-        for draw in drawings[name]:
+        with styled(PRINT):
             figure = Figure(layout="constrained")
-            axes = draw(ax=figure.subplots())
+            axes = figure.subplots()
+            assert draw(ax=axes) is axes
+            assert axes.has_data()
+            assert not pyplot.get_fignums()
+            shapes = _shapes(axes)
             _check_legends(figure)  # the figure is drawn
             lines = [line for line in axes.get_lines() if np.isfinite(line.get_xydata()).any()]
             points = [line.get_transform().transform(line.get_xydata()) for line in lines]
             box = axes.get_window_extent().padded(1)
             inside = [box.contains(*point) for point in np.concatenate([*points, np.empty((0, 2))])]
             assert np.mean(inside or [True]) > 0.7
+        with pytest.raises(TypeError, match=r"^ax must be of type Axes, got ndarray$"):
+            draw(ax=np.array([1, 2]))  # as pyplot.subplots gives for two axes
+        with pyplot.style.context({"lines.linewidth": 7.5, "figure.facecolor": "0.9"}):
+            new = draw()
+        assert new.figure is pyplot.gcf()
+        assert new.figure.get_facecolor()[:3] == (0.9, 0.9, 0.9)
+        assert _shapes(new) == shapes
+        pyplot.close("all")
+
+
+def _shapes(axes: Axes) -> list[list[float]]:
+    return [np.asarray(line.get_xydata()).ravel().tolist() for line in axes.get_lines()]
 
 
 @pytest.mark.slow
@@ -459,12 +450,9 @@ def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_op
     ("draw", "words"),
     [
         (lambda run: plots.gain(run, "nobody"), "name must be one of genetic, survivors, got 'nob"),
-        (lambda run: plots.gain(run, beside="regular"), "beside must be one of genetic, survivors"),
-        (lambda run: plots.one_draw(run, "nobody"), "sets must be one of genetic, survivors"),
         (lambda run: plots.one_draw(run, draw=61), "draw must be one of 0, 1, 2"),
         (lambda run: plots.searches(run, ["nobody"]), "searches must be one of genetic, survivors"),
         (lambda run: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'n"),
-        (lambda run: plots.sampling_windows(WINDOWS, "x"), "name must be one of regular, mine"),
     ],
 )
 def test_a_name_that_does_not_exist_is_told_with_those_that_do(
@@ -486,16 +474,6 @@ def test_what_is_no_source_is_refused_in_one_line(name: str, wrong: object) -> N
     with pytest.raises(TypeError, match=told):
         draw(wrong)
     assert not pyplot.get_fignums()
-
-
-@every
-def test_what_are_no_axes_is_refused_in_one_line(
-    name: str, drawings: dict[str, list[Draw]]
-) -> None:
-    """For instance the array of two axes that pyplot.subplots gives."""
-    for draw in drawings[name]:
-        with pytest.raises(TypeError, match=r"^ax must be of type Axes, got ndarray$"):
-            draw(ax=np.array([1, 2]))
 
 
 def test_a_table_of_another_kind_is_refused() -> None:
@@ -540,10 +518,10 @@ def _with_costly_names() -> dict[str, Draw]:
     return {name: _way(name, given) for name, given in calls.items()}
 
 
-@pytest.mark.parametrize("name", _with_costly_names())
-def test_a_name_is_no_formula(name: str) -> None:
+@in_turn("draw", _with_costly_names().values())
+def test_a_name_is_no_formula(draw: Draw) -> None:
     figure = Figure(layout="constrained")
-    axes = _with_costly_names()[name](ax=figure.subplots())
+    axes = draw(ax=figure.subplots())
     figure.draw_without_rendering()  # which sets texts
     legend = axes.get_legend()
     texts = [
@@ -563,13 +541,11 @@ def _boxes(axes: Axes) -> list[Any]:
     return boxes
 
 
-@pytest.mark.parametrize("style", [PRINT, pytest.param(SCREEN, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("number", [16, 40])
-def test_each_of_forty_sets_has_its_name_in_a_new_figure(number: int, style: str) -> None:
-    sets = {f"set {position}": [position] for position in range(number)}
-    with styled(style):
+def test_each_of_forty_sets_has_its_name_in_a_new_figure() -> None:
+    sets = {f"set {position}": [position] for position in range(40)}
+    with styled(PRINT):
         axes = plots.times(sets)
-        assert len(_boxes(axes)) == number
+        assert len(_boxes(axes)) == 40
     assert [label.get_text() for label in axes.get_yticklabels()] == list(sets)
 
 

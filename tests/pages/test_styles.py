@@ -152,17 +152,6 @@ def test_figures_that_are_saved_need_no_pyplot() -> None:
     assert _printed(code, {}) == "False"
 
 
-@pytest.mark.slow
-def test_a_new_figure_has_the_backend_that_the_environment_names() -> None:
-    code = (
-        "import pfdist\n"
-        "pfdist.plots.times({'mine': [0, 2]})\n"
-        "import matplotlib; print(matplotlib.get_backend())"
-    )
-    for backend in ("svg", "pdf"):
-        assert _printed(code, {"MPLBACKEND": backend}) == backend
-
-
 @pytest.mark.parametrize(
     "settings",
     [

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import pfdist
-from oracles.batched import batched
 from oracles.three_sensors import HORIZON, ThreeSensors
 from pfdist import Problem, StateSpaceModel, load_model, ode, sde
 from pfdist.common.measurement_times import regular
@@ -23,31 +22,22 @@ from pfdist.questions.model_checks import Check, check_loaded
 WALK = load_model("random_walk")
 
 
-def slow(burnt: int, engine: str = "batched") -> StateSpaceModel:
-    """A walk of which a step takes time: in NumPy about 10 ns for each burnt sine."""
-
-    def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
-        a = x[0]
-        for _ in range(burnt):
-            a = a + 1e-9 * np.sin(a)
-        return (a + w[0],)
-
-    model = replace(WALK, name="slow", transition=transition, linear_gaussian=False)
-    return batched(model, together=500) if engine == "batched" else model
-
-
 def checked(model: StateSpaceModel, horizon: int, particles: int) -> dict[str, Check]:
     return {check.name: check for check in check_loaded(lambda: model, horizon, particles)}
 
 
-@pytest.mark.parametrize("engine", ["batched", pytest.param("compiled", marks=pytest.mark.slow)])
+def takes(seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a draw of 500 particles at 13 instants take so long."""
+    monkeypatch.setattr(checks_of_models, "seconds_a_step", lambda *_: seconds / (500 * 13))
+
+
 def test_a_slow_model_has_fewer_draws_and_its_checks_say_so(
-    monkeypatch: pytest.MonkeyPatch, engine: str
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A thousand draws would take half a minute; here a check may take about half a second."""
-    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.6)
-    checks = checked(slow(400, engine), 12, 500)
-    says = r"0\.00% of draws with 4 regular times .* \(only \d+ draws: each takes [\d.]+ s\)"
+    """A check takes about 20 s: four filters of each draw, so 20 draws of 0.25 s."""
+    takes(0.24, monkeypatch)
+    checks = checked(WALK, 12, 500)
+    says = r"0\.00% of draws with 4 regular times .* \(only 20 draws: each takes 0\.24 s\)"
     assert re.fullmatch(says, checks["degenerate draws"].text), checks["degenerate draws"]
     assert checks["expected MSE"].state == "ok"
     assert checks["particles"].text.startswith("500 particles lose ")
@@ -57,23 +47,26 @@ def test_a_slow_model_has_fewer_draws_and_its_checks_say_so(
 def test_of_a_model_that_is_too_slow_nothing_is_filtered_but_the_time_is_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.01)
-    checks = checked(slow(1000), 12, 500)
+    takes(2.6, monkeypatch)
+    checks = checked(WALK, 12, 500)
     assert "degenerate draws" not in checks
-    assert checks["an evaluation"].state == "note"
-    text = checks["an evaluation"].text
-    assert re.fullmatch(r"\d[\d.]* s for 1,000 draws .*; so nothing else is filtered here", text)
+    assert (checks["an evaluation"].state, checks["an evaluation"].text) == (
+        "note",
+        "2600 s for 1,000 draws on one core; so nothing else is filtered here",
+    )
 
 
-@pytest.mark.parametrize(("longest", "says"), [(20.0, "; 500 are enough"), (0.2, None)])
+@pytest.mark.parametrize(
+    ("seconds", "says"),
+    [(1e-5, "; 500 are enough"), (0.4, "; no more, up to 20,000, can be tried in 20 s")],
+)
 def test_more_particles_are_tried_only_if_there_is_time(
-    monkeypatch: pytest.MonkeyPatch, longest: float, says: str | None
+    seconds: float, says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(checks_of_models, "_LONGEST", longest)
-    checks = checked(slow(0, "compiled") if says else slow(300), 12, 5)
-    text = checks["particles"].text
-    assert checks["particles"].state == "note"
-    assert text.endswith(says or "; no more, up to 20,000, can be tried in 0 s"), text
+    takes(seconds, monkeypatch)
+    check = checked(WALK, 12, 5)["particles"]
+    assert check.state == "note"
+    assert check.text.endswith(says), check.text
 
 
 def test_long_horizons_have_fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,8 +81,8 @@ def test_long_horizons_have_fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand draws take less; only larger numbers of particles are not tried."""
-    monkeypatch.setattr(checks_of_models, "_LONGEST", 2.0)
+    """No larger numbers of particles are tried."""
+    monkeypatch.setattr(checks_of_models, "enough_particles", lambda *given: given[-1])
 
 
 def by_name(problem: Problem | Path) -> dict[str, tuple[str, str]]:

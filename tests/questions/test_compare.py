@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,9 +34,9 @@ name = "random_walk"
 horizon = 12
 measurement_budget = 4
 [filter]
-particles = 400
+particles = 100
 [comparison]
-draws = 1500
+draws = 500
 [execution]
 pool = "serial"
 """
@@ -95,23 +96,11 @@ def test_an_exact_engine_gives_the_exact_differences_and_ranks(job: Job, exact: 
     assert (ranks["standard_error"] == 0.0).all()
 
 
-@pytest.mark.slow
-def test_differences_of_a_particle_filter_agree_with_the_exact_ones(
-    compared: Run, exact: Run
-) -> None:
-    pairs, known = compared.table("pairs"), exact.table("pairs")
-    error = (pairs["high"] - pairs["low"]) / 2 / 1.9615  # Student's t of 1500 draws
-    assert (np.abs(pairs["difference"] - known["difference"]) < 4 * error).all()
-    assert pairs["clear"].any()
-    assert compared.table("ranks")["name"].to_list() == exact.table("ranks")["name"].to_list()
-
-
 def test_one_command_gives_the_numbers_of_three_lines_of_python(
-    compared: Run, folder: Path, capsys: pytest.CaptureFixture[str]
+    compared: Run, folder: Path, said: Callable[..., str]
 ) -> None:
     words = ["compare", str(folder / "walk.toml"), *WORDS, "--results", str(folder / "command")]
-    assert main([*words, "--no-report", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(said(*words, "--no-report", "--json"))
     assert answer["pairs"] == compared.table("pairs").to_dict("records")
     assert answer["ranks"] == compared.table("ranks").to_dict("records")
     assert _bytes(folder / "command") == _bytes(compared.path)
@@ -152,20 +141,20 @@ def test_sets_that_do_not_differ_clearly_are_all_named(few: Job, tmp_path: Path)
 
 
 def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
-    compared: Run, capsys: pytest.CaptureFixture[str]
+    compared: Run, said: Callable[..., str]
 ) -> None:
-    assert main(["status", str(compared.path)]) == 0
-    *lines, place, files = capsys.readouterr().out.splitlines()
+    *lines, place, files = said("status", compared.path).splitlines()
     assert place.startswith(f"{compared.path}: finished, ")
     assert files.startswith("tables: ")
     assert [line for line in lines if len(line) > 80] == []
     text = " ".join(" ".join(lines).split())
     assert text.startswith("Best of 3 sets (95 % confidence, all pairs together): ")
     assert "is compared all the same: problem.measurement_budget is 4, got 2 times." in text
-    assert "Best first, on 1,500 draws" in text
+    assert "Best first, on 500 draws" in text
     assert "Pairs of sets" not in text
-    assert main(["status", str(compared.path), "--verbose"]) == 0
-    assert "Pairs of sets first second" in " ".join(capsys.readouterr().out.split())
+    assert "Pairs of sets first second" in " ".join(
+        said("status", compared.path, "--verbose").split()
+    )
     page = str(page_of(compared))
     assert "How the sets compare" in page
     assert "problem.measurement_budget is 4, got 2 times" in page
@@ -182,25 +171,14 @@ def test_an_interrupted_comparison_takes_more_draws_and_ends_with_the_same_bytes
 
     results = tmp_path / "stopped"
     with pytest.raises(KeyboardInterrupt):
-        compare(job, times=SETS, results=results, draws=600, progress=stop)
+        compare(job, times=SETS, results=results, draws=200, progress=stop)
     with pytest.raises(StoreError, match="is not finished"):
         compare(job, results)
-    compare(job, times=SETS, results=results, draws=600)
+    compare(job, times=SETS, results=results, draws=200)
     compare(job, times=SETS, results=results)
     assert _bytes(results) == _bytes(compared.path)
     with pytest.raises(RunMismatchError, match=r"comparison\.sets\.few: \[4, 9\] -> \[4, 8\]"):
         compare(job, times=SETS | {"few": [4, 8]}, results=results)
-
-
-@pytest.mark.slow
-def test_times_are_times_on_the_clock(job: Job, tmp_path: Path, compared: Run) -> None:
-    clock = {"problem": {"time_unit": "h", "time_step": 0.5, "horizon": 6}}
-    times = {"clinic": [0, 1.5, 3, 6], "late": "3:6:1", "few": [2, 4.5]}
-    run = compare(job.with_changes(settings=clock), times=times, results=tmp_path / "clock")
-    assert run.sets == {"clinic": (0.0, 1.5, 3.0, 6.0), "late": (3, 4, 5, 6), "few": (2, 4.5)}
-    np.testing.assert_array_equal(
-        run.table("pairs")["difference"], compared.table("pairs")["difference"]
-    )
 
 
 def test_the_sets_of_runs_are_compared_on_the_problem_of_the_job(
@@ -231,7 +209,7 @@ def test_a_comparison_of_the_sets_of_a_run_of_an_object_knows_the_object(
     search = [{"method": "random", "evaluations": 3}]
     job = problem.job(search=search, comparison={"draws": 40})
     run = pfdist.run(job, tmp_path / "object", pool="serial", figures=False)
-    found = compare(problem, run, times={"late": "6:12:2"}, pool="serial")
+    found = compare(problem, run, times={"late": "6:12:2"}, draws=40, pool="serial")
     assert found.path == Path("results/my_walk-compare").absolute()
     assert pfdist.why(found, draws=2, figures=False).sets["name"].tolist() == found.names
 
@@ -279,12 +257,6 @@ def test_each_difference_of_the_problem_of_a_run_is_said(few: Job, tmp_path: Pat
     ]
 
 
-def test_a_reference_that_the_job_lists_is_compared(few: Job, tmp_path: Path) -> None:
-    listed = few.with_changes(["comparison.reference=[0, 3, 6]"])
-    run = compare(listed, times={"a": [0]}, results=tmp_path / "listed")
-    assert run.sets == {"reference": (0, 3, 6), "a": (0,)}
-
-
 def test_the_name_of_a_set_fits_a_column_however_long_its_parts_are(
     few: Job, tmp_path: Path
 ) -> None:
@@ -317,10 +289,8 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     ("times", "message"),
     [
         ({"a": [0]}, "compare needs at least two sets of times, got a: "),
-        ({"A": [0], "b": [1]}, r"comparison\.sets\.A must be lower-case letters.* got 'A'"),
         ({"regular": [0], "b": [1]}, "names of times must not be 'regular', .* got 'regular'"),
         ({"a": [13], "b": [1]}, r"must lie in 0\.\.12, got 13 \(times of a\)"),
-        ([[0], [1]], "times must name sets, as .* got "),
     ],
 )
 def test_wrong_sets_are_refused_in_one_line(
@@ -332,26 +302,12 @@ def test_wrong_sets_are_refused_in_one_line(
     assert not (tmp_path / "never").exists()
 
 
-def test_wrong_options_are_refused_in_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for words, message in (
-        (["--times", "0,3"], "times of several sets must be NAME=TIMES"),
-        (["--times", "a=0", "--times", "a=1"], "'a' twice"),
-    ):
-        assert main(["compare", str(folder / "walk.toml"), *words]) == 1
-        (line,) = capsys.readouterr().err.splitlines()
-        assert message in line
-
-
 @in_turn(
     ("changes", "message"),
     [
         (["search=[]"], "a job needs a search, or comparison.sets"),
         (["comparison.reference='mine'"], "or the name of a set of comparison.sets"),
-        (["comparison.sets.genetic=[0]"], "must differ from each other, got 'genetic'"),
         (["comparison.sets.reference=[0]"], "must not name a set 'reference'"),
-        (["comparison.sets.a=[13]"], r"0\.\.12, got 13 \(comparison\.sets\.a\)"),
         (["comparison.sets.a=[0]", "search=[]", "online.draws=3"], "online needs a search"),
         (["comparison.sets.a=[0]", "budget={least=2, most=3}"],
          r"budget needs comparison\.reference = 'regular', got comparison\.sets"),

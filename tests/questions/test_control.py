@@ -11,8 +11,8 @@ import pytest
 import pfdist
 from oracles import walks
 from oracles.bytes_of import hashes
-from oracles.three_sensors import SYSTEMS
-from pfdist import Job, Problem, StateSpaceModel
+from oracles.systems import one_state
+from pfdist import Job, Problem
 from pfdist.errors import JobError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation
@@ -85,9 +85,8 @@ def test_where_the_filter_does_not_know_the_truth_a_job_cannot_ask_and_questions
     run = pfdist.compare(job, times=SETS, results=tmp_path / "compare", figures=False)
     assert not _controls(run)
     assert "control" not in run.job["comparison"]
-    pfdist.run(job, tmp_path / "run", figures=False)
-    found = pfdist.why(tmp_path / "run", 20, figures=False)
-    assert (found.sets["expected_mse"] > 0).all()
+    if changes is NOMINAL:
+        assert (pfdist.why(run, 20, figures=False).sets["expected_mse"] > 0).all()
 
 
 def test_questions_have_controls_unless_the_job_says_no(small_job: Job, tmp_path: Path) -> None:
@@ -127,10 +126,10 @@ def test_told_scenarios_have_their_own_controls_and_agree_with_kalman_filters(
         walks.WALK,
         horizon=walks.HORIZON,
         measurement_budget=4,
-        particles=1000,
+        particles=400,
         scenarios={"parameters": walks.SCENARIOS, "weights": walks.WEIGHTS, "filter": "told"},
     )
-    run = pfdist.compare(problem, times=SETS, results=tmp_path / "run", draws=2000, figures=False)
+    run = pfdist.compare(problem, times=SETS, results=tmp_path / "run", draws=800, figures=False)
     exact = walks.costs([*SETS.values()], told=True)
     rows = run.table("scenarios").set_index(["name", "scenario"])
     for name, of_scenarios in zip(SETS, exact, strict=True):
@@ -141,32 +140,17 @@ def test_told_scenarios_have_their_own_controls_and_agree_with_kalman_filters(
         assert abs(controls.mean()) < 4 * controls.sem()
 
 
-def test_sensors_agree_with_a_kalman_filter() -> None:
-    system, sets = SYSTEMS[1], [(2, 9, 20, 24), (0, 10, 11, 33)]
-    evaluator = Evaluator(system.as_model(), 12)
-    work = evaluator.work(sets, 3, 4, (0, 1000), Estimation(1500), controlled=True)
-    result = evaluator.filtered(work)
-    for times, values in zip(sets, (result.mse - result.control).T, strict=True):
-        error = values.std(ddof=1) / math.sqrt(values.size)
-        assert abs(values.mean() - system.expected_mse(times)) < 4 * error
-
-
 def test_a_draw_in_which_the_truth_explains_nothing_keeps_its_error_and_is_counted() -> None:
     """Its measurement is left out, as elsewhere, and its control is 0."""
 
     def log_likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
         return np.where(y[0] > 3.0, -np.inf, -0.5 * (y[0] - x[0]) ** 2)
 
-    model = StateSpaceModel(
-        name="blind",
+    model = one_state(
+        "blind",
         initial=lambda w, p: (2.0 * w[0],),
         transition=lambda x, t, w, p: (x[0] + 0.5 * w[0],),
-        measurement=lambda x, t, v, p: (x[0] + v[0],),
         log_likelihood=log_likelihood,
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        measurement_noise=("normal",),
     )
     evaluator = Evaluator(model, 4)
     work = evaluator.work([(1, 3)], 3, 4, (0, 300), Estimation(50), controlled=True)

@@ -4,7 +4,6 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
-from oracles.results_of import results_of
 from pfdist import Filter, Job
-from pfdist.cli.main import main
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError, MeasurementsError, PfdistWarning, PriorError, StoreError
 from pfdist.filters.simulation import simulate
@@ -51,11 +48,12 @@ def _written(path: Path, times: Any, y: Any) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_is_the_filter_of_the_run_at_every_instant(
     job: Path, y: Any, tmp_path: Path
 ) -> None:
     times = (1, 4, 8)
-    found = pfdist.filter_measurements(job, _written(tmp_path / "mine.csv", times, y))
+    found = pfdist.filter_measurements(job, _written(tmp_path / "mine.csv", times, y), report=False)
     believed = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5})
     filtering = Filter(believed, 40, 1, resampling="multinomial")
     rows = pd.read_csv(tmp_path / "mine.filtered.csv").to_dict("records")
@@ -82,7 +80,7 @@ def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
     names = [f"patient 7.filtered.{ending}" for ending in ("csv", "png", "html")]
     assert [file.name for file in found.files] == names
     once = [file.read_bytes() for file in found.files]
-    again = pfdist.filter_measurements(job, path)
+    again = pfdist.filter_measurements(job, path)  # earlier results are replaced
     assert [file.read_bytes() for file in again.files] == once
     assert hashes(job.parent) == before
     assert {file.name for file in tmp_path.iterdir()} == {path.name, *names}
@@ -97,7 +95,7 @@ def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
 
 def test_parquet_gives_parquet_in_another_folder(job: Path, y: Any, tmp_path: Path) -> None:
     path = _written(tmp_path / "mine.parquet", (8, 0, 3), y)
-    found = pfdist.filter_measurements(job, path, out=tmp_path / "new" / "folder")
+    found = pfdist.filter_measurements(job, path, out=tmp_path / "new" / "folder", report=False)
     table, *_ = found.files
     assert table == tmp_path / "new" / "folder" / "mine.filtered.parquet"
     schema = pq.read_schema(table)
@@ -107,26 +105,10 @@ def test_parquet_gives_parquet_in_another_folder(job: Path, y: Any, tmp_path: Pa
     assert found.table["surprise"].notna().tolist() == found.table["measured"].tolist()
 
 
-@pytest.mark.slow
-def test_planned_times_that_are_missing_and_extra_times_are_named(
-    job: Path, y: Any, tmp_path: Path
-) -> None:
-    path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
-    found = pfdist.filter_measurements(job, path, planned="regular")  # 0, 4, 8, 12
-    assert (found.name, found.measured) == ("regular", (0, 5, 8))
-    assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
-    results = results_of(pfdist.open_run(job.parent))
-    least = min(("genetic", "random"), key=lambda name: results[name].expected_mse)
-    assert pfdist.filter_measurements(job, path).name == least
-    nothing = pfdist.filter_measurements(job, _written(path, (), y), planned="regular")
-    assert (nothing.missing, nothing.to_come) == ((), (0, 4, 8, 12))
-    assert (nothing.most_surprising, nothing.is_improbable) == (None, False)
-
-
 def test_a_prior_is_where_the_filter_starts(job: Path, y: Any, tmp_path: Path) -> None:
     path, prior = _written(tmp_path / "mine.csv", (5, 8), y), tmp_path / "prior.parquet"
     pd.DataFrame({"x0": [6.5, 7.5], "t": [4, 4]}).to_parquet(prior)
-    found = pfdist.filter_measurements(job, path, planned="regular", prior=prior)
+    found = pfdist.filter_measurements(job, path, planned="regular", prior=prior, report=False)
     assert found.table["t"].tolist() == list(range(4, HORIZON + 1))
     assert (found.table["mean_0"][0], found.table["sd_0"][0]) == (7.0, 0.5)
     assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
@@ -139,12 +121,11 @@ def test_a_prior_is_where_the_filter_starts(job: Path, y: Any, tmp_path: Path) -
 
 
 def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
-    job: Path, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    job: Path, y: Any, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
     words = ["filter", str(job), str(path), "--planned", "regular"]
-    assert main(words) == 0
-    text = capsys.readouterr().out
+    text = said(*words)
     assert re.match(r"At t = 8: z0 = [\d.-]+ \(90 % band [\d.-]+ to [\d.-]+\)\. The 3\n?", text)
     assert "The 3 measurements fit the model." in " ".join(text.split())
     for line in (
@@ -157,8 +138,8 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     ):
         assert line in text
     assert "may be wrong" not in text
-    assert main([*words, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    words.append("--no-report")
+    answer = json.loads(said(*words, "--json"))
     assert {key: answer[key] for key in ("measured", "missing", "extra", "to_come")} == {
         "measured": [0, 5, 8], "missing": [4], "extra": [5], "to_come": [12],
     }  # fmt: skip
@@ -167,17 +148,13 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     assert answer["most_surprising"]["t"] in (0, 5, 8)
     y[5] = 1e3
     _written(path, (0, 5, 8), y)
-    words.append("--no-report")
-    assert main(words) == 0
-    text = capsys.readouterr().out
+    text = said(*words)
     few = "The estimate is that of a few particles, not the model's: the effective sample size "
     assert " ".join(text.split()).startswith(f"{few}falls below 5 at t = 5. What may help: ")
     assert "most surprising       t = 5, p at most " in text
     note = r"The measurement at t = 5 is improbable, p at most [\de.-]+ \(at most [\de.-]+ "
     note += r"among all\): the model may be wrong about this system"
     assert re.search(note, " ".join(text.split()))
-    assert main([*words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["collapsed"] == 5
 
 
 def test_an_improbable_measurement_is_a_warning_and_shows_itself(
@@ -195,10 +172,9 @@ def test_an_improbable_measurement_is_a_warning_and_shows_itself(
     assert repr(found).startswith(f"<{few} | {line} | At t = 8: ")
     assert f"<p>{escape(few)}</p>" in found._repr_html_()
     assert f"<p>{line}</p>" in found._repr_html_()
+    assert found.as_json()["collapsed"] == 5
     lines = list[str]()
     pfdist.filter_measurements(job, path, **options, say=lines.append)  # raises no warning
-    _written(path, (0, 8), y)
-    assert "improbable" not in repr(pfdist.filter_measurements(job, path, **options))
 
 
 @pytest.mark.slow
@@ -227,25 +203,26 @@ def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
 
 
 def test_the_exact_filter_gives_its_evidence(
-    finished: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Callable[..., Path], tmp_path: Path, said: Callable[..., str]
 ) -> None:
     job = finished(*FEW, "model.name=random_walk", "filter.engine=kalman") / "job.toml"
     path = tmp_path / "mine.csv"
     path.write_text("t,y0\n0,3.0\n4,1.0\n")
-    found = pfdist.filter_measurements(job, path)
+    found = pfdist.filter_measurements(job, path, report=False)
     exact = Filter("random_walk", engine="kalman")
     exact.update(0, 3.0)
     exact.update(4, 1.0)
     assert found.log_evidence == exact.log_evidence
     path.write_text("t,y0\n0,3.0\n4,1e6\n")
-    with pytest.warns(PfdistWarning, match="improbable, p = ") as said:
-        assert pfdist.filter_measurements(job, path).collapsed is None
-    assert len(said) == 1
+    with pytest.warns(PfdistWarning, match="improbable, p = ") as warned:
+        assert pfdist.filter_measurements(job, path, report=False).collapsed is None
+    assert len(warned) == 1
     path.write_text("t,y0\n0,3.0\n4,1.0\n")
     assert found.table["effective_sample_size"].isna().all()
     np.testing.assert_array_equal(found.table["mean_0"][4:], exact.now.mean[0])
-    assert main(["filter", str(job), str(path)]) == 0
-    assert f"  log evidence          {exact.log_evidence:.4f}\n" in capsys.readouterr().out
+    assert f"  log evidence          {exact.log_evidence:.4f}\n" in said(
+        "filter", job, path, "--no-report"
+    )
 
 
 def test_no_file_of_others_is_overwritten(job: Path, y: Any, tmp_path: Path) -> None:
@@ -264,59 +241,43 @@ def test_no_file_of_others_is_overwritten(job: Path, y: Any, tmp_path: Path) -> 
     other.symlink_to(tmp_path / "elsewhere")
     refused(path, other.name)
     other.unlink()
-    pfdist.filter_measurements(job, path)
-    pfdist.filter_measurements(job, path)  # now they are earlier results
     _written(tmp_path / "mine.filtered.parquet", (0, 3), y)
     refused(_written(tmp_path / "mine.parquet", (0, 3), y), "mine.filtered.parquet")
 
 
 def test_a_set_or_a_folder_that_there_is_not_is_one_line(
-    job: Path, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    job: Path, y: Any, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 3), y)
     for words, message in (
         (["--planned", "none"], ", genetic, random, got 'none'\n"),
         (["--out", str(path)], "cannot "),
     ):
-        assert main(["filter", str(job), str(path), *words]) == 1
-        error = capsys.readouterr().err
+        error = said("filter", job, path, *words, code=1)
         assert error.count("\n") == 1
         assert message in error
     assert [*tmp_path.iterdir()] == [path]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
     small_job: Job, y: Any, tmp_path: Path
 ) -> None:
-    few = small_job.with_changes(["filter.particles=20", "evaluation.draws=10"])
-    curve = pfdist.budget(few, (3, 4), tmp_path / "budget", draws=20, figures=False)
+    few = small_job.with_changes(["model.name=random_walk", "filter.engine=kalman"])
+    curve = pfdist.budget(few, (3, 4), tmp_path / "budget", draws=20, bound_draws=0, figures=False)
     path, name = _written(tmp_path / "mine.csv", (0, 3), y), curve.names[-1]
     with pytest.raises(JobError, match="several numbers of measurements: planned must say which"):
         pfdist.filter_measurements(curve, path)
-    assert pfdist.filter_measurements(curve, path, planned=name).name == name
+    assert pfdist.filter_measurements(curve, path, planned=name, report=False).name == name
 
 
 def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
     from pfdist.pages.plots import draw_filtered, filtered_plot
 
-    for number, height in ((1, 825), (3, 1695), (8, 3000)):
+    for number, height in ((1, 825), (8, 3000)):
         names = filtered_schema(numbered_components(number)).names
         table = pd.DataFrame({name: np.zeros(5) for name in names})
         table["t"], table["measured"] = range(5), [True, False, True, False, False]
         path = tmp_path / f"{number}.png"
         draw_filtered(path, filtered_plot(table, ((0, 2), (1,), (2,), (4,))))
         assert matplotlib.image.imread(path).shape[0] == height
-
-
-@pytest.mark.slow
-def test_missing_components_reach_the_filter(tmp_path: Path, small_job: Job) -> None:
-    model = pfdist.load_model("constant_velocity")
-    assert replace(model, missing_components=True).components == (4, 2, 2)
-    changes = ["model.name=constant_velocity", "filter.engine=numpy", *FEW[1:]]
-    job = small_job.with_changes([*changes, "evaluation.draws=3", "comparison.draws=5"])
-    ship = pfdist.run(job, tmp_path / "ship", figures=False)
-    (tmp_path / "mine.csv").write_text("t,y0,y1\n0,10,\n")
-    with pytest.raises(MeasurementsError, match=r" missing at t = 0: the model constant_v"):
-        pfdist.filter_measurements(ship, tmp_path / "mine.csv")
-    (tmp_path / "mine.csv").write_text("t,y0,y1\n0,10,-1.3\n4,,\n")
-    assert pfdist.filter_measurements(ship, tmp_path / "mine.csv").measured == (0,)

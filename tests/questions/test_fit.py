@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 import pfdist
+from oracles.systems import one_state
 from pfdist.filters.evaluator import recorded_evaluator
 from pfdist.filters.evidence import exact_log_evidence
 from pfdist.questions.fit import Fitted
@@ -19,16 +20,12 @@ START = {"a": 0.6, "sd": 1.0, "noise": 1.0}
 
 def model_with(**parameters: float) -> pfdist.StateSpaceModel:
     """A stationary autoregression that is measured with noise."""
-    return pfdist.StateSpaceModel(
-        name="autoregression",
+    return one_state(
+        "autoregression",
         initial=lambda w, p: (p.sd / np.sqrt(1 - p.a**2) * w[0],),
         transition=lambda x, t, w, p: (p.a * x[0] + p.sd * w[0],),
         measurement=lambda x, t, v, p: (x[0] + p.noise * v[0],),
         log_likelihood=lambda y, x, t, p: pfdist.densities.normal_logpdf(y[0], x[0], p.noise),
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        measurement_noise=("normal",),
         parameters=parameters,
         parameter_ranges={"a": (0.0, 0.99), "sd": (1e-3, 10.0), "noise": (1e-3, 10.0)},
         linear_gaussian=True,
@@ -71,9 +68,8 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
         there = recorded.with_parameters(dict(zip(START, values.tolist(), strict=True)))
         return -float(exact_log_evidence(there, y).sum())
 
-    best = minimize(
-        loss, [*TRUE.values()], method="L-BFGS-B", bounds=[(0, 0.99), (0.1, 5), (0.1, 5)]
-    )
+    bounds = [(0, 0.99), (0.1, 5), (0.1, 5)]
+    best = minimize(loss, [*TRUE.values()], method="L-BFGS-B", bounds=bounds, tol=1e-7)
     assert fitted.is_converged
     assert fitted.error == 0.0
     assert fitted.log_likelihood == pytest.approx(-best.fun, abs=0.02)
@@ -82,21 +78,11 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
     assert fitted.log_likelihood >= -loss(np.array([*TRUE.values()]))
 
 
-@pytest.mark.parametrize(
-    ("parameters", "particles", "evaluations"),
-    [
-        (["sd"], 100, 30),
-        pytest.param([*START], 300, 80, marks=pytest.mark.slow),
-    ],
-)
-def test_particles_find_nearly_the_same(
-    parameters: list[str], particles: int, evaluations: int, data: pd.DataFrame
-) -> None:
+def test_particles_find_nearly_the_same(data: pd.DataFrame) -> None:
     """The fit by particles loses little of Kalman's likelihood: less than a 95 % region, 3.9."""
+    parameters = ["sd"]
     exact = pfdist.fit(problem(engine="kalman"), data, parameters, pool="serial")
-    fitted = pfdist.fit(
-        problem(particles=particles), data, parameters, evaluations=evaluations, pool="threads"
-    )
+    fitted = pfdist.fit(problem(particles=100), data, parameters, evaluations=20, pool="threads")
     start = pfdist.Problem(
         model_with(**(START | fitted.parameters)),
         horizon=HORIZON,
@@ -119,7 +105,7 @@ def test_training_replicates_alone_are_used(data: pd.DataFrame) -> None:
     assert fitted.parameters == first.parameters
 
 
-@pytest.mark.parametrize("bounds", [(0.9, 2.0), (1.0, 2.0), (0.01, 0.1)])
+@pytest.mark.parametrize("bounds", [(0.9, 2.0), (0.01, 0.1)])
 def test_a_maximum_outside_of_the_bounds_is_on_a_bound(
     data: pd.DataFrame, bounds: tuple[float, float]
 ) -> None:
@@ -135,8 +121,8 @@ def test_a_maximum_outside_of_the_bounds_is_on_a_bound(
 
 def cubic(**parameters: float) -> pfdist.StateSpaceModel:
     """Measurements k^2 and .3 k of a constant k: with k = -1, another maximum is near k = .9."""
-    return pfdist.StateSpaceModel(
-        name="cubic",
+    return one_state(
+        "cubic",
         initial=lambda w, p: (p.spread * w[0],),
         transition=lambda x, t, w, p: (x[0] + 0.0 * w[0],),
         measurement=lambda x, t, v, p: (x[0] + p.k**2 + 0.1 * v[0], 0.3 * p.k + 0.1 * v[1]),
@@ -144,9 +130,6 @@ def cubic(**parameters: float) -> pfdist.StateSpaceModel:
             pfdist.densities.normal_logpdf(y[0], x[0] + p.k**2, 0.1)
             + pfdist.densities.normal_logpdf(y[1], 0.3 * p.k, 0.1)
         ),
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
         measurement_noise=("normal", "normal"),
         parameters={"k": 0.8, "spread": 0.02, **parameters},
         parameter_ranges={"spread": (0.0, 9.0)},
@@ -164,10 +147,9 @@ def exact(start: float, bounds: tuple[float, float]) -> Fitted:
     return pfdist.fit(job, MEASURED, {"k": bounds}, pool="serial")
 
 
-@pytest.mark.parametrize("start", [-2.0, 0.0])
-def test_a_start_on_a_bound_is_left(start: float) -> None:
+def test_a_start_on_a_bound_is_left() -> None:
     """At k = -1 both measurements are those that are expected: no value has a larger likelihood."""
-    fitted = exact(start, (-2.0, 0.0))
+    fitted = exact(0.0, (-2.0, 0.0))
     assert fitted.parameters["k"] == pytest.approx(-1.0, abs=1e-3)
     assert fitted.is_converged
     assert fitted.on_bound == ()
@@ -197,15 +179,11 @@ def test_without_two_starts_that_agree_the_search_has_not_converged(data: pd.Dat
     assert "no two distant starts" in str(fitted)
 
 
-@pytest.mark.parametrize(
-    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 5))]
-)
-def test_the_error_contains_that_of_the_maximum(seed: int) -> None:
+def test_the_error_contains_that_of_the_maximum() -> None:
     """Few particles: the exact likelihood of k = -1, the largest, beside that of what is found."""
     settings = {"horizon": 8, "measurement_budget": 4}
     few = pfdist.Problem(cubic(), **settings, particles=10)
-    changes = [f"seed={seed}"]
-    fitted = pfdist.fit(few, MEASURED, {"k": (-2.0, 0.8)}, changes=changes, pool="serial")
+    fitted = pfdist.fit(few, MEASURED, {"k": (-2.0, 0.8)}, changes=["seed=1"], pool="serial")
     most, found = (
         pfdist.fit(
             pfdist.Problem(cubic(k=k), **settings, engine="kalman"),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from oracles.clocked import with_clock
+from oracles.systems import one_state
 from pfdist import StateSpaceModel, load_model
 from pfdist.filters import plain
 from pfdist.models import installed_models
@@ -26,15 +27,11 @@ def _normal(apart: Any, sd: Any) -> Any:
 
 
 def _model(measurement: Any, log_likelihood: Any, *noise: str, **fields: Any) -> StateSpaceModel:
-    return StateSpaceModel(
-        name="mine",
-        initial=lambda w, p: (w[0],),
+    return one_state(
+        "mine",
         transition=lambda x, t, w, p: (0.9 * x[0] + w[0],),
         measurement=measurement,
         log_likelihood=log_likelihood,
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
         measurement_noise=noise,
         **{"normalised": True, **fields},
     )
@@ -124,7 +121,13 @@ def test_a_density_has_the_integral_1_and_a_model_that_lies_is_found(name: str) 
     assert abs(ratio - math.exp(LITTLE)) < 5 * error
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.zoo] * (name in ("robot", "bearings_only")))
+        for name in SHIPPED
+    ],
+)
 def test_a_model_that_ships_is_normalised_if_it_says_so_and_only_then(name: str) -> None:
     for _, model, *_ in with_clock(load_model(name), 12).parts:  # one for each sensor
         is_one = _looked(normalised, model)[0] == "ok"
@@ -200,7 +203,11 @@ def test_a_single_component_cannot_be_missing() -> None:
     assert _looked(missing_components, model)[0] == "note"
 
 
-def test_check_model_looks_at_what_a_model_declares(tmp_path: Path) -> None:
+def test_check_model_looks_at_what_a_model_declares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pfdist.questions.model_checks._DRAWS", 50)
+    monkeypatch.setattr("pfdist.questions.model_checks.enough_particles", lambda *given: given[-1])
     text = "from dataclasses import replace\nfrom pfdist.models.library.ungm import model as ungm\n"
     text += "model = replace(ungm, normalised=True, missing_components=True)\n"
     (tmp_path / "mine.py").write_text(text)

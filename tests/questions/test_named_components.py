@@ -178,24 +178,6 @@ def test_a_prior_may_have_the_names_of_states(run: pfdist.Run) -> None:
     np.testing.assert_array_equal(read_prior(rows, believed).x, [[3.0, 4.0], [1.0, 2.0]])
 
 
-@pytest.mark.slow
-def test_simulations_have_the_names_and_the_same_numbers(tmp_path: Path) -> None:
-    named = pfdist.simulate(_job(tmp_path / "a", NAMES), draws=2)
-    numbered = pfdist.simulate(_job(tmp_path / "b", ""), draws=2)
-    x, y = ["x_tumour_mass", "x_plasma"], ["y_marker", "y_weight"]
-    assert list(named)[2:] == [*x, *y, "z_tumour_mass", "z_change_of_mass"]
-    assert list(numbered)[2:] == ["x_0", "x_1", "y_0", "y_1", "z_0", "z_1"]
-    np.testing.assert_array_equal(named.to_numpy(), numbered.to_numpy())
-    assert named.attrs["labels"]["x_tumour_mass"] == "Tumour mass [mg]"
-    assert not numbered.attrs
-
-
-@pytest.mark.slow
-def test_why_measures_the_named_columns(run: pfdist.Run, plain: pfdist.Run) -> None:
-    found, same = (pfdist.why(each, draws=20, figures=False) for each in (run, plain))
-    pd.testing.assert_frame_equal(found.worth, same.worth)
-
-
 def test_another_name_or_unit_is_another_run_and_the_error_names_it(
     run: pfdist.Run, tmp_path: Path
 ) -> None:

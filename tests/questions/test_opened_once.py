@@ -14,6 +14,7 @@ from pfdist.runner import build as builds
 from pfdist.store import listing
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_reads_files_json_and_validates_a_job_at_most_three_times(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -29,7 +30,10 @@ def test_a_run_reads_files_json_and_validates_a_job_at_most_three_times(
 
     monkeypatch.setattr(listing, "_read", reading)
     monkeypatch.setattr(Job, "__init__", making)
-    run = pfdist.run(small_job.path, tmp_path / "run")
+    text, _, _ = small_job.path.read_text().partition("[[search]]")
+    rest = '[[search]]\nmethod = "random"\nevaluations = 2\n[comparison]\ndraws = 20\n'
+    small_job.path.write_text(f"{text}{rest}[model]\nname = 'random_walk'\n")
+    run = pfdist.run(small_job.path, tmp_path / "run", pool="serial")
     assert 1 <= counted["Job"] <= 3
     assert counted["files.json"] <= 3
     assert run.state == "finished"

@@ -1,8 +1,6 @@
 """A problem that is handed over in Python is the problem of a job file."""
 
 import inspect
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +13,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.in_turn import in_turn
-from oracles.model_text import MEASURED
+from oracles.systems import one_state
 from pfdist import Problem, Run, StateSpaceModel
 from pfdist.common.section import keys_of_section
 from pfdist.errors import PfdistError, RunMismatchError, StoreError
@@ -26,39 +24,9 @@ from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import FilterSection
 from pfdist.runner.build import build
 
-ROBOT = (
-    '''
-import numpy as np
-import pfdist
-from pfdist import StateSpaceModel
-
-WIND = np.array([0.1, 0.3])
-
-def steered(x):
-    """Give the heading after the wind."""
-    return 0.8 * x + WIND[1] * np.sin(x)
-
-robot = StateSpaceModel(
-    name="robot",
-    initial=lambda w, p: (w[0],),
-    transition=lambda x, t, w, p: (steered(x[0]) + p.sd * w[0],),
-'''
-    + MEASURED
-    + """    parameters={"sd": 0.7},
-)
-"""
-)
 IN_NUMPY = {"horizon": 10, "measurement_budget": 3, "particles": 30, "engine": "numpy"}
 """For tests in which the engine makes no difference: nothing is compiled."""
 SHORT = {"horizon": 10, "measurement_budget": 3, "particles": 30}
-RUN = """
-SECTIONS = {"search": [{"method": "random", "evaluations": 3}], "comparison": {"draws": 40}}
-if __name__ == "__main__":
-    import sys
-    problem = pfdist.Problem(robot, horizon=10, measurement_budget=3, particles=30, engine="numpy")
-    job = problem.job(seed=4, **SECTIONS)
-    print(pfdist.run(job, sys.argv[1], pool=sys.argv[2], workers=1, figures=False).state)
-"""
 SECTIONS: dict[str, Any] = {
     "search": [{"method": "random", "evaluations": 3}],
     "comparison": {"draws": 40},
@@ -73,29 +41,17 @@ def robot_of(gain: float, sd: float = 0.7) -> StateSpaceModel:
     def steered(x: Any) -> Any:
         return table[0] * x + table[1] * np.sin(x)
 
-    return StateSpaceModel(
-        name="robot",
-        initial=lambda w, p: (w[0],),
+    return one_state(
+        "robot",
         transition=lambda x, t, w, p: (steered(x[0]) + p.sd * w[0],),
         measurement=lambda x, t, v, p: (x[0] + 0.5 * v[0],),
         log_likelihood=lambda y, x, t, p: -2.0 * (y[0] - x[0]) ** 2,
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        measurement_noise=("normal",),
         parameters={"sd": sd},
     )
 
 
 def finished(problem: Problem, path: Path) -> Run:
     return pfdist.run(problem.job(**SECTIONS), path, pool="serial", figures=False)
-
-
-def script(folder: Path, text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    file = folder / "script.py"
-    file.write_text(text)
-    command = [sys.executable, str(file), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
 
 
 def test_a_shipped_model_makes_the_run_of_the_job_file(tmp_path: Path) -> None:
@@ -173,10 +129,6 @@ def test_ranges_arrays_and_mappings_may_stand_for_numbers() -> None:
     ("call", "words"),
     [
         (lambda: Problem("ungm", **SHORT, forbidden=range(-5, 0)), r"must lie in 0\.\.10, got -5"),
-        (
-            lambda: Problem("ungm", horizon=3, total_price=4, price={-1: 1, "0-3": 1}),
-            r"name every time in 0\.\.3 once, got -1 for a horizon of 3",
-        ),
         (lambda: Problem("ungm", **SHORT).job(filter={}), "unknown section 'filter', allowed: "),
         (lambda: pfdist.evaluate("job.toml", [0]), "'python:robot' was given as an object in Py"),
     ],
@@ -218,24 +170,6 @@ def test_equal_objects_for_truth_and_filter_are_the_true_model() -> None:
     evaluator = build(alike.job()).evaluator
     assert evaluator.believed == evaluator.model
     assert evaluator.variance_is_error
-
-
-@pytest.mark.slow
-def test_a_filters_model_may_be_an_object(tmp_path: Path) -> None:
-    true, believed = robot_of(0.8), robot_of(0.5)
-    problem = Problem(true, **IN_NUMPY, filter_model=believed)
-    wrong, right = (
-        pfdist.evaluate(each, [0, 5], draws=200).expected_mse
-        for each in (problem, problem.with_changes(filter_model=None))
-    )
-    assert wrong > right
-    run = finished(problem, tmp_path / "run")
-    job = problem.job(**SECTIONS)
-    with pytest.raises(RunMismatchError, match=r"model\.filter\.name: python:robot -> "):
-        pfdist.why(Problem(true, **IN_NUMPY).job(**SECTIONS), results=run.path)
-    again = pfdist.why(job, draws=20, results=run.path, figures=False)
-    of_run = pfdist.why(run, draws=20, figures=False)
-    pd.testing.assert_frame_equal(again.worth, of_run.worth)
 
 
 @pytest.mark.slow
@@ -298,34 +232,6 @@ def test_an_installed_model_is_known_by_its_name(monkeypatch: pytest.MonkeyPatch
         assert Problem(model, **EPIDEMIC).job().model.name == "epidemic"
 
 
-@pytest.mark.slow
-def test_an_installed_model_travels_with_its_constants(monkeypatch: pytest.MonkeyPatch) -> None:
-    sizes = list[int]()
-    for steps in (1, 2):
-        monkeypatch.setattr(epidemic, "SUBSTEPS", steps)
-        evaluator = build(Problem(with_fewer_days(), **EPIDEMIC).job()).evaluator
-        sizes.append(len(evaluator.model.transition.traced.programs[0].operations))
-    assert sizes[0] < sizes[1]
-
-
-@pytest.mark.slow
-def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file(tmp_path: Path) -> None:
-    for pool in ("serial", "ray"):
-        done = script(tmp_path, ROBOT + RUN, pool, pool)
-        assert done.stdout == "finished\n", done.stderr
-    assert hashes(tmp_path / "serial") == hashes(tmp_path / "ray")
-    (tmp_path / "robot.py").write_text(ROBOT)
-    (tmp_path / "robot.toml").write_text(
-        'seed = 4\nmodel.name = "robot.py:robot"\ncomparison.draws = 40\n'
-        'filter = {particles = 30, engine = "numpy"}\n'
-        "problem = {horizon = 10, measurement_budget = 3}\n"
-        'search = [{method = "random", evaluations = 3}]\n'
-    )
-    of_file = pfdist.run(tmp_path / "robot.toml", tmp_path / "file", pool="serial", figures=False)
-    of_script = pfdist.open_run(tmp_path / "serial")
-    pd.testing.assert_frame_equal(of_file.table("comparison"), of_script.table("comparison"))
-
-
 def test_simulated_draws_are_a_tidy_table_and_begin_alike() -> None:
     problem = Problem(robot_of(0.8), **IN_NUMPY)
     many, few = (pfdist.simulate(problem, draws=draws) for draws in (50, 20))
@@ -337,18 +243,6 @@ def test_simulated_draws_are_a_tidy_table_and_begin_alike() -> None:
     error = (noise["y_0"] - noise["x_0"]).std()
     assert error == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(2 * len(noise)))
     assert not many.equals(pfdist.simulate(problem, draws=50, seed=1))
-
-
-@pytest.mark.slow
-def test_a_model_is_checked_as_a_table() -> None:
-    problem = Problem(robot_of(0.8), **SHORT, filter_model=robot_of(0.5))
-    checks = pfdist.check_model(problem)
-    assert list(checks) == ["check", "state", "text"]
-    assert not (checks["state"] == "wrong").any()
-    assert {"load", "compile", "filter: load", "filter: compile"} <= set(checks["check"])
-    assert "10 instants" not in " ".join(checks["text"])
-    alone = pfdist.check_model(robot_of(0.8), horizon=10, particles=30)["check"]
-    assert set(alone) == {name for name in checks["check"] if not name.startswith("filter: ")}
 
 
 def test_a_wrong_model_is_a_row_of_the_checks() -> None:

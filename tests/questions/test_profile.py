@@ -4,16 +4,15 @@ Its mean with the column ``weight`` is the expected MSE.
 """
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import pfdist
 from oracles.kalman import TRACKING, kalman_filter
-from pfdist.cli.main import main
 
 SETS = {"few": [0, 6], "many": "0:12:3"}
 WEIGHTS = "problem.instant_weights=[0, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0]"
@@ -76,27 +75,16 @@ def test_it_is_that_of_the_worst_scenario_where_this_decides(
     assert "name" not in found.profile
 
 
-def test_figures_take_it(small_job: pfdist.Job) -> None:
-    found = pfdist.evaluate(small_job, SETS, profile=True)
-    [line] = pfdist.plots.error_profile(found["few"]).get_lines()
-    assert line.get_ydata().tolist() == found["few"].profile["error"].tolist()
-    both = pd.concat([each.profile for each in found.values()])
-    assert len(pfdist.plots.error_profile(both).get_lines()) == 2
-
-
 def test_the_command_has_it_as_a_table_and_as_json(
-    small_job: pfdist.Job, capsys: pytest.CaptureFixture[str]
+    small_job: pfdist.Job, said: Callable[..., str]
 ) -> None:
     path = str(small_job.path)
     words = ["evaluate", path, "--times", "few=0,6", "--times", "many=0:12:3"]
-    assert main([*words, "--profile"]) == 0
-    shown = capsys.readouterr().out
+    shown = said(*words, "--profile")
     assert "Expected error at each instant" in shown
-    assert main([*words, "--profile", "--json"]) == 0
-    answer: dict[str, Any] = json.loads(capsys.readouterr().out)["sets"]
+    answer: dict[str, Any] = json.loads(said(*words, "--profile", "--json"))["sets"]
     found = pfdist.evaluate(Path(path), SETS, profile=True)
     for name, each in found.items():
         profile = each.profile[["t", "weight", "error", "standard_error"]].to_dict("list")
         assert answer[name]["profile"] == profile
-    assert main([*words, "--json"]) == 0
-    assert "profile" not in json.loads(capsys.readouterr().out)["sets"]["few"]
+    assert "profile" not in json.loads(said(*words, "--json"))["sets"]["few"]

@@ -26,15 +26,6 @@ model = linear_gaussian("sharp", initial_noise=[[3]], transition=[[1]], process_
     measurement=[[1]], measurement_noise=lambda t: ((0.1 + 50 * (t != 5),),),
     quantity_of_interest=[[1]])
 """
-# A measurement at t = 5 is impossible.
-IMPOSSIBLE = """
-from dataclasses import replace
-import numpy as np
-from pfdist import load_model, where
-walk = load_model("random_walk")
-model = replace(walk, log_likelihood=lambda y, x, t, p:
-    where((t == 5) | (abs(y[0] - x[0]) > 20.0), -np.inf, -0.5 * (y[0] - x[0]) ** 2))
-"""
 
 
 def _windows(built: Built, times: Times, draws: int = 2) -> list[dict[str, Any]]:
@@ -150,18 +141,6 @@ def test_a_filter_that_does_not_know_the_truth_has_windows(small_job: Job) -> No
     rows = _windows(build(job), (0, 4, 8, 12), 100)
     assert {row["t"] for row in rows if row["within_5"] == "inside"} == {0, 4, 8, 12}
     assert all(np.isfinite(row["loss"]) for row in rows)
-
-
-@pytest.mark.slow
-def test_a_measurement_that_no_particle_explains_there_is_a_loss(small_job: Job) -> None:
-    (small_job.path.parent / "cut.py").write_text(IMPOSSIBLE)
-    changes = ["model.name=random_walk", "model.filter.name=cut.py:model"]
-    rows = _windows(build(small_job.with_changes(changes)), (0, 4, 8, 12), 50)
-    impossible = [row for row in rows if row["moved_to"] == 5]
-    assert impossible
-    for row in impossible:
-        assert row["lower_limit"] > 0.05
-        assert (row["within_1"], row["within_5"]) == ("outside", "outside")
 
 
 def test_no_measurements_have_no_windows_and_progress_grows(small_job: Job) -> None:

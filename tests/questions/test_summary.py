@@ -9,7 +9,8 @@ import pytest
 
 import pfdist
 from oracles.results_of import results_of
-from pfdist import Job, Problem, StateSpaceModel
+from oracles.systems import one_state
+from pfdist import Job, Problem
 from pfdist.common.parts import Table
 from pfdist.common.percent import HEAVY, rounded_up
 from pfdist.common.rounding import with_error
@@ -126,16 +127,12 @@ def test_the_papers_experiment_alone_shows_the_papers_figures(
 @pytest.mark.slow
 def test_a_summary_warns_where_few_draws_carry_the_error(tmp_path: Path) -> None:
     """The squared error of exp(2 x), x standard normal, is about lognormal with sigma = 4."""
-    model = StateSpaceModel(
-        name="exponential",
-        initial=lambda w, p: (w[0],),
+    model = one_state(
+        "exponential",
         transition=lambda x, t, w, p: (x[0],),
         measurement=lambda x, t, v, p: (x[0] + 5 * v[0],),
         log_likelihood=lambda y, x, t, p: -0.02 * (y[0] - x[0]) ** 2,
         quantity_of_interest=lambda x, t, p: (np.exp(2 * x[0]),),
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        measurement_noise=("normal",),
     )
     problem = Problem(model, horizon=3, measurement_budget=2, particles=30, engine="numpy")
     sets = {"early": [0, 1], "late": [2, 3]}

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,6 @@ job = "small.toml"
 comparison.draws = 60
 search.genetic.generations = 1
 [over]
-seed = [1, 2]
 problem.measurement_budget = "4:5"
 [[parallel]]
 model.parameters.process_sd = [1.0]
@@ -38,7 +36,7 @@ model.filter.parameters.process_sd = [2.0]
 seed = 7
 """
 FIRST = {"comparison.draws": [60]}
-ALIKE = {"comparison.draws": [60, 100, 80]}  # points with the same searches
+ALIKE = {"comparison.draws": [60, 80]}  # points with the same searches
 SEEDS = {"seed": [1, 2]}
 EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=30"]
 
@@ -59,10 +57,10 @@ def sweep_file(small_job: Job) -> Path:
     return path
 
 
-def alone(finished: Finished, *changes: str) -> dict[str, dict[str, str]]:
+def alone(finished: Finished) -> dict[str, dict[str, str]]:
     """Bytes of the runs that are alike, each started alone."""
     names = [f"comparison.draws={draws}" for draws in ALIKE["comparison.draws"]]
-    return {name: hashes(finished(*changes, name)) for name in names}
+    return {name: hashes(finished(name)) for name in names}
 
 
 def bytes_of(sweep: pfdist.Sweep) -> dict[str, dict[str, str]]:
@@ -92,7 +90,7 @@ def test_every_point_has_the_bytes_of_its_own_run(
 ) -> None:
     """Before, its points can be listed with the work that they will be."""
     points = foreseen(sweep_file, results=tmp_path / "sweep")
-    assert points["state"].tolist() == ["none"] * 5
+    assert points["state"].tolist() == ["none"] * 3
     assert (points["steps"] > 0).all()
     assert (points["seconds"] > 0).all()
     assert not (tmp_path / "sweep").exists()
@@ -102,69 +100,33 @@ def test_every_point_has_the_bytes_of_its_own_run(
     ]
     assert set(foreseen(sweep_file, results=tmp_path / "sweep")["state"]) == {"finished"}
     few = ["comparison.draws=60", "search.genetic.generations=1"]
-    changes = ["seed=2", "problem.measurement_budget=5"]
-    changes += ["model.parameters.process_sd=1.0", "model.filter.parameters.process_sd=2.0"]
-    name = (
-        "seed=2_measurement_budget=5_model.parameters.process_sd=1.0_"
-        "filter.parameters.process_sd=2.0"
-    )
+    changes = ["problem.measurement_budget=5", "model.parameters.process_sd=1.0"]
+    changes.append("model.filter.parameters.process_sd=2.0")
+    name = "measurement_budget=5_model.parameters.process_sd=1.0_filter.parameters.process_sd=2.0"
     assert hashes(sweep.path / name) == hashes(finished(*few, *changes))
     last = finished("seed=7", *few)
     assert hashes(sweep.path / "seed=7") == hashes(last)
 
 
-@pytest.mark.slow
-def test_an_evaluation_that_several_points_need_is_seldom_computed_twice(
-    swept: Sweeping, finished: Finished, tmp_path: Path, filtered: list[int]
-) -> None:
-    """Three points that differ in their comparison alone cost one search, and a little more."""
-    swept(FIRST, results=tmp_path / "one point")
-    once = sum(filtered)
-    assert once > 0
-    filtered.clear()
-    sweep = swept(ALIKE)
-    assert once <= sum(filtered) < 2 * once  # what is in flight elsewhere is computed again
-    assert bytes_of(sweep) == alone(finished)
-
-
-@pytest.mark.parametrize(
-    ("first", "changes", "searches"),
-    [
-        ("finished", [], 1),
-        pytest.param(
-            *("stopped after the search", ['search=[{method="relaxation"}]'], 1),
-            marks=pytest.mark.slow,
-        ),
-        # Its last digits may differ.
-        pytest.param("of another processor", [], 2, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("processor", ["this", pytest.param("another", marks=pytest.mark.slow)])
 def test_points_that_are_added_take_what_another_has_computed_if_its_bytes_are_sure(
-    first: str,
-    changes: list[str],
-    searches: int,
+    processor: str,
     swept: Sweeping,
     finished: Finished,
     filtered: list[int],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def stop(*_: Any) -> None:
-        raise PfdistError("the search is over")
-
+    """The last digits may differ on another processor."""
+    searches = 1
     with monkeypatch.context() as patched:
-        if first == "of another processor":
-            other = {"model": "x", "compiled_for": "y"}
+        if processor == "another":
+            other, searches = {"model": "x", "compiled_for": "y"}, 2
             patched.setattr("pfdist.runner.provenance.processor", lambda: other)
-        if first == "stopped after the search":
-            patched.setattr("pfdist.runner.driver.run_comparison", stop)
-            with pytest.raises(SweepError):
-                swept(FIRST, changes=changes)
-        else:
-            swept(FIRST, changes=changes)
+        swept(FIRST)
     once = sum(filtered)
-    sweep = swept(ALIKE, changes=changes)
+    sweep = swept(ALIKE)
     assert 0 < searches * once <= sum(filtered) < (searches + 1) * once
-    assert bytes_of(sweep) == alone(finished, *changes)
+    assert bytes_of(sweep) == alone(finished)
 
 
 def test_progress_is_that_of_the_whole_and_a_finished_sweep_needs_no_workers(
@@ -184,18 +146,6 @@ def test_progress_is_that_of_the_whole_and_a_finished_sweep_needs_no_workers(
 
     monkeypatch.setattr("pfdist.pools.base.SerialPool.__enter__", refuse)
     assert bytes_of(swept(SEEDS, changes=EXACT)) == before
-
-
-@pytest.mark.slow
-def test_a_problem_with_an_object_is_swept(tmp_path: Path) -> None:
-    mine = replace(
-        pfdist.load_model("random_walk"), transition=lambda x, t, w, p: (0.9 * x[0] + w[0],)
-    )
-    problem = pfdist.Problem(mine, horizon=12, measurement_budget=4, engine="kalman")
-    sweep = pfdist.sweep(
-        problem, SEEDS, pool="serial", results=tmp_path / "sweep", changes=["comparison.draws=60"]
-    )
-    assert all((run.path / "report.html").exists() for run in sweep.runs.values())
 
 
 def test_results_have_the_name_of_the_sweep_file(
@@ -238,7 +188,7 @@ def test_parts_look_at_no_other_point_and_together_are_the_sweep(
     assert joined.files == (joined.path / "points.csv",)
 
 
-@pytest.mark.parametrize("part", [(0, 2), (3, 2), (1, 3), (-1, 2)])
+@in_turn(("part",), [((0, 2),), ((3, 2),), ((1, 3),)])
 def test_a_part_that_has_no_point_is_refused(part: tuple[int, int], swept: Sweeping) -> None:
     words = r"part must be K/N with 1 <= K <= N <= 2, the number of points, got "
     with pytest.raises(PfdistError, match=words):
@@ -289,19 +239,18 @@ def test_a_point_that_is_free_again_is_computed_and_the_others_stay_left_out(
 
 
 def test_a_point_that_another_process_computes_is_left_out_and_said(
-    swept: Sweeping, small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    swept: Sweeping, small_job: Job, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     folder = tmp_path / "sweep"
-    said: list[str] = []
+    lines: list[str] = []
     with held(folder / "seed=1"):
-        sweep = swept(SEEDS, changes=EXACT, say=said.append)
+        sweep = swept(SEEDS, changes=EXACT, say=lines.append)
         assert (list(sweep.runs), sweep.busy) == (["seed=2"], ("seed=1",))
         words = ["sweep", str(small_job.path), "--results", str(folder), "--no-report"]
         words += ["--set", *EXACT, "--over"]
-        assert main([*words, "seed=1:2"]) == 0
-        assert "other processes compute seed=1\n" in capsys.readouterr().out
+        assert "other processes compute seed=1\n" in said(*words, "seed=1:2")
         assert main([*words, "seed=1"]) == 0
-    assert any(line.startswith("seed=1: left out: ") and "by process" in line for line in said)
+    assert any(line.startswith("seed=1: left out: ") and "by process" in line for line in lines)
     again = swept(SEEDS, changes=EXACT)
     assert (list(again.runs), again.busy) == (["seed=1", "seed=2"], ())
 
@@ -397,7 +346,7 @@ def test_a_wrong_sweep_file_is_told_in_one_line(text: str, words: str, sweep_fil
 
 
 def test_a_sweep_has_the_table_of_its_points_and_one_figure(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_job: Job, tmp_path: Path, said: Callable[..., str]
 ) -> None:
     """Its folder is no run: commands about a run name one of its points."""
     over = {"problem.measurement_budget": [3, 4]}
@@ -409,8 +358,7 @@ def test_a_sweep_has_the_table_of_its_points_and_one_figure(
     assert not (folder / ".lock").exists()
     drawn = sweep.figures[0].read_bytes()
     sweep.figures[0].unlink()
-    assert main(["plot", str(folder)]) == 0
-    assert {*map(Path, capsys.readouterr().out.splitlines())} == {*sweep.figures}
+    assert {*map(Path, said("plot", folder).splitlines())} == {*sweep.figures}
     assert sweep.figures[0].read_bytes() == drawn
     more = partial(
         pfdist.sweep, small_job, {"problem.measurement_budget": [5]}, results=folder, changes=EXACT
@@ -419,8 +367,7 @@ def test_a_sweep_has_the_table_of_its_points_and_one_figure(
     assert len(pd.read_csv(file)) == len(pfdist.table(folder)) > len(frame)
     assert sweep.figures[0].read_bytes() != drawn
     for command in ("report", "status", "verify"):
-        assert main([command, str(folder)]) == 1
-        line = capsys.readouterr().err
+        line = said(command, folder, code=1)
         assert f"holds several runs, as a sweep does: name one of them, such as {folder}/" in line
 
 
@@ -445,13 +392,15 @@ def test_an_error_of_the_table_or_the_figure_is_a_line_and_the_sweep_stands(
     assert "ZeroDivisionError: a mistake (`pfdist plot " in said[-1]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_point_has_the_particles_and_the_proposal_that_were_found(
-    swept: Sweeping, sweep_file: Path
+    swept: Sweeping, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report of a point needs them."""
-    (run, *_) = swept(
-        {"seed": [1]}, changes=["filter.particles=auto", "filter.proposal=auto"], report=True
-    ).runs.values()
+    monkeypatch.setattr("pfdist.runner.particles._DRAWS", (1000,))
+    changes = ["filter.particles=auto", "filter.proposal=auto", "model.name=random_walk"]
+    changes += ["comparison.draws=30", "search=[{method='random', evaluations=2}]"]
+    (run,) = swept({"seed": [1]}, changes=changes, report=True).runs.values()
     assert run.job == pfdist.open_run(run.path).job
     assert isinstance(run.job["filter"]["particles"], int)
     assert (run.path / "report.html").exists()

@@ -128,28 +128,21 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
         assert profile["t"][profile["measured"]].tolist() == row["measurement_times"]
 
 
-@pytest.mark.slow
-def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_as_it_was(
+@pytest.mark.usefixtures("no_figures")
+def test_the_command_answers_in_json_and_words_and_leaves_the_run_as_it_was(
     run_of: Callable[..., Run], capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = run_of(*QUICK)
-    before = hashes(run.path)
-    assert main(["why", str(run.path / "job.toml"), "--draws", "30", "--json"]) == 0
+    before, words = hashes(run.path), ["why", str(run.path / "job.toml"), "--draws", "30"]
+    assert main([*words, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert set(answer) == {"run", "draws", "sets", "figures"}
     assert answer["draws"] == 30
     assert list(answer["sets"]) == ["regular", "genetic", "random"]
     regular = answer["sets"]["regular"]
-    assert [row["t"] for row in regular["worth"]] == [0, 4, 8, 12]
-    assert regular["worth"][0]["earlier"] is None
-    assert [row["t"] for row in regular["profile"] if row["measured"]] == [0, 4, 8, 12]
     windows = regular["sampling_windows"]
-    assert {row["t"] for row in windows} == {0, 4, 8, 12}
+    assert [row["t"] for row in regular["profile"] if row["measured"]] == [0, 4, 8, 12]
     assert [row["loss"] for row in windows if row["moved_to"] == row["t"]] == [0.0] * 4
-    drawn = "why-genetic why-random sampling_windows-genetic sampling_windows-random filters"
-    names = [f"{name}.svg" for name in drawn.split()]
-    assert [Path(file).name for file in answer["figures"]] == names
-    assert all(Path(file).stat().st_size > 5000 for file in answer["figures"])
     after = {
         file: content
         for file, content in hashes(run.path).items()
@@ -157,29 +150,19 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     }
     assert after == before
     assert run.state == "finished"
-    assert run.table("profile")["error"].tolist()[:13] == [
-        row["error"] for row in regular["profile"]
-    ]
-    assert run.table("worth")["removed"].tolist()[:4] == [
-        row["removed"] for row in regular["worth"]
-    ]
-    stored = run.table("sampling_windows")
-    assert stored["loss"].tolist()[: len(windows)] == [row["loss"] for row in windows]
+    for table, column in (("profile", "error"), ("worth", "removed"), ("sampling_windows", "loss")):
+        rows = regular[table]
+        assert run.table(table)[column].tolist()[: len(rows)] == [row[column] for row in rows]
     assert not list(verify_run(run.path))
     again = hashes(run.path)
-    assert main(["why", str(run.path / "job.toml"), "--draws", "30"]) == 0
+    assert main([*words, "--verbose"]) == 0
     assert hashes(run.path) == again
-    text = capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
     best = min(("genetic", "random"), key=lambda name: results_of(run)[name].expected_mse)
     rises = {row["t"]: row["removed"] for row in answer["sets"][best]["worth"]}
     most, least = (each(rises, key=lambda t: rises[t]) for each in (max, min))
-    unwrapped = " ".join(text.split())
-    assert unwrapped.startswith(f"Most important measurement of the set {best}: t = {most} (")
-    assert f" Least important: t = {least} (" in unwrapped
-    assert unwrapped.count("Measurements of ") == 1
-    assert all(len(line) <= 80 for line in text.splitlines() if str(run.path) not in line)
-    assert main(["why", str(run.path / "job.toml"), "--draws", "30", "--verbose"]) == 0
-    text = " ".join(capsys.readouterr().out.split())
+    assert text.startswith(f"Most important measurement of the set {best}: t = {most} (")
+    assert f" Least important: t = {least} (" in text
     assert re.findall(r"Measurements of (.*?), on 30 fresh draws", text)[0] == f"the set {best}"
     assert text.count("Measurements of ") == 3
     worth, mse = regular["worth"][1], regular["expected_mse"]
@@ -197,26 +180,6 @@ def test_the_effective_sample_size_is_that_of_the_draws_with_trajectories(
     assert at.notna().tolist() == profile["measured"].tolist()
     assert at[profile["measured"]].between(1, small_job.filter.particles).all()
     assert why(run, draws=2).profile.equals(profile)  # from the same noise
-
-
-@pytest.mark.slow
-def test_degenerate_draws_are_counted_up_to_each_instant(small_job: Job, tmp_path: Path) -> None:
-    (tmp_path / "cut.py").write_text(
-        "from dataclasses import replace\n"
-        "import numpy as np\n"
-        "from pfdist import load_model, where\n"
-        "walk = load_model('random_walk')\n"
-        "model = replace(walk, log_likelihood=lambda y, x, t, p:\n"
-        "    where(abs(y[0] - x[0]) > 3.5, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
-    )
-    changes = ["model.filter.name=cut.py:model", "filter.particles=5"]
-    job = small_job.with_changes([*WALK, *changes, "evaluation.degenerate_draws=continue"])
-    found = pfdist.why(pfdist.run(job, tmp_path / "run", figures=False), draws=50, figures=False)
-    known = found.sets.set_index("name")["degenerate_draws"]
-    for name, rows in found.profile.groupby("name"):
-        counts = rows["degenerate_draws"].to_numpy()
-        assert np.all(np.diff(counts) >= 0), name
-        assert 0 < counts[-1] == known[name]
 
 
 def test_a_lost_answer_is_computed_when_it_is_asked_for(

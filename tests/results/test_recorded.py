@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -43,17 +44,13 @@ def _line(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 DAMAGED = [
     ("run.json", b"\xff\xfe", "is damaged: text must be UTF-8"),
-    ("run.json", _run()[:-9], "is damaged"),
-    ("run.json", b"[1]", "is damaged"),
     ("run.json", b"{}", "is damaged"),
     ("run.json", _run(engine="numpy"), "is damaged: its content has another hash"),
     ("run.json", _run(schema_version="2"), "is damaged"),
     ("run.json", _run(schema_version=99), "newer pfdist"),
-    ("job.toml", b"", "is damaged"),
     ("job.toml", b"a = " + b"[" * 99_999, "is damaged"),
     ("job.toml", _job("draws = 60", "draws = 61"), "is damaged: its content has another hash"),
     ("files.json", b"", "is damaged: its content has another hash"),
-    ("files.json", b"[1]", "is damaged: its content has another hash"),
 ]
 
 
@@ -85,14 +82,11 @@ def test_a_damaged_run_that_is_reused_names_the_file(
     assert not (tmp_path / "new").exists()
 
 
-def test_keys_that_are_lacking_have_their_defaults(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_keys_that_are_lacking_have_their_defaults(run: Path, said: Callable[..., str]) -> None:
     # As a version has written them that did not know the keys.
     text = _job('name = "genetic"\n', "").decode()
     rewrite(run / "job.toml", text)
-    assert main(["status", str(run)]) == 0
-    assert "finished" in capsys.readouterr().out
+    assert "finished" in said("status", run)
 
 
 def test_a_key_that_is_gone_is_no_mistake_of_a_run_if_its_value_is_that_of_every_job(

@@ -47,7 +47,8 @@ def test_a_list_and_tables_are_the_same_with_and_without_a_summary(run: pfdist.R
     assert rows == [*map(vars, rows_of_sets(run))]
 
 
-def test_a_summary_counts_for_nothing_once_a_table_has_changed(run: pfdist.Run) -> None:
+def test_a_summary_counts_for_nothing_once_a_table_has_changed(small_run: pfdist.Run) -> None:
+    run = small_run
     listing = read_listing(run.path)
     assert listing is not None
     change_listing(run.path, files=listing.files[1:])
@@ -60,7 +61,8 @@ def test_a_summary_counts_for_nothing_once_a_table_has_changed(run: pfdist.Run) 
     assert summary_of(run) is None
 
 
-def test_a_damaged_summary_is_not_read(run: pfdist.Run) -> None:
+def test_a_damaged_summary_is_not_read(small_run: pfdist.Run) -> None:
+    run = small_run
     content = (run.path / SUMMARY).read_bytes()
     (run.path / SUMMARY).write_bytes(content[:-9] + b"x" + content[-8:])
     assert summary_of(run) is None
@@ -81,7 +83,7 @@ def test_a_file_of_the_user_is_not_replaced(finished: Finished, tmp_path: Path) 
 
 
 def _many(table: pa.Table) -> pa.Table:
-    return pa.concat_tables([table] * 100_000)
+    return pa.concat_tables([table] * 9_000)
 
 
 def _of_wrong_type(table: pa.Table) -> pa.Table:
