@@ -176,13 +176,10 @@ class Budget:
             self.rows["found_16"].measurements = reached["measurements"]
         self.run = SimpleNamespace(tables=(), job={"filter": {"particles": 400}})
 
-    unit = ""
+    clock = SimpleNamespace(listed=str)
 
     def typical_errors(self, row: SimpleNamespace) -> str:
         return f"{row.measurements} g/L"
-
-    def listed(self, times: list[int]) -> str:
-        return str(times)
 
     @property
     def lines(self) -> list[str]:
