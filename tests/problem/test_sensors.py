@@ -108,6 +108,25 @@ def test_one_sensor_alone_and_rotation_are_references() -> None:
     assert PRICED.references["alone_x_ray"] == (5,)  # 5 pays for one measurement of 3
 
 
+@in_turn("sensors", [(), ("ct", "x-ray"), ("a", "b", "c")])
+def test_the_table_lists_the_sensors_of_each_instant_one_after_another(
+    sensors: tuple[str, ...],
+) -> None:
+    """All that the table says of a point, from an enumeration of instants and sensors."""
+    points = Points(Clock.counting(4), sensors)
+    table = [*product(range(5), sensors or ("",))]
+    assert points.number == len(table)
+    for point, (t, sensor) in enumerate(table):
+        assert (points.instant(point), points.sensor(point)) == (t, sensor)
+        assert point in points.at(t)
+        assert points.first(t) <= point < points.first(t + 1)
+        assert [*points.alike(point)] == [k for k, each in enumerate(table) if each[1] == sensor]
+        assert points.of_way(points.way(point), [point]) == (t,)
+    later = points.since(2)
+    assert later.number == len([t for t, _ in table if t >= 2])
+    assert later.written(0) == points.written(points.first(2))
+
+
 @in_turn(("t", "sensor"), [*product(range(5), range(2))])
 def test_a_measurement_is_read_as_it_is_written(t: int, sensor: int) -> None:
     number = 2 * t + sensor
