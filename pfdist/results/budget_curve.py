@@ -25,7 +25,7 @@ BOUND_DEGREES = 19
 
 
 def add_bounds(rows: Collection[Row], proofs: Mapping[str, Mapping[str, Any]]) -> None:
-    """Add bound, bound_error and bound_low to the rows of the table of sets that have a bound.
+    """Add the columns that begin with bound to the rows of the table of sets that have a bound.
 
     Parameters
     ----------
@@ -40,8 +40,9 @@ def add_bounds(rows: Collection[Row], proofs: Mapping[str, Mapping[str, Any]]) -
     numbers = max(len(different), len({row.measurements for row in rows if row.kind == FOUND}))
     for row in rows:
         if proof := proved.get(row.name):
-            row.bound, row.bound_error = float(proof["bound"]), float(proof["bound_error"])
+            row.add({name: proof[name] for name in ("bound", "bound_error")})
             row.bound_low = _limit(proof, numbers)
+            row.bound_gap, row.bound_gap_at_most = proof["gap"], proof["gap_at_most"]
 
 
 def _limit(proof: Mapping[str, Any], numbers: int) -> float:

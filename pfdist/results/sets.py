@@ -65,9 +65,9 @@ def _computed(run: StoredRun) -> list[Row]:
     has_results = "comparison" in run.tables
     if has_results:
         _add_results(run, rows, statistics_of(run))
+        add_bounds(rows.values(), last_bounds(run))
     rows = {name: row.plain() for name, row in rows.items()}
     if has_results:
-        add_bounds(rows.values(), last_bounds(run))
         for name, number in worse_than(rows.values(), blocks_of(run)).items():
             rows[name].worse_than = number
     return [*rows.values()]
@@ -77,7 +77,7 @@ def publish_sets(run: StoredRun) -> None:
     """Keep the table of sets in a file, unless it is there; the caller holds the run's lock."""
     with contextlib.suppress(Exception):  # without it, a list takes longer
         if summary_of(run) is None:
-            keep_summary(run, sets_of(run))
+            keep_summary(run, table_of(_computed(run)))
 
 
 def is_wrong_summary(run: StoredRun) -> bool:
@@ -189,9 +189,6 @@ def _add_results(run: StoredRun, rows: dict[str, Row], statistics: ComparisonSta
     _add_typical_errors(run, rows)
     _add_search_errors(run, rows)
     _add_particle_losses(run, rows, statistics)
-    for name, proof in last_bounds(run).items():
-        if not proof["reason"]:
-            rows[name].add({"bound_gap": proof["gap"], "bound_gap_at_most": proof["gap_at_most"]})
 
 
 def _add_typical_errors(run: StoredRun, rows: dict[str, Row]) -> None:
