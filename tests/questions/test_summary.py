@@ -1,26 +1,27 @@
 """A run's summary: no cost from draws that chose a set is given as the set's own."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pfdist
 from oracles.results_of import results_of
-from oracles.systems import one_state
 from pfdist import Job, Problem
 from pfdist.common.parts import Table
 from pfdist.common.percent import HEAVY, rounded_up
 from pfdist.common.rounding import with_error
 from pfdist.errors import RunMismatchError, StoreError
+from pfdist.filters.estimate import Evaluation
 from pfdist.pages.terminal import lines_of
 from pfdist.problem.search_section import CommonNoiseSettings
 from pfdist.questions.evaluate import Evaluated
 from pfdist.questions.run_page import answer_of, page_of, searches_section
 from pfdist.questions.subject import Subject
-from pfdist.results import Run, reaching
+from pfdist.results import Run, reaching, stored_run
 from pfdist.results.stored_run import check_one_number
 
 TOO_SHORT = "the 95 % interval of the expected MSE may be too short"
@@ -124,33 +125,24 @@ def test_the_papers_experiment_alone_shows_the_papers_figures(
         assert told[2].startswith(f"{share:.1f} % of the draws gain. {paper}")
 
 
-@pytest.mark.slow
-def test_a_summary_warns_where_few_draws_carry_the_error(tmp_path: Path) -> None:
-    """The squared error of exp(2 x), x standard normal, is about lognormal with sigma = 4."""
-    model = one_state(
-        "exponential",
-        transition=lambda x, t, w, p: (x[0],),
-        measurement=lambda x, t, v, p: (x[0] + 5 * v[0],),
-        log_likelihood=lambda y, x, t, p: -0.02 * (y[0] - x[0]) ** 2,
-        quantity_of_interest=lambda x, t, p: (np.exp(2 * x[0]),),
-    )
-    problem = Problem(model, horizon=3, measurement_budget=2, particles=30, engine="numpy")
-    sets = {"early": [0, 1], "late": [2, 3]}
-    plain = ["comparison.control=false"]  # the shares of the errors themselves
-    run = pfdist.compare(
-        problem, times=sets, results=tmp_path / "run", draws=400, changes=plain, figures=False
-    )
-    for name, result in results_of(run).items():
-        mse = np.sort(run.table("comparison")[f"mse_{name}"])
-        assert result.largest_share == pytest.approx(mse[-10:].sum() / mse.sum())
-        assert result.largest_share > 2 * HEAVY
-    share = max(result.largest_share for result in results_of(run).values())
-    enough = rounded_up(400 * ((share - 10 / 400) / HEAVY) ** 2)  # so many draws would do
+def test_a_summary_warns_where_few_draws_carry_the_error(
+    finished: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten of 250 draws have 101 times the error of the others."""
+    mse, errors_of = np.where(np.arange(250) < 10, 101.0, 1.0), stored_run.errors_of
+
+    def heavy(run: Run) -> Iterator[tuple[Any, ...]]:
+        for errors, *others in errors_of(run):
+            yield (np.broadcast_to(mse[: len(errors), None], errors.shape), *others)
+
+    run, share = pfdist.open_run(finished()), 1010 / 1250
+    monkeypatch.setattr(stored_run, "errors_of", heavy)
+    monkeypatch.setattr("pfdist.results.sets.summary_of", lambda run: None)
+    enough = rounded_up(250 * ((share - 10 / 250) / HEAVY) ** 2)  # so many draws would do
     for told in (_all_that_is_said(run), page_of(run).warnings[-1]):
-        assert f"% of the MSE of late: {TOO_SHORT}" in told
+        assert re.search(rf"carry 81.% of the MSE of .*: {TOO_SHORT}", told), told
         assert f"take at least {enough:,.0f} draws." in told
-    evaluation = pfdist.evaluate(problem, [2, 3], draws=400)
-    assert evaluation.largest_share > HEAVY
+    evaluation = Evaluation((0,), mse)
     assert f"% of the MSE: {TOO_SHORT}" in evaluation._repr_html_()
     assert TOO_SHORT in str(Evaluated({"a": evaluation}, {"a": []}, [], 0.0, None)._page())
 
