@@ -22,7 +22,8 @@ import pfdist
 print("the script runs")
 model = pfdist.load_model("random_walk")
 problem = pfdist.Problem(model, horizon=12, measurement_budget=4, engine="numpy", particles=20)
-job = problem.job(comparison={"draws": 40})
+few = [{"method": "random", "evaluations": 3, "evaluation": {"draws": 20}}]
+job = problem.job(comparison={"draws": 40}, search=few)
 run = pfdist.run(job, sys.argv[1], pool="processes", figures=False)
 print(len(run.table("comparison")))
 """

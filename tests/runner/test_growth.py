@@ -95,7 +95,7 @@ def test_where_it_stops_does_not_depend_on_order_or_kills(
         while some := list(islice(tasks, 8)):
             chance.shuffle(some)
             for outcome in do(self, some):
-                if chance.random() < 0.05:
+                if chance.random() < 0.1:
                     raise KeyboardInterrupt
                 yield outcome
 
