@@ -1,4 +1,4 @@
-"""What is minimised: a number with its standard error, from the errors of draws.
+"""Criteria: the number that is minimised, with its standard error, from the errors of draws.
 
 A criterion also says which searches can find its least value, and which lower bound it has.
 Whatever computes, searches or answers asks the criterion, so a new one is a new form here.
@@ -28,7 +28,7 @@ class Criterion:
     Parameters
     ----------
     label : str
-        What is minimised, as answers say it.
+        How answers call the number.
     additive : bool
         Whether it is a mean over draws of a sum over instants. Then searches may add errors of
         instants, and gains of means are gains of the criterion. Else only searches that compare

@@ -372,7 +372,7 @@ class Job(JobSection):
 
     @cached_property
     def criterion(self) -> Criterion:
-        """What is minimised."""
+        """The number that is minimised."""
         return MEAN if self.scenarios is None else self.scenarios.form
 
     def with_changes(

@@ -135,7 +135,7 @@ class Scenarios(JobSection):
 
     @property
     def form(self) -> Criterion:
-        """What is minimised: the mean, or the error in the worst scenario."""
+        """The number that is minimised: the mean, or the error in the worst scenario."""
         return MEAN if self.criterion == "mean" else WorstScenario(apart=len(self.each))
 
     @property

@@ -123,7 +123,7 @@ class Subject:
 
     @cached_property
     def criterion(self) -> Criterion:
-        """What the job minimises."""
+        """The number that the job minimises."""
         return criterion_of(self.run)
 
     @property

@@ -398,7 +398,7 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
 
 
 def criterion_of(run: StoredRun) -> Criterion:
-    """What the job of a run minimises."""
+    """The number that the job of a run minimises."""
     given = run.job.get("scenarios")
     return Scenarios.model_validate(given).form if given else MEAN
 

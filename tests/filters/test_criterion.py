@@ -1,4 +1,4 @@
-"""What is minimised, against closed forms; and a criterion that the program does not know."""
+"""Criteria against closed forms, and one that the program does not know."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ from scipy import stats
 import pfdist
 from oracles.walks import SCENARIOS, WALK, WEIGHTS
 from pfdist.common.estimate import Estimate
+from pfdist.errors import JobError
 from pfdist.filters import kalman
 from pfdist.filters.criterion import MEAN, Criterion, WorstScenario
 from pfdist.filters.estimate import Evaluation
@@ -128,7 +129,7 @@ def test_a_search_minimises_a_criterion_that_no_other_module_knows(
     evaluations = run.table("evaluations").query("phase == 'exhaustive'").set_index("evaluation")
     medians = run.table("draws").groupby("evaluation")["mse"].median()[evaluations.index]
     assert evaluations["expected_mse"].tolist() == medians.tolist()
-    with pytest.raises(pfdist.JobError, match="no bound is known for the median MSE"):
+    with pytest.raises(JobError, match="no bound is known for the median MSE"):
         Prover(build(job), BoundSettings())
     found = pfdist.evaluate(job, {"a": [0, 3], "b": [1, 2]}, draws=50)
     assert [each.expected_mse for each in found.values()] == [

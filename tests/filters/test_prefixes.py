@@ -57,7 +57,7 @@ def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> Non
     planned, place, _ = plan_prefixes(tuple(sets), instants, tuple(ends))
     words = [tuple(t in times for t in range(end)) for times, end in zip(sets, ends, strict=True)]
     ordered = list(zip(planned.measured, planned.ends, strict=True))
-    assert [tuple(row[:end].tolist()) for row, end in (ordered[k] for k in place)] == words
+    assert [tuple(row[:end, 0].tolist()) for row, end in (ordered[k] for k in place)] == words
     prefixes = {word[: t + 1] for word in words for t in range(len(word))}
     assert (planned.ends - planned.begins).sum() == len(prefixes)
     # The state from which a set goes on is in its place: a set with the same times before has
