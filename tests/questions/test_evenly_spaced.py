@@ -41,7 +41,7 @@ def test_exact_errors_lie_between_those_of_two_numbers(small_job: Job, tmp_path:
 
 
 def test_differences_are_those_of_the_same_draws(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.plan(small_job, tmp_path / "run", changes=[DRAWS], bound_draws=0, figures=False)
+    run = pfdist.plan(small_job, tmp_path / "run", changes=[DRAWS], figures=False)
     job, table = pfdist.load_job(run.path), run.table("evenly_spaced").set_index("measurements")
     plan = run.table("comparison")[f"mse_{run.names[-1]}"].to_numpy()
     assert (table["draws"] == len(plan)).all()
@@ -88,6 +88,6 @@ def test_nothing_is_said_where_measurements_tell_nothing(
     monkeypatch.setattr("pfdist.runner.evenly_spaced._MOST", 5)
     # Chance may tell numbers apart; with this seed it does not.
     blind = ["model.name=random_walk", "model.parameters.measurement_sd=1e6", DRAWS, "seed=2"]
-    run = pfdist.plan(small_job, tmp_path / "run", changes=blind, bound_draws=0, figures=False)
+    run = pfdist.plan(small_job, tmp_path / "run", changes=blind, figures=False)
     assert "evenly_spaced" not in run.tables
     assert "evenly spaced measurements" not in answer_in_a_line(run)

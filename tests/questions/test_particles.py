@@ -78,11 +78,11 @@ def test_a_run_has_the_number_goes_on_with_it_and_answers_questions(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(particles, "_DRAWS", (1000,))  # whether it is enough, others test
-    monkeypatch.setattr(particles, "NUMBERS", (200, 500))
+    monkeypatch.setattr(particles, "NUMBERS", (1000, 2000))
     job, said = walk(small_job, "comparison.draws=20"), list[str]()
     run = pfdist.run(job, tmp_path / "run", figures=False, say=said.append)
     number = run.job["filter"]["particles"]
-    assert number in (200, 500)
+    assert number in (1000, 2000)
     assert any(f"{number:,} are enough" in line for line in said)
     assert f"particles = {number}\n" in (tmp_path / "run" / "job.toml").read_text()
     named = job.with_changes([f"filter.particles={number}"])
