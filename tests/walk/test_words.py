@@ -6,7 +6,6 @@ import re
 import tokenize
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -29,12 +28,9 @@ LOW_ROOMS = (
 )
 
 
-parsed = cache(ast.parse)
-
-
 def vague_names(source: str) -> Iterator[str]:
     """Every variable, argument, attribute and definition with a vague name, and its line."""
-    for node in ast.walk(parsed(source)):
+    for node in ast.walk(ast.parse(source)):
         name = ""
         if isinstance(node, ast.Name):
             name = node.id
@@ -50,7 +46,7 @@ def vague_names(source: str) -> Iterator[str]:
 
 def prose(source: str) -> Iterator[tuple[int, str]]:
     """Every docstring and every block of comments, with its first line."""
-    for node in ast.walk(parsed(source)):
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
             doc = ast.get_docstring(node)
             if doc:
@@ -62,7 +58,7 @@ def prose(source: str) -> Iterator[tuple[int, str]]:
 
 def messages(source: str) -> Iterator[tuple[int, str]]:
     """Every string that is no docstring, with its line."""
-    tree = parsed(source)
+    tree = ast.parse(source)
     docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
@@ -98,7 +94,7 @@ ENGINES_HAVE = {"filter_checked_draws", "log_evidence", "simulate"}
 
 def public_names(source: str) -> Iterator[str]:
     """Each public class and function of a module, by name; variants for a type checker once."""
-    body = parsed(source).body
+    body = ast.parse(source).body
     kinds = (ast.ClassDef, ast.FunctionDef)
     names = {node.name for node in body if isinstance(node, kinds)}
     yield from (name for name in names - ENGINES_HAVE if not name.startswith("_"))
