@@ -239,7 +239,7 @@ COMMANDS = {
     ),
     "plot": Command(
         "pfdist.cli.own:plot",
-        "Draw the figures of a run from its tables, or the figure of a sweep: PNG, SVG and PDF.",
+        "Draw the figures of a run, or the figure of a sweep, as PNG, SVG and PDF.",
         {
             "pfdist plot results/plan": "Draw the figures of a run again",
             "pfdist plot results/budgets": "Draw the figure of a sweep",

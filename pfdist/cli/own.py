@@ -117,7 +117,7 @@ def status(run: str, *, export: str | None = None) -> "Run":
 
 
 def plot(run: str) -> Iterator[str]:
-    """Draw the figures of a run from its tables, or the figure of a sweep: PNG, SVG and PDF.
+    """Draw the figures of a run, or the figure of a sweep, as PNG, SVG and PDF.
 
     Parameters
     ----------

@@ -47,7 +47,8 @@ def standard_errors(difference: Array) -> Array:
 # --- exact filters --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("times", [(1, 8), pytest.param((0, 3, 4, 9), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [(1, 8), (0, 3, 4, 9)])
 def test_sharp_sensors_give_the_kalman_filter(times: tuple[int, ...]) -> None:
     """Sensors of .001 of the prior's deviation in six dimensions, gaps of 1 to 7: within 1 %.
 
