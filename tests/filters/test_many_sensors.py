@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pfdist import ModelError, Sensor, StateSpaceModel
+from pfdist import Sensor, StateSpaceModel
+from pfdist.errors import ModelError
 from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.kernels.prefixes import plan_prefixes
