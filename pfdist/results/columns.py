@@ -271,7 +271,7 @@ def rows_of(table: pd.DataFrame) -> list[Row]:
     return [Row(**{str(k): value for k, value in row.items()}) for row in plain.to_dict("records")]
 
 
-def table_of_rows(rows: Iterable[Row]) -> pd.DataFrame:
+def frame_of_sets(rows: Iterable[Row]) -> pd.DataFrame:
     """The table of sets as a DataFrame."""
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 

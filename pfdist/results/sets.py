@@ -17,7 +17,7 @@ from pfdist.problem.clock import Time
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.set_key import set_key_of
 from pfdist.results.budget_curve import FOUND, GIVEN, add_bounds, worse_than
-from pfdist.results.columns import COLUMNS, Results, Row, table_of_rows
+from pfdist.results.columns import COLUMNS, Results, Row, frame_of_sets
 from pfdist.results.evenly_spaced import columns_of_even_times
 from pfdist.results.moments import ComparisonStatistics, gain_over_itself, relative_gain
 from pfdist.results.particle_loss import hardly_measured, particle_losses_of
@@ -57,7 +57,7 @@ def sets_of(run: StoredRun) -> pd.DataFrame:
     begun. Fractions are not in per cent. With an exact engine, expected_mse has the standard_error
     0, and gain_of_means has an interval of one point.
     """
-    return table_of_rows(_computed(run) if (known := summary_of(run)) is None else known.sets)
+    return frame_of_sets(_computed(run) if (known := summary_of(run)) is None else known.sets)
 
 
 def _computed(run: StoredRun) -> list[Row]:
@@ -77,7 +77,7 @@ def publish_sets(run: StoredRun) -> None:
     """Keep the table of sets in a file, unless it is there; the caller holds the run's lock."""
     with contextlib.suppress(Exception):  # without it, a list takes longer
         if summary_of(run) is None:
-            keep_summary(run, table_of_rows(_computed(run)))
+            keep_summary(run, frame_of_sets(_computed(run)))
 
 
 def is_wrong_summary(run: StoredRun) -> bool:
