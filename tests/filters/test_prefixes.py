@@ -68,7 +68,7 @@ def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> Non
         ends = [int(rng.integers(max(times, default=0) + 1, instants + 1)) for times in sets]
     planned, place, _ = plan_prefixes(tuple(sets), instants, tuple(ends))
     words = [tuple(t in times for t in range(end)) for times, end in zip(sets, ends, strict=True)]
-    ordered = list(zip(planned.measured, planned.ends, strict=True))
+    ordered = list(zip(planned.measured[:, :, 0], planned.ends, strict=True))  # one byte
     assert [tuple(row[:end].tolist()) for row, end in (ordered[k] for k in place)] == words
     prefixes = {word[: t + 1] for word in words for t in range(len(word))}
     assert (planned.ends - planned.begins).sum() == len(prefixes)
