@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import EVEN, Times
 from pfdist.errors import JobError
+from pfdist.problem.even_grids import even_grids
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
@@ -34,11 +35,25 @@ class Study:
 
     @cached_property
     def unsearched(self) -> dict[str, Times]:
-        """The references, then the sets that comparison.sets names, by name."""
+        """The references, then the sets that comparison.sets names, by name.
+
+        Regular times stand for evenly spaced times until the race has found these.
+        """
         return {
             name: self.feasible.regular() if times is None else times
             for name, times in self.job.given_sets.items()
         }
+
+    @cached_property
+    def even_grids(self) -> dict[str, tuple[Times, ...]]:
+        """Evenly spaced sets, of which a race finds the best, by the name of a reference."""
+        names, is_even = self.names(EVEN), self.job.comparison.is_even
+        return dict(zip(names, map(even_grids, self.each), strict=True)) if is_even else {}
+
+    @property
+    def each(self) -> Sequence[Feasible]:
+        """The feasible sets of each number of measurements."""
+        return (self.feasible,)
 
     @property
     def references(self) -> dict[str, Times]:
