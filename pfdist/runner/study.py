@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from pfdist.common.measurement_times import EVEN, Times
 from pfdist.errors import JobError
+from pfdist.filters.engines import is_exact
 from pfdist.problem.even_grids import even_grids
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import Job
@@ -47,8 +48,11 @@ class Study:
     @cached_property
     def even_grids(self) -> dict[str, tuple[Times, ...]]:
         """Evenly spaced sets, of which a race finds the best, by the name of a reference."""
-        names, is_even = self.names(EVEN), self.job.comparison.is_even
-        return dict(zip(names, map(even_grids, self.each), strict=True)) if is_even else {}
+        if not self.job.comparison.is_even:
+            return {}
+        every = is_exact(self.job.filter.engine)
+        grids = (even_grids(feasible, every=every) for feasible in self.each)
+        return dict(zip(self.names(EVEN), grids, strict=True))
 
     @property
     def each(self) -> Sequence[Feasible]:
