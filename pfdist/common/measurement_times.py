@@ -11,6 +11,7 @@ from pfdist.errors import MeasurementTimesError, shown
 
 Times = tuple[int, ...]
 REGULAR: Final = "regular"  # name of the regular times in jobs and tables
+EVEN: Final = "evenly_spaced"  # name of the best evenly spaced times in tables
 
 
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:

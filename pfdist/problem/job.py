@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.gone import without_gone
-from pfdist.common.measurement_times import REGULAR, Times
+from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text, with_texts
 from pfdist.common.section import JobSection, checked, explained
@@ -28,6 +28,7 @@ from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import (
     DEFAULT_METHOD,
+    EVENLY_SPACED,
     RESERVED,
     Budget,
     Comparison,
@@ -205,9 +206,10 @@ class Job(JobSection):
         """Check the names of searches and of given sets, and that the reference is one of these."""
         named, names = self.comparison.named, [search.name for search in self.search]
         for name in names:
-            if name in RESERVED:
+            if name in (*RESERVED, EVEN):
                 raise ValueError(
-                    f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
+                    f"search names must not be {', '.join(map(repr, (*RESERVED, EVEN)))}, got "
+                    f"{name!r}"
                 )
             if [*names, *named].count(name) > 1:
                 raise ValueError(
@@ -215,11 +217,17 @@ class Job(JobSection):
                     f'{name!r} twice: give a search another name with name = "..."'
                 )
         reference = self.comparison.reference
-        if isinstance(reference, str) and reference not in (REGULAR, *named):
+        if self.comparison.is_even and EVEN in named:
+            raise ValueError(
+                f"comparison.sets must not name a set {EVEN!r} if comparison.reference is "
+                f"{EVENLY_SPACED!r}, which has this name in tables"
+            )
+        if isinstance(reference, str) and reference not in (EVENLY_SPACED, REGULAR, *named):
             sets = ", ".join(map(repr, named)) or "which names none"
             raise ValueError(
-                f"comparison.reference must be {REGULAR!r}, a list of times, for instance "
-                f"[0, 3, 6], or the name of a set of comparison.sets ({sets}), got {reference!r}"
+                f"comparison.reference must be {EVENLY_SPACED!r}, {REGULAR!r}, a list of times, "
+                "for instance [0, 3, 6], or the name of a set of comparison.sets "
+                f"({sets}), got {reference!r}"
             )
         _needs("a job", (bool(names or named), "a search, or comparison.sets with sets to compare"))
         return self
@@ -251,11 +259,11 @@ class Job(JobSection):
         if self.budget is None:
             return self
         methods, comparison = [search.method for search in self.search], self.comparison
-        is_regular = comparison.reference == REGULAR and not comparison.named
+        is_one = comparison.reference in (EVENLY_SPACED, REGULAR) and not comparison.named
         got = "comparison.sets" if comparison.named else "a single set of times"
         _needs(
             "budget",
-            (is_regular, f"comparison.reference = {REGULAR!r}, got {got}"),
+            (is_one, f"comparison.reference = {EVENLY_SPACED!r} or {REGULAR!r}, got {got}"),
             (self.problem.feasible.counted, "problem.measurement_budget, got problem.total_price"),
             (methods == [DEFAULT_METHOD],
              f"one search of method {DEFAULT_METHOD!r}, got {', '.join(methods)}"),
@@ -340,7 +348,9 @@ class Job(JobSection):
 
     @cached_property
     def given_sets(self) -> dict[str, Times | None]:
-        """Instants of the sets that the job gives, the reference first; None means regular times.
+        """Instants of the sets that the job gives, the reference first.
+
+        None means regular times, or the best evenly spaced times as the reference.
 
         Raises `MeasurementTimesError`, which names the key, if a time lies outside the horizon, is
         not on the clock, or is given twice.
@@ -350,7 +360,7 @@ class Job(JobSection):
         written = {name: (f"comparison.sets.{name}", times) for name, times in named.items()}
         own = written.pop(first, ("comparison.reference", comparison.reference))
         return {
-            name: None if times == REGULAR
+            name: None if times in (EVENLY_SPACED, REGULAR)
             else references[times[0]] if len(times) == 1 and times[0] in references
             else self.problem.points.checked(times, key, key)
             for name, (key, times) in {first: own, **written}.items()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from pfdist.common.measurement_times import REGULAR
+from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.section import JobSection, Listed
 from pfdist.errors import shown
 from pfdist.filters.engines import AUTO, EngineName
@@ -17,6 +17,7 @@ from pfdist.problem.clock import Time, plain_time
 from pfdist.problem.search_section import Degenerate, is_name
 
 DEFAULT_METHOD: Final = "relaxation"  # of a search; the name of its set, too
+EVENLY_SPACED: Final = "evenly spaced"  # a reference: the best evenly spaced times
 REFERENCE: Final = "reference"  # name of a reference that the job gives, in tables and figures
 MOST_SETS: Final = 100
 """Largest number of sets that a job may give by name; they form almost 5,000 pairs."""
@@ -175,8 +176,9 @@ class Comparison(JobSection):
     """The comparison of sets of times with the reference, on the same fresh draws.
 
     The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
-    "regular", the feasible set nearest to the regular times; or a set of times in 0..T or on the
-    clock; or the name of a given set. A given set may break constraints.
+    "evenly spaced", the best of many evenly spaced sets, chosen on draws of its own; "regular", the
+    feasible set nearest to the paper's regular times, from the first instant to the last; a set of
+    times in 0..T or on the clock; or the name of a given set. A given set may break constraints.
 
     Parameters
     ----------
@@ -223,7 +225,14 @@ class Comparison(JobSection):
     @property
     def reference_name(self) -> str:
         """Name of the reference in tables and figures."""
-        return self.reference if isinstance(self.reference, str) else REFERENCE
+        if not isinstance(self.reference, str):
+            return REFERENCE
+        return EVEN if self.is_even else self.reference
+
+    @property
+    def is_even(self) -> bool:
+        """Whether the reference is the best of evenly spaced sets."""
+        return self.reference == EVENLY_SPACED
 
 
 class Budget(JobSection):

@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pfdist.common.measurement_times import REGULAR
+from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.problem.sections import DEFAULT_METHOD, REFERENCE
 
 PLAN, EVENLY_SPACED = "plan", "evenly spaced"
-"""Labels of the set that a search found, and of the regular times."""
+"""Labels of the set that a search found, and of the best evenly spaced and the regular times."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,9 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     """
     keys = {column: set_key_of(column, job) for column in columns}
     # A comparison has no search of its own, but sets of runs.
+    origins = {key.origin for key in keys.values()}
     searches = [search["name"] for search in job.get("search", ())] or [DEFAULT_METHOD]
-    labels = {REGULAR: EVENLY_SPACED}
+    labels = {EVEN: EVENLY_SPACED, REGULAR: REGULAR if EVEN in origins else EVENLY_SPACED}
     if len(searches) == 1 and PLAN not in keys:
         labels[searches[0]] = PLAN
     return {column: _label(labels.get(key.origin, key.origin), key) for column, key in keys.items()}

@@ -6,11 +6,12 @@ from typing import Annotated, Any, Unpack
 
 from pydantic import Field
 
+from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.common.section import Arguments, Number, Whole, checked
 from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.sections import DEFAULT_METHOD
+from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED
 from pfdist.questions.options import Chosen, ComparedDraws, Options, with_options
 from pfdist.questions.report import try_report
 from pfdist.questions.run import run
@@ -84,9 +85,11 @@ def budget(
         As `pfdist.run` raises.
     """
     numbers = _section(measurements)
-    fixed_sections = {"budget": numbers, "comparison": {"draws": draws}}
-    search = [{"method": DEFAULT_METHOD, "polish": False}]
-    job = as_job(job, changes, sections={"search": search, "online": None, **fixed_sections})
+    own = {"search": [{"method": DEFAULT_METHOD, "polish": False}], "online": None}
+    is_even = as_job(job, changes, sections=own).comparison.is_even
+    comparison = {"draws": draws, "reference": EVENLY_SPACED if is_even else REGULAR}
+    fixed_sections = {"budget": numbers, "comparison": comparison}
+    job = as_job(job, changes, sections=own | fixed_sections)
     if job.with_changes(sections=fixed_sections) != job:
         raise JobError(
             "changes must not set [budget] or comparison.draws, which measurements and draws give, "

@@ -9,6 +9,7 @@ from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
 from pfdist.common.component_names import Component, named_components
+from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, unrounded, with_error, with_interval
@@ -32,6 +33,8 @@ from pfdist.results.stored_run import (
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_LISTED = 5  # times that a sentence lists one and all
 
 ERROR_HEAD = COLUMNS["expected_mse"].head
 MOST_SETS = 4
@@ -146,6 +149,10 @@ class Subject:
         """The reference as sentences call it: ``evenly spaced times (every 3 instants)``."""
         row, every, problem = self.reference_row, self._step_of_reference, problem_of(self.run)
         phrase, times = phrase_of(row.label), measured_of(self.run)[row.name]
+        if row.name == EVEN:
+            written = [self.clock.text(each) for each in problem.points.written_of(times)]
+            listed = [*written[:3], "...", written[-1]] if len(written) > _LISTED else written
+            return f"the best {phrase} (t = {', '.join(listed)})"
         is_moved = row.label == EVENLY_SPACED and not problem.feasible.is_regular(times)
         how = "moved to allowed instants" if is_moved else every
         return f"{phrase} ({how})" if how else phrase

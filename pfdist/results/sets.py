@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pfdist.common.estimate import CLEAR_ERRORS
-from pfdist.common.measurement_times import REGULAR
+from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.clock import Time
 from pfdist.problem.problem_section import ProblemSection
@@ -147,6 +147,8 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
         number += f", spends {feasible.price_of(instants)} of {feasible.total_price}"
     if name in (job.get("comparison", {}).get("sets") or {}) and name != REGULAR:
         phrase = f"the set that comparison.sets.{name} gives ({number})"
+    elif name == EVEN:
+        phrase = f"the best evenly spaced times ({number})"
     elif name != REGULAR:
         phrase = f"the set that comparison.reference names ({number})"
     elif feasible.is_regular(instants):

@@ -30,6 +30,11 @@ class BudgetStudy(Study):
         return {number: self.job.feasible(number) for number in numbers}
 
     @property
+    def each(self) -> Sequence[Feasible]:
+        """The feasible sets of each number of measurements, the smallest number first."""
+        return tuple(self._each.values())
+
+    @property
     def purpose(self) -> str:
         """A separate purpose: the draws of a later comparison of one set are independent."""
         return "budget"

@@ -45,6 +45,7 @@ from pfdist.runner.searches import (
     comparing_of,
     named_search,
     planning_of,
+    shortlist_of,
 )
 from pfdist.runner.study import Study
 
@@ -64,8 +65,9 @@ class Built:
 
     @property
     def phases(self) -> list[str]:
-        """Names of all phases of the searches."""
-        return [phase for search in self.searches for phase in search.phases]
+        """Names of all phases that choose sets."""
+        references = map(shortlist_of, self.study.even_grids)
+        return [*references, *(phase for search in self.searches for phase in search.phases)]
 
     @property
     def comparing(self) -> Estimation:

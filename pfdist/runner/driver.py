@@ -24,7 +24,12 @@ from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.phase import unpublished
 from pfdist.runner.row_formats import RowsByDraw
-from pfdist.runner.search_phase import run_search, search_steps
+from pfdist.runner.search_phase import (
+    best_evenly_spaced,
+    even_steps,
+    run_search,
+    search_steps,
+)
 from pfdist.runner.searches import planning_of
 from pfdist.store import Store, schema
 
@@ -64,14 +69,18 @@ def foreseen_steps(built: Built) -> float:
 
 
 def _searching_steps(built: Built) -> float:
-    return sum(search_steps(built, search) for search in built.searches)
+    even = sum(even_steps(built, name) for name in built.study.even_grids)
+    return even + sum(search_steps(built, search) for search in built.searches)
 
 
 def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]:
     """The sets that are compared, by name, after every search has ended."""
     built = session.built
+    given = {**built.study.unsearched}
+    for name in built.study.even_grids:
+        given[name] = yield from best_evenly_spaced(session, name)
     rows: list[dict[str, Any]] = [
-        {"name": name, "measurement_times": times} for name, times in built.study.unsearched.items()
+        {"name": name, "measurement_times": times} for name, times in given.items()
     ]
     for search in built.searches:
         winners = yield from run_search(session, search)

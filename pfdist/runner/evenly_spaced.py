@@ -25,6 +25,7 @@ _MOST = 24  # numbers that are tried
 def is_known(built: Built) -> bool:
     """Whether a run has a single plan, and any number of its measurements can be evenly spaced."""
     problem, is_alone = built.job.problem, len(built.searches) == 1 and built.job.budget is None
+    is_alone = is_alone and not built.job.comparison.is_even  # other numbers are regular times
     is_free = problem.feasible.counted and not problem.is_constrained
     return is_alone and is_free and problem.points.ways == 1 and built.job.criterion.additive
 

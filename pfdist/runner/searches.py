@@ -58,6 +58,11 @@ class Settings:
         )
 
 
+def shortlist_of(name: str) -> str:
+    """Name of the phase that decides between sets of one name."""
+    return f"{name}.shortlist"
+
+
 @dataclass(frozen=True)
 class NamedSearch:
     """An optimiser with its name in the tables and the settings of its evaluations."""
@@ -84,7 +89,7 @@ class NamedSearch:
     @property
     def shortlist(self) -> str:
         """Name of the phase that decides between the final sets of the search."""
-        return f"{self.name}.shortlist"
+        return shortlist_of(self.name)
 
     @property
     def phases(self) -> tuple[str, ...]:
@@ -113,13 +118,17 @@ def named_search(
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
     squared = replace(settings.estimation, estimator=SQUARED_ERROR.name)
     polishing = replace(counting, draws=_POLISH_DRAWS, estimation=squared)
-    race_draws = job.criterion.apart * _RACE_DRAWS
-    racing = replace(counting, draws=race_draws, estimation=comparing_of(job))
+    racing = racing_of(job, _RACE_DRAWS)
     additive = METHODS[section.method].additive
     polishing_or_none = polishing if section.polish else None
     return NamedSearch(
         section.name, optimiser, settings, polishing_or_none, racing, additive, job.criterion
     )
+
+
+def racing_of(job: Job, draws: int) -> Settings:
+    """The settings of a race: the job's own filter, with so many draws in the first round."""
+    return Settings(job.criterion.apart * draws, True, "continue", comparing_of(job))
 
 
 def comparing_of(job: Job) -> Estimation:

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import EVEN, Times
 from pfdist.errors import JobError
+from pfdist.filters.engines import is_exact
+from pfdist.problem.even_grids import even_grids
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
@@ -34,11 +36,28 @@ class Study:
 
     @cached_property
     def unsearched(self) -> dict[str, Times]:
-        """The references, then the sets that comparison.sets names, by name."""
+        """The references, then the sets that comparison.sets names, by name.
+
+        Regular times stand for evenly spaced times until the race has found these.
+        """
         return {
             name: self.feasible.regular() if times is None else times
             for name, times in self.job.given_sets.items()
         }
+
+    @cached_property
+    def even_grids(self) -> dict[str, tuple[Times, ...]]:
+        """Evenly spaced sets, of which a race finds the best, by the name of a reference."""
+        if not self.job.comparison.is_even:
+            return {}
+        every = is_exact(self.job.filter.engine)
+        grids = (even_grids(feasible, every=every) for feasible in self.each)
+        return dict(zip(self.names(EVEN), grids, strict=True))
+
+    @property
+    def each(self) -> Sequence[Feasible]:
+        """The feasible sets of each number of measurements."""
+        return (self.feasible,)
 
     @property
     def references(self) -> dict[str, Times]:

@@ -1,0 +1,70 @@
+"""Evenly spaced times: the grids of which the best one is the opponent of a plan.
+
+A person who spaces N measurements evenly is free to choose the first time and the last. Where they
+lie matters: on the paper's problem the expected MSE of 21 evenly spaced times is 31.5 from the
+first instant to the last (paper, equation 13), and 28.5 with the best ends.
+"""
+
+from collections.abc import Iterator
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.measurement_times import Times
+from pfdist.errors import MeasurementTimesError
+from pfdist.problem.affordable import nearest
+from pfdist.problem.feasible import Feasible
+
+_ENDS = 7  # first times, and last times: over one step from an end of the horizon
+_PARTS = (0.75, 0.5, 0.25)  # of the horizon, from its beginning and up to its end
+
+
+def even_grids(feasible: Feasible, *, every: bool = False) -> tuple[Times, ...]:
+    """Different evenly spaced sets of as many measurements as the regular times, which come first.
+
+    Each is t = first + k * step, moved to the nearest instants, and then, if it is not feasible, to
+    the nearest feasible set of instants. A set in which two times would be one instant is left out.
+    With several sensors there are the regular times alone. `every` adds all grids of whole instants
+    with a whole step, which are many if N is small: for errors that take no time.
+
+    >>> grids = even_grids(Feasible(horizon=11, measurement_budget=4))
+    >>> grids[0], (0, 3, 6, 9) in grids, len(grids)
+    ((0, 4, 7, 11), True, 38)
+    """
+    regular = feasible.regular()
+    if feasible.points.ways > 1:
+        return (regular,)
+    instants = np.array(feasible.points.clock.times, np.float64)
+    found, number = [regular], len(regular)
+    grids = [
+        tuple(np.abs(instants - np.linspace(*span, number)[:, None]).argmin(axis=1).tolist())
+        for span in _spans(instants, number)
+    ]
+    if every:
+        steps = range(1, feasible.horizon // max(1, number - 1) + 1)
+        grids += [
+            tuple(range(first, first + number * step, step))
+            for step in steps
+            for first in range(feasible.horizon + 1 - (number - 1) * step)
+        ]
+    for grid in grids:
+        if len({*grid}) < number:
+            continue
+        with suppress(MeasurementTimesError):
+            moved = nearest(grid, feasible.allowed, feasible.required, feasible.spacing)
+            found += [moved] if feasible.accepts(moved) else []
+    return tuple(dict.fromkeys(found))
+
+
+def _spans(instants: NDArray[np.float64], number: int) -> Iterator[tuple[float, float]]:
+    """The first time and the last of each grid; a single time is anywhere in the horizon."""
+    begin, end = float(instants[0]), float(instants[-1])
+    if number == 1:
+        yield from ((time, time) for time in np.linspace(begin, end, _ENDS).tolist())
+        return
+    ends = np.linspace(0.0, (end - begin) / (number - 1), _ENDS).tolist()
+    yield from ((begin + a, end - b) for a in ends for b in ends if begin + a < end - b)
+    for part in _PARTS:
+        length = part * (end - begin)
+        yield from ((begin, begin + length), (end - length, end))
