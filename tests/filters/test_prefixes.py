@@ -48,7 +48,7 @@ def test_together_they_are_bit_for_bit_as_one_by_one(
     ends = believed is not model  # a draw that ended has ended for all that share it
     draws = simulate(model, HORIZON, range(60 if ends else 5), 3)
     given = [HORIZON] * len(SETS), 9, Estimation(70)
-    together, degenerate = filter_checked_sets(believed, draws, SETS, *given)
+    together, degenerate, *_ = filter_checked_sets(believed, draws, SETS, *given)
     alone = [filter_draws(believed, draws, times, 70, 9) for times in SETS]
     np.testing.assert_array_equal(together, np.stack([each.mse for each in alone], axis=1))
     np.testing.assert_array_equal(degenerate, np.stack([each.degenerate for each in alone], axis=1))
