@@ -25,6 +25,7 @@ from pfdist.questions.bound import bound as bound_of
 from pfdist.questions.run_page import page_of
 from pfdist.results.stored_run import last_bounds, statistics_of
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
+from pfdist.runner.build import build
 from pfdist.runner.gap_parts import SET_DRAWS
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
@@ -413,6 +414,12 @@ def test_a_run_of_another_version_is_proved_and_not_written_to(
     change = f"is of another program (pfdist: {pfdist.__version__} -> 99)"
     assert any(change in line for line in said)
     assert sorted(walk.rglob("*")) == before
+
+
+def test_the_growth_of_windows_is_foreseen(walk: Path) -> None:
+    work, built = 1e6, build(load_job(walk / "job.toml"))
+    steps = [Prover(built, BoundSettings(draws=LEAST_DRAWS, work=each)).steps for each in (0, work)]
+    assert steps[1] - steps[0] == work
 
 
 # --- what users see -------------------------------------------------------------------------------
