@@ -68,13 +68,14 @@ class ProcessPool:
             if not in_flight:
                 return
             done, _ = wait(in_flight, pause(task), FIRST_COMPLETED)
-            lost = list[Sent]()
+            lost, has_begun = list[Sent](), False
             for each in done:
                 check()
                 sent, error = in_flight.pop(each), each.exception()
                 silence.end()
                 if isinstance(error, BrokenProcessPool):
                     lost.append(sent)
+                    has_begun |= not isinstance(error, _NotBegunError)
                     continue
                 del suspects[:1]
                 yield failed(sent, error) if error else Outcome(sent.task, *each.result())
@@ -82,7 +83,7 @@ class ProcessPool:
                 lost += in_flight.values()
                 in_flight.clear()
                 self._start_again()
-                if len(lost) > 1:
+                if len(lost) > 1 or not has_begun:
                     suspects = [sent.task for sent in lost]
                     continue
                 del suspects[:1]
@@ -95,11 +96,9 @@ class ProcessPool:
         key, content = self._pickled(task.function)
         try:
             return self._processes.submit(key, content, task.work, patience(task.seconds))
-        except (
-            BrokenProcessPool
-        ) as error:  # since the last answer: this task is lost with the others
+        except BrokenProcessPool:  # since the last answer: this task has not begun
             lost = Future[Answer]()
-            lost.set_exception(error)
+            lost.set_exception(_NotBegunError())
             return lost
 
     def _start_again(self) -> None:
@@ -107,6 +106,10 @@ class ProcessPool:
             raise PoolError("no process can start; is there enough memory?", argument="pool")
         self._processes.end()
         self._processes = _Processes(self.workers)
+
+
+class _NotBegunError(BrokenProcessPool):
+    """The processes have died before this task was sent to them."""
 
 
 class _Processes:

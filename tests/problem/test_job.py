@@ -150,7 +150,12 @@ MISTAKES = [
         "needs searches and sets of other names, got 'online'",
     ),
     (BUDGET, r"needs one search of method 'relaxation', got genetic, random \("),
-    (RELAXATION, BUDGET, "comparison.reference=[0, 3]", r"needs comparison\.reference = 'regular'"),
+    (
+        RELAXATION,
+        BUDGET,
+        "comparison.reference=[0, 3]",
+        r"needs comparison\.reference = 'evenly spaced' or 'regular'",
+    ),
 ]
 
 
