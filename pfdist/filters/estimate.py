@@ -15,7 +15,7 @@ from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.shown import Shown
-from pfdist.filters.criterion import MEAN, Criterion
+from pfdist.filters.criterion import MEAN, Criterion, Exact
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -169,7 +169,7 @@ class Evaluation(Shown):
     def _page(self) -> Page:
         mse = with_error(self.expected_mse, self.standard_error)
         count = len(self.measurement_times)
-        on = f"on {self.draws:,} draws" if self.draws else "exact"
+        on = "exact" if isinstance(self.criterion, Exact) else f"on {self.draws:,} draws"
         title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
         rows = [("measured at t", ", ".join(map(unrounded, self.measurement_times)))]
         if self.degenerate_draws:

@@ -4,7 +4,7 @@ A result is a pure function of its arguments. A work may be cut between any two 
 each draw stays the same, and so does every number computed from the draws in their order.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -243,9 +243,7 @@ class Evaluator:
         """
         if not self.exact:
             return None
-        parts = self.of_scenarios or (self,)
-        errors = np.array([each._exact_errors(sets, weighted) for each in parts])
-        return _mean(errors, np.array(self._shares)[:, None, None])
+        return self._exact_errors_of(self._shares, sets, weighted)
 
     def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
         errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
@@ -258,7 +256,16 @@ class Evaluator:
         if not (self.exact and self.scenarios):
             return self.expected_errors([times])
         shares = criterion.shares(self._exact_mse([times]), self._shares)
-        return self.with_shares(shares[:, 0].tolist()).expected_errors([times])
+        return self._exact_errors_of(shares[:, 0], [times])
+
+    def _exact_errors_of(
+        self, shares: Iterable[float], sets: Sequence[Times], weighted: bool = False
+    ) -> NDArray[np.float64]:
+        """The mean over scenarios, by their shares; a share of 0 costs nothing."""
+        parts = zip(self.of_scenarios or (self,), shares, strict=True)
+        found = [(each._exact_errors(sets, weighted), share) for each, share in parts if share]
+        errors, own = zip(*found, strict=True)
+        return _mean(np.array(errors), np.array(own)[:, None, None])
 
     def _exact_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None
@@ -425,13 +432,11 @@ class Evaluator:
         sets: Sequence[Times],
         streams: Sequence[int],
         estimation: Estimation,
-    ) -> list[FilterArrays]:
+    ) -> Iterator[FilterArrays]:
         """Filter draws with checked sets, each under noise of its own, with trajectories."""
         filters, settings = self.computed_by.filters, self.settings(estimation)
-        return [
-            filters.filter_checked_draws(self.believed, draws, times, stream, settings, True)
-            for times, stream in zip(sets, streams, strict=True)
-        ]
+        for times, stream in zip(sets, streams, strict=True):
+            yield filters.filter_checked_draws(self.believed, draws, times, stream, settings, True)
 
     def results(self, works: Iterable[FilterWork]) -> list[Result]:
         """Results of works, as a task computes them; the caller has checked settings and times.
@@ -464,9 +469,8 @@ class Evaluator:
             return Result(np.empty(0), sums=self.sum_errors(work)[(first <= t) & (t <= ends)])
         draws = self.draws(range(*work.draws), work.draws_stream)
         if work.trajectories:
-            each_set = self.filter_each(
-                draws, work.measurement_times, work.filter_streams, work.estimation
-            )
+            streams, estimation = work.filter_streams, work.estimation
+            each_set = [*self.filter_each(draws, work.measurement_times, streams, estimation)]
             mse, degenerate = (
                 np.stack([getattr(each, name) for each in each_set], axis=1)
                 for name in ("mse", "degenerate")

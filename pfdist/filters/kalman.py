@@ -224,8 +224,11 @@ def filter_checked_draws(
     errors = np.sum((draws.z - estimate) ** 2, axis=2)
     mse = np.mean(weighed(errors, draws.instant_weights), axis=1)
     degenerate = np.zeros(mse.shape, np.bool_)
+    found = FilterArrays(mse, degenerate, estimate, variance)
+    if not trajectories:
+        return found
     last = np.concatenate([mean[:, :, None], np.tile(covariance, (len(mean), 1, 1))], axis=2)
-    return FilterArrays(mse, degenerate, estimate, variance, cloud=last)
+    return found._replace(cloud=last)
 
 
 def log_evidence(model: StateSpaceModel, y: Array) -> Array:

@@ -78,7 +78,7 @@ class OneFilter:
         if np.isinf(filtered.mse[0]):
             raise MeasurementsError(self._not_finite(t))
         last = filtered.cloud[0]
-        if ENGINES[self.engine].exact:
+        if not ENGINES[self.engine].has_particles:
             prior: Prior = Gaussian(t, last[:, 0].copy(), last[:, 1:].copy())
         else:
             prior = Cloud(t, last, filtered.weight[0] if self.settings.carries else None)

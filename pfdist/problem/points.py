@@ -6,6 +6,7 @@ Everything inside names a possible measurement by its number. This module alone 
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -86,6 +87,8 @@ class Points(PointNumbers):
         without a name mean all sensors. Raises `MeasurementTimesError`, which begins with `name`.
         """
         clock = self.clock
+        if isinstance(written, str) and (known := self._known.get(written)) is not None:
+            return (known,)
         if not self.sensors:
             return tuple(instants_written(written, clock, name))
         if isinstance(written, Iterable) and not isinstance(written, str):
@@ -112,6 +115,12 @@ class Points(PointNumbers):
                 found += [self.first(t) + way for way in ways[word]]
             waiting = []
         return tuple(found)
+
+    @cached_property
+    def _known(self) -> dict[str, int]:
+        """The point of each text that names one sensor; tables have many such texts."""
+        written = self.written_of(range(self.number)) if self.sensors else ()
+        return {text: point for point, text in enumerate(written)}
 
     def _words(self, text: str) -> list[str]:
         """Times and sensors; with dates, all words of an entry that are no sensors are one."""

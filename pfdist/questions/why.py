@@ -170,7 +170,7 @@ def why(
             checked_export(export, built.job.problem.clock)
         if not built.job.criterion.additive:
             raise JobError(
-                "this question needs a job that minimises a mean, got one that minimises the "
+                "this question needs a criterion that is a mean (scenarios.criterion), got the "
                 f"{built.job.criterion.label} ({built.job.path})"
             )
         with own_store(opened, built, tell, must_be=False) as store:

@@ -186,7 +186,7 @@ def _estimates(filtered: Sequence[FilterArrays]) -> Array:
 
 def _filtered(evaluator: Evaluator, draws: Draws, work: ReplicateWork) -> list[FilterArrays]:
     streams = work.streams[1:] * len(work.sets)
-    return evaluator.filter_each(draws, work.sets, streams, work.estimation)
+    return [*evaluator.filter_each(draws, work.sets, streams, work.estimation)]
 
 
 def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:

@@ -465,11 +465,11 @@ def _compiled_or_batched(evaluator: Evaluator) -> str:
                 "its code, which workers get by value, and the same bytes are promised for one "
                 "machine and one set of versions",
                 EngineWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
     evaluator.compile(*evaluator.estimations)  # for every engine, so that mistakes end it at once
     if not has_fused_multiply_add():
-        warnings.warn(WITHOUT_FMA, EngineWarning, stacklevel=4)
+        warnings.warn(WITHOUT_FMA, EngineWarning, stacklevel=5)
     return evaluator.engine
 
 

@@ -5,6 +5,7 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,7 @@ def is_sealed(path: Path, built: Built) -> bool:
     return run.job == built.job.identity() and run.state == "finished"
 
 
+@lru_cache(maxsize=8)
 def time_columns(points: Points) -> TimeColumns:
     """The times and texts in place of instants and points in tables.
 
@@ -106,8 +108,8 @@ def time_columns(points: Points) -> TimeColumns:
     `pfdist.pages.panel.clock_of_table` reads it.
     """
     clock = points.clock
-    written = points.written_of(range(points.number)) if points.sensors or clock.dates else ()
-    dates = map(clock.text, clock.times) if clock.dates else ()
+    written = points.written_of(range(points.number)) if points.sensors or clock.calendar else ()
+    dates = map(clock.text, clock.times) if clock.calendar else ()
     return TimeColumns(clock.times, clock.time_unit, tuple(written), tuple(dates), clock.counts)
 
 

@@ -248,7 +248,7 @@ class _Outlook:
     ) -> list[Evaluation]:
         """Evaluations of sets up to their ends on common draws with common noise."""
         exact = self.evaluator.expected_mse(sets, ends)
-        if draws is None or exact is not None:
+        if exact is not None or draws is None:
             each_set = zip(sets, [] if exact is None else exact.tolist(), strict=True)
             return [Evaluation.exactly(times, mse) for times, mse in each_set]
         noise = stream_key(self.stream, "filter")

@@ -310,7 +310,7 @@ def test_wrong_sets_are_refused_in_one_line(
         (["comparison.sets.reference=[0]"], "must not name a set 'reference'"),
         (["comparison.sets.a=[0]", "search=[]", "online.draws=3"], "online needs a search"),
         (["comparison.sets.a=[0]", "budget={least=2, most=3}"],
-         r"budget needs comparison\.reference = 'evenly spaced' or 'regular', got comparison\.sets"),
+         r"budget needs comparison\.reference = 'evenly spaced' or 'regular', got comp"),
     ],
 )  # fmt: skip
 def test_a_wrong_job_is_refused(changes: list[str], message: str, small_job: Job) -> None:
