@@ -77,7 +77,7 @@ def publish_sets(run: StoredRun) -> None:
     """Keep the table of sets in a file, unless it is there; the caller holds the run's lock."""
     with contextlib.suppress(Exception):  # without it, a list takes longer
         if summary_of(run) is None:
-            keep_summary(run, frame_of_sets(_computed(run)))
+            keep_summary(run, _computed(run))
 
 
 def is_wrong_summary(run: StoredRun) -> bool:

@@ -7,9 +7,10 @@ the file counts for nothing.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -22,13 +23,14 @@ from pfdist.store.folder import SUMMARY
 from pfdist.store.listing import read_listing
 from pfdist.store.tables import column_chunks, holds_table, write_table
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 _NAME = b"sets of a run"
 _MOST_BYTES, _MOST_VALUES = 10_000_000, 1_000_000
 _TYPES: dict[str, Any] = {
     "float64": float | None, "int64": int, "Int64": int | None, "bool": bool, "object": object,
+}  # fmt: skip
+_ARROW = {
+    "float64": pa.float64(), "int64": pa.int64(), "Int64": pa.int64(), "bool": pa.bool_(),
+    "object": None,
 }  # fmt: skip
 _MADE_OF, _EVALUATIONS, _SECONDS = b"made_of", b"evaluations", b"worker_seconds"
 
@@ -83,12 +85,16 @@ def _unpacked(content: bytes, made_of: bytes) -> Summary | None:
     return Summary(rows, int(metadata[_EVALUATIONS]), seconds if seconds >= 0.0 else None)
 
 
-def keep_summary(run: StoredRun, sets: pd.DataFrame) -> None:
+def keep_summary(run: StoredRun, sets: Sequence[Row]) -> None:
     """Write the summary of a run, with its table of sets; the caller holds the run's lock."""
     made_of, seconds = _fingerprint(run), worker_seconds_of(run)
     if not made_of:
         return
-    table = pa.Table.from_pandas(sets, preserve_index=False).replace_schema_metadata(
+    values = {
+        name: pa.array([getattr(row, name) for row in sets], _ARROW[column.dtype], from_pandas=True)
+        for name, column in COLUMNS.items()
+    }
+    table = pa.table(values).replace_schema_metadata(
         {
             b"table": _NAME,
             _MADE_OF: made_of,

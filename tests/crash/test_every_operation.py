@@ -281,7 +281,7 @@ def test_a_figure_is_there_whole_or_not_at_all(
     again = partial(pfdist.run, small_job.with_changes(CHANGES), run.path, report=False)
     count = layer.run(again)
     whole = hashes(run.path)
-    assert count > 30
+    assert count > 20
     for at in range(0, count, step):
         shutil.rmtree(run.path)
         shutil.copytree(before, run.path)

@@ -362,7 +362,9 @@ def test_other_questions_are_refused(tmp_path: Path) -> None:
     worst = problem("worst", engine="kalman")
     few = ["comparison.draws=48"]
     pfdist.plan(worst, tmp_path / "run", changes=few, bound_draws=0, figures=False)
-    with pytest.raises(JobError, match=r"a mean \(scenarios.criterion\), got the .* worst scenario"):
+    with pytest.raises(
+        JobError, match=r"a mean \(scenarios.criterion\), got the .* worst scenario"
+    ):
         pfdist.why(worst, results=tmp_path / "run", changes=few, figures=False)
 
 
