@@ -109,7 +109,7 @@ class ExplorerSession:
             "run": str(self._source or self.run.path) if self.run else "",
             "times": [float(each) for each in clock.times],
             "labels": [*map(clock.text, clock.times)],
-            "unit": "" if clock.calendar else clock.unit,  # dates have none
+            "unit": "" if clock.has_dates else clock.unit,  # dates have none
             "sensors": self._points.sensors or ("",),
             "forbidden": sets.forbidden,
             "required": sets.required,

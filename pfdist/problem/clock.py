@@ -107,6 +107,11 @@ class Clock:
         return tuple(parts.tolist())
 
     @property
+    def has_dates(self) -> bool:
+        """Whether times are dates; a clock of a table has no instants, but may have dates."""
+        return self.calendar is not None
+
+    @property
     def time_unit(self) -> str:
         """The unit as answers and tables have it: with the start, if there are dates."""
         return str(self.calendar) if self.calendar else self.unit

@@ -103,7 +103,7 @@ class Points(PointNumbers):
             if word and word not in ways:
                 waiting.append(word)
                 continue
-            strange = not clock.calendar and any(each[0].isalpha() for each in waiting)
+            strange = not clock.has_dates and any(each[0].isalpha() for each in waiting)
             if (waiting or word) and (not waiting or word not in ways or strange):
                 raise MeasurementTimesError(
                     f"{name} must name times and then their sensor, as '12 {self.sensors[0]}', got "
@@ -124,7 +124,7 @@ class Points(PointNumbers):
 
     def _words(self, text: str) -> list[str]:
         """Times and sensors; with dates, all words of an entry that are no sensors are one."""
-        if not self.clock.calendar:
+        if not self.clock.has_dates:
             return SEPARATOR.split(text.strip(", "))
         words = list[str]()
         for entry in groups(text):

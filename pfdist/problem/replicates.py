@@ -89,7 +89,7 @@ class Replicate:
             away = [abs(self.clock.times[points.instant(each)] - time) for each in free]
             if not away or min(away) > within + self.clock.slack:
                 name = f" by {model.parts[way].name}" if model.sensors else ""
-                at = self.clock.text(time) if self.clock.calendar else f"{time:.4g}"
+                at = self.clock.text(time) if self.clock.has_dates else f"{time:.4g}"
                 raise MeasurementsError(f"no measurement{name} within {within:.4g} of t = {at}")
             chosen.append(free[int(np.argmin(away))])
         return tuple(sorted(chosen))

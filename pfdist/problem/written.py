@@ -35,7 +35,7 @@ def instants_written(written: Any, clock: Clock, name: str = "measurement_times"
     """
     written = as_text(written)
     if isinstance(written, str):
-        return clock.dated(written, name) if clock.calendar else [
+        return clock.dated(written, name) if clock.has_dates else [
             *_instants_of_text(written, clock, name)
         ]  # fmt: skip
     if isinstance(written, Iterable):

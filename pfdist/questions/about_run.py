@@ -91,7 +91,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "instants", _instants(subject)
     yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
-    dated, unit = bool(subject.clock.calendar), subject.clock.unit
+    dated, unit = subject.clock.has_dates, subject.clock.unit
     for key, name in _TIMES.items():
         if problem.get(key):
             yield name, _spelled(problem[key], unit, dated=dated)

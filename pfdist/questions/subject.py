@@ -203,7 +203,7 @@ class Subject:
     def head_of_times(self) -> str:
         """Head of a column of times."""
         unit = self.clock.unit
-        return "date" if self.clock.calendar else "t" + f", {unit}" * bool(unit)
+        return "date" if self.clock.has_dates else "t" + f", {unit}" * bool(unit)
 
 
 def _typical(component: Component, is_angle: bool, error: float, before: float | None) -> str:

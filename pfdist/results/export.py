@@ -82,7 +82,7 @@ def _rows(run: "Run", measured: Times) -> Rows:
     for place, point in enumerate(measured, 1):
         instant = points.instant(point)
         row: dict[str, Any] = {"measurement": place, "t": unrounded(clock.times[instant])}
-        row |= {"date": clock.time(instant)} if clock.calendar else {}
+        row |= {"date": clock.time(instant)} if clock.has_dates else {}
         rows.append(row | points.columns(point) | windows.get(point, {}))
     return rows
 

@@ -108,8 +108,8 @@ def time_columns(points: Points) -> TimeColumns:
     `pfdist.pages.panel.clock_of_table` reads it.
     """
     clock = points.clock
-    written = points.written_of(range(points.number)) if points.sensors or clock.calendar else ()
-    dates = map(clock.text, clock.times) if clock.calendar else ()
+    written = points.written_of(range(points.number)) if points.sensors or clock.has_dates else ()
+    dates = map(clock.text, clock.times) if clock.has_dates else ()
     return TimeColumns(clock.times, clock.time_unit, tuple(written), tuple(dates), clock.counts)
 
 
