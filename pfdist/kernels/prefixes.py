@@ -45,16 +45,6 @@ class Planned(NamedTuple):
     givers: list[int]  # for each of the U sets, the set that filters its shared prefix; -1 for none
 
 
-class SavedClouds(NamedTuple):
-    """Clouds from which later sets resume."""
-
-    clouds: NDArray[np.float64]  # (slots, n, width(P))
-    errors: NDArray[np.float64]  # (slots,): the sum of errors up to each cloud
-    # (slots, width(P)): the weights that a filter carries; not used by one that carries none
-    weights: NDArray[np.float32]
-    degenerate: NDArray[np.bool_]  # (slots,): whether the draw is degenerate up to each cloud
-
-
 @lru_cache(maxsize=16)
 def plan_prefixes(
     sets: tuple[tuple[int, ...], ...],

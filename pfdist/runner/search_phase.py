@@ -123,12 +123,11 @@ def search_steps(built: Built, search: NamedSearch) -> float:
 
 def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Times]:
     """The best of the evenly spaced sets of this name, by a race on draws of its own."""
-    built, start = session.built, session.reporter.progress.done
-    (first, *others), best = built.study.even_grids[name], None
-    if others:
-        best, *_ = yield from run_phase(_evenly_spaced(built, name), session)
-    session.reporter.note(done=start + even_steps(built, name))
-    return first if best is None else best.measurement_times
+    sets = session.built.study.even_grids[name]
+    if len(sets) == 1:
+        return sets[0]
+    best, *_ = yield from run_phase(_evenly_spaced(session.built, name), session)
+    return best.measurement_times
 
 
 def even_steps(built: Built, name: str) -> float:
@@ -137,10 +136,9 @@ def even_steps(built: Built, name: str) -> float:
 
 
 def _evenly_spaced(built: Built, name: str) -> Phase:
-    job = built.job
-    settings = racing_of(job, _EVEN_DRAWS)
+    settings = racing_of(built.job, _EVEN_DRAWS)
     race = Race(built.study.even_grids[name], settings.draws)
-    return Phase(shortlist_of(name), race, "shortlist", settings, built, job.criterion)
+    return Phase(shortlist_of(name), race, "shortlist", settings, built, built.job.criterion)
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase:
