@@ -25,12 +25,16 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY, RED, set_style
-from pfdist.problem.set_key import EVENLY_SPACED, PLAN, phrase_of
+from pfdist.problem.set_key import KINDS, phrase_of
 from pfdist.results import Run, reaching
 
-_KINDS = (("regular", EVENLY_SPACED), ("found", PLAN))
-_STYLES = {kind: set_style(place) | {"label": label} for place, (kind, label) in enumerate(_KINDS)}
 _BOUND: dict[str, Any] = {"color": "black", "label": "lower bound"}
+
+
+def _styles(table: pd.DataFrame) -> dict[str, Any]:
+    """The style of each kind of sets, with its label; that of the found sets is the last."""
+    kinds = [kind for kind in KINDS if kind in {*table["kind"]}]
+    return {kind: set_style(place) | {"label": KINDS[kind]} for place, kind in enumerate(kinds)}
 
 
 @figure("budget", applies=lambda run: "budget" in run.job)
@@ -68,21 +72,22 @@ def _title(table: pd.DataFrame, target: float | None) -> str:
     if target is not None:
         least = {kind: row["measurements"] for kind, row in reaching(table, target).items()}
         numbers = {kind: "no number of" if n is None else str(n) for kind, n in least.items()}
-        times = "time" if least["found"] == 1 else "times"
+        times, (other, found) = "time" if least["found"] == 1 else "times", _styles(table)
         return (
-            f"An expected MSE of {target:g} takes {numbers['found']} planned {times}, or "
-            f"{numbers['regular']} evenly spaced."
+            f"An expected MSE of {target:g} takes {numbers[found]} planned {times}, or "
+            f"{numbers[other]} {KINDS[other]}."
         )
     errors = table.pivot_table(index="measurements", columns="kind", values="expected_mse")
     both = errors.dropna()
     if both.empty:
         return "No number of measurements has an expected MSE with both kinds of times."
-    lower = 100 * (1 - both["found"] / both["regular"])
+    other, found = _styles(table)
+    lower = 100 * (1 - both[found] / both[other])
     sign, word = (1, "lower") if lower.max() >= 0 else (-1, "higher")
     ends = dict.fromkeys(f"{end:z.0f}" for end in sorted(sign * lower.agg(["min", "max"])))
     return (
         f"With {both.index[0]} to {both.index[-1]} measurements, the expected MSE of the plan is "
-        f"{' to '.join(ends)} % {word} than that of evenly spaced times"
+        f"{' to '.join(ends)} % {word} than that of {KINDS[other]} times"
         f"{', depending on N' * (len(ends) > 1)}."
     )
 
@@ -110,8 +115,8 @@ def budget(
     matplotlib Axes
     """
     table, ax, curves = table_of(table, "table", "sets"), axes_for(ax), []
-    ends = []
-    for kind, style in _STYLES.items():
+    ends, styles = [], _styles(table)
+    for kind, style in styles.items():
         rows = table[table["kind"] == kind]
         mean = rows["expected_mse"].to_numpy()
         errors = np.array([mean - rows["expected_mse_low"], rows["expected_mse_high"] - mean])
@@ -144,7 +149,7 @@ def budget(
 
 def _mark_spared(ax: Axes, table: pd.DataFrame) -> None:
     """Draw an arrow from most evenly spaced times to the fewer planned ones that do as well."""
-    rows = table[table["kind"] == "regular"].sort_values("measurements")
+    rows = table[table["kind"] != "found"].sort_values("measurements")
     number, mse, error = rows[["measurements", "expected_mse", "standard_error"]].iloc[-1]
     least = reaching(table, mse, error)["found"]["measurements"]
     if least is not None and least < number:
@@ -161,7 +166,7 @@ def _mark(ax: Axes, table: pd.DataFrame, target: float) -> None:
     for kind, reached in reaching(table, target).items():
         least, impossible = reached["measurements"], reached.get("impossible")
         if least is not None:
-            _mark_number(ax, least, target, f"{least}", "left", _STYLES[kind]["color"])
+            _mark_number(ax, least, target, f"{least}", "left", _styles(table)[kind]["color"])
         if impossible is not None:
             _mark_number(ax, impossible, target, f"no {impossible}", "right", "black")
 

@@ -16,17 +16,18 @@ from pfdist.errors import MeasurementTimesError
 from pfdist.problem.affordable import nearest
 from pfdist.problem.feasible import Feasible
 
-_ENDS = 7  # first times, and last times: over one step from an end of the horizon
+_ENDS = 7
 _PARTS = (0.75, 0.5, 0.25)  # of the horizon, from its beginning and up to its end
 
 
-def even_grids(feasible: Feasible, *, every: bool = False) -> tuple[Times, ...]:
+def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) -> tuple[Times, ...]:
     """Different evenly spaced sets of as many measurements as the regular times, which come first.
 
     Each is t = first + k * step, moved to the nearest instants, and then, if it is not feasible, to
     the nearest feasible set of instants. A set in which two times would be one instant is left out.
-    With several sensors there are the regular times alone. `every` adds all grids of whole instants
-    with a whole step, which are many if N is small: for errors that take no time.
+    With several sensors there are the regular times alone. `ends` is the number of first times, and
+    that of last times, over one step from an end of the horizon. `every` adds all grids of whole
+    instants with a whole step, which are many if N is small: for errors that take no time.
 
     >>> grids = even_grids(Feasible(horizon=11, measurement_budget=4))
     >>> grids[0], (0, 3, 6, 9) in grids, len(grids)
@@ -39,7 +40,7 @@ def even_grids(feasible: Feasible, *, every: bool = False) -> tuple[Times, ...]:
     found, number = [regular], len(regular)
     grids = [
         tuple(np.abs(instants - np.linspace(*span, number)[:, None]).argmin(axis=1).tolist())
-        for span in _spans(instants, number)
+        for span in _spans(instants, number, ends)
     ]
     if every:
         steps = range(1, feasible.horizon // max(1, number - 1) + 1)
@@ -57,14 +58,14 @@ def even_grids(feasible: Feasible, *, every: bool = False) -> tuple[Times, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _spans(instants: NDArray[np.float64], number: int) -> Iterator[tuple[float, float]]:
+def _spans(instants: NDArray[np.float64], number: int, ends: int) -> Iterator[tuple[float, float]]:
     """The first time and the last of each grid; a single time is anywhere in the horizon."""
     begin, end = float(instants[0]), float(instants[-1])
     if number == 1:
-        yield from ((time, time) for time in np.linspace(begin, end, _ENDS).tolist())
+        yield from ((time, time) for time in np.linspace(begin, end, ends).tolist())
         return
-    ends = np.linspace(0.0, (end - begin) / (number - 1), _ENDS).tolist()
-    yield from ((begin + a, end - b) for a in ends for b in ends if begin + a < end - b)
+    inside = np.linspace(0.0, (end - begin) / (number - 1), ends).tolist()
+    yield from ((begin + a, end - b) for a in inside for b in inside if begin + a < end - b)
     for part in _PARTS:
         length = part * (end - begin)
         yield from ((begin, begin + length), (end - length, end))

@@ -196,7 +196,7 @@ class Comparison(JobSection):
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     until: Until = Until()
-    reference: str | MomentsAndRanges = REGULAR
+    reference: str | MomentsAndRanges = EVENLY_SPACED
     sets: Annotated[dict[_SetName, _SetTimes], Field(max_length=MOST_SETS)] | None = None
     control: bool | None = None
 

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from pfdist.common.measurement_times import EVEN, REGULAR
-from pfdist.problem.sections import DEFAULT_METHOD, REFERENCE
+from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED, REFERENCE
 
-PLAN, EVENLY_SPACED = "plan", "evenly spaced"
-"""Labels of the set that a search found, and of the best evenly spaced and the regular times."""
+PLAN = "plan"
+"""Label of the set that a search found."""
+KINDS = {EVEN: EVENLY_SPACED, REGULAR: REGULAR, "found": PLAN}
+"""Labels of the sets of a budget, by their kind."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +50,15 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     The set of a single search is the plan. Sets of several searches keep their names.
 
     >>> job = {"search": [{"name": "genetic"}]}
-    >>> labels_of_sets(["regular", "genetic", "mine"], job)
-    {'regular': 'evenly spaced', 'genetic': 'plan', 'mine': 'mine'}
-    >>> labels_of_sets(["regular_05", "genetic_05"], {**job, "budget": {}})
-    {'regular_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
+    >>> labels_of_sets(["evenly_spaced", "genetic", "mine"], job)
+    {'evenly_spaced': 'evenly spaced', 'genetic': 'plan', 'mine': 'mine'}
+    >>> labels_of_sets(["evenly_spaced_05", "genetic_05"], {**job, "budget": {}})
+    {'evenly_spaced_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
     """
     keys = {column: set_key_of(column, job) for column in columns}
     # A comparison has no search of its own, but sets of runs.
-    origins = {key.origin for key in keys.values()}
     searches = [search["name"] for search in job.get("search", ())] or [DEFAULT_METHOD]
-    labels = {EVEN: EVENLY_SPACED, REGULAR: REGULAR if EVEN in origins else EVENLY_SPACED}
+    labels = {EVEN: EVENLY_SPACED}
     if len(searches) == 1 and PLAN not in keys:
         labels[searches[0]] = PLAN
     return {column: _label(labels.get(key.origin, key.origin), key) for column, key in keys.items()}
@@ -69,7 +70,7 @@ def phrase_of(label: str) -> str:
     >>> phrase_of("plan"), phrase_of("5 evenly spaced"), phrase_of("mine")
     ('the plan', '5 evenly spaced times', 'the set mine')
     """
-    if label.endswith(EVENLY_SPACED):
+    if label.endswith((EVENLY_SPACED, REGULAR)):
         return f"{label} times"
     is_title = label.partition(" of ")[0] in (PLAN, REFERENCE)
     return f"the {label}" if is_title else f"the set {label}"
@@ -79,7 +80,7 @@ def _label(origin: str, key: SetKey) -> str:
     if not key.number:
         return origin
     number = key.number.lstrip("0")
-    return f"{number} {origin}" if origin == EVENLY_SPACED else f"{origin} of {number}"
+    return f"{number} {origin}" if origin in (EVENLY_SPACED, REGULAR) else f"{origin} of {number}"
 
 
 def set_key_of(column: str, job: Mapping[str, Any]) -> SetKey:

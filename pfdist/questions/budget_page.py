@@ -6,23 +6,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_FLOOR, Decimal
 from typing import Any
 
-from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.common.rounding import with_interval
-from pfdist.problem.set_key import EVENLY_SPACED, PLAN, phrase_of
+from pfdist.problem.set_key import KINDS, phrase_of
 from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of_times
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row
 
-_KINDS = {REGULAR: EVENLY_SPACED, FOUND: PLAN}
 _ERROR = COLUMNS["expected_mse"]
-_HEAD = ("N", *_KINDS.values(), "as good, evenly spaced", "lower bound (95 % limit)")
 _BOUND = (
     "No times of the same number have a lower expected MSE than the lower bound, with any filter "
     "of the same model. A number is undecided if its plan does not reach the error, but other "
-    "times might. A plan is as good as the numbers of evenly spaced measurements whose error on "
-    "the same draws does not differ clearly (95 %)."
+    "times might. Evenly spaced measurements are as good if their error on the same draws lies at "
+    "most 2 % above that of the plan (95 %)."
 )
 
 
@@ -31,11 +28,13 @@ def budget_section(subject: Subject) -> Section | None:
     if not subject.is_compared:
         return None
     rows = [*subject.rows.values()]
+    other = KINDS[subject.reference_row.kind]
+    head = ("N", other, KINDS[FOUND], f"as good, {other}", "lower bound (95 % limit)")
     blocks: list[Block] = [
         *_answer(subject),
         *_target(subject),
         Figures(["budget"]),
-        Table("Expected MSE ± standard error", _HEAD, _cells(rows)),
+        Table("Expected MSE ± standard error", head, _cells(rows)),
         *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
         *_worse(rows),
         *_estimated([row for row in rows if row.kind == FOUND]),
@@ -47,8 +46,9 @@ def budget_section(subject: Subject) -> Section | None:
 
 def _answer(subject: Subject) -> list[Text]:
     """How many chosen measurements do as well as the largest number of evenly spaced ones."""
-    regular = [row for row in subject.rows.values() if row.kind == REGULAR]
-    most = max(regular, key=lambda row: int(row.measurements))
+    kind = subject.reference_row.kind
+    others = [row for row in subject.rows.values() if row.kind == kind]
+    most = max(others, key=lambda row: int(row.measurements))
     if most.expected_mse is None or math.isinf(most.expected_mse):
         return []
     reached = subject.reaching(most.expected_mse, most.standard_error)["found"]
@@ -58,12 +58,12 @@ def _answer(subject: Subject) -> list[Text]:
     if number < most.measurements:
         chosen = number_of(number, "chosen measurement")
         do = "does" if number == 1 else "do"
-        text = f"{chosen} {do} at least as well as {most.measurements} evenly spaced ones"
+        text = f"{chosen} {do} at least as well as {most.measurements} {KINDS[kind]} ones"
         text += f"{_of_number(subject, number)}."
     else:
         text = (
             "No plan of fewer measurements that was tried does as well as "
-            f"{most.measurements} evenly spaced ones."
+            f"{most.measurements} {KINDS[kind]} ones."
         )
         if more := _with_more_particles(subject, FOUND, reached):
             text += f" {more[0].upper()}{more[1:]}."
@@ -82,7 +82,7 @@ def _target(subject: Subject) -> Iterator[Text]:
     if subject.target is None:
         return
     reaching = subject.reaching(subject.target)
-    for kind in (FOUND, REGULAR):
+    for kind in (FOUND, subject.reference_row.kind):
         reached = reaching[kind]
         number, impossible = reached["measurements"], reached.get("impossible")
         where = _of_number(subject, number) if number and kind == FOUND else ""
@@ -104,7 +104,7 @@ def _of_number(subject: Subject, number: int) -> str:
 
 
 def _reached(kind: str, reached: Mapping[str, Any], target: float, where: str) -> str:
-    number, tried = reached["measurements"], "evenly spaced " * (kind == REGULAR)
+    number, tried = reached["measurements"], f"{KINDS[kind]} " * (kind != FOUND)
     low, high = ("more" if bound is None else str(bound) for bound in reached["interval"])
     if number is None:
         text = f"None of these numbers of {tried}measurements reaches an MSE of {target:g}"
@@ -151,26 +151,24 @@ def _untried(subject: Subject, number: int) -> str:
 
 
 def _cells(rows: Sequence[Row]) -> list[list[Cell]]:
-    numbers = defaultdict[int, dict[str, Any]](dict)
+    numbers = defaultdict[int, dict[bool, Any]](dict)
     for row in rows:
-        numbers[row.measurements][row.kind] = row
+        numbers[row.measurements][row.kind == FOUND] = row
     return [
         [
             Cell(str(number), number),
-            *(_ERROR.cell(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS),
-            _as_good(kinds[FOUND]) if FOUND in kinds else Cell(""),
-            _bound(kinds[FOUND]) if FOUND in kinds else Cell(""),
+            *(_ERROR.cell(sets[each]) if each in sets else Cell("") for each in (False, True)),
+            _as_good(sets[True]) if True in sets else Cell(""),
+            _bound(sets[True]) if True in sets else Cell(""),
         ]
-        for number, kinds in sorted(numbers.items())
+        for number, sets in sorted(numbers.items())
     ]
 
 
 def _as_good(row: Row) -> Cell:
-    """The numbers of evenly spaced measurements that do as well."""
-    numbers = row.evenly_spaced or []
-    if row.evenly_spaced_between:
-        return Cell(f"above {numbers[0]}", numbers[0])
-    return Cell(ranges_of_times(numbers) or "above all", (numbers or [math.inf])[0])
+    """The least number of evenly spaced measurements that do as well."""
+    number = row.evenly_spaced
+    return Cell("above all", math.inf) if number is None else Cell(str(number), number)
 
 
 def _bound(row: Row) -> Cell:
@@ -185,7 +183,7 @@ def _bound(row: Row) -> Cell:
 
 def _worse(rows: Sequence[Row]) -> Iterator[Text]:
     """Name the numbers of measurements that are worse than a smaller number."""
-    for kind, label in _KINDS.items():
+    for kind in dict.fromkeys(row.kind for row in rows):
         worse = [
             f"{row.measurements} than {row.worse_than}"
             for row in rows
@@ -193,7 +191,7 @@ def _worse(rows: Sequence[Row]) -> Iterator[Text]:
         ]
         if worse:
             yield Text(
-                f"More measurements are worse, {label} (95 % for all pairs together): "
+                f"More measurements are worse, {KINDS[kind]} (95 % for all pairs together): "
                 f"{', '.join(worse)}."
             )
 

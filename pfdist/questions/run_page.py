@@ -209,7 +209,9 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
 def _gain(subject: Subject, row: Row) -> str:
     reference = subject.reference_row
     if row.measurement_times == reference.measurement_times:
-        return f"The search found no better times than {subject.reference}."
+        times = subject.clock.listed(row.measurement_times)
+        phrase = phrase_of(reference.label)
+        return f"{phrase[0].upper()}{phrase[1:]} are as good: t = {times}."
     if row.gain_of_means is None or math.isinf(row.gain_of_means) or not row.gain_draws:
         return "The gain is not known, because errors are 0, infinite or unknown."
     interval = row.gain_of_means_low, row.gain_of_means_high
@@ -223,8 +225,7 @@ def _gain(subject: Subject, row: Row) -> str:
 
 def _as_good(subject: Subject, row: Row) -> str:
     """How many evenly spaced measurements do as well, by a quick estimate."""
-    numbers, is_between = row.evenly_spaced, row.evenly_spaced_between
-    if not numbers or (row.measurements in numbers and not is_between):
+    if not row.evenly_spaced or row.evenly_spaced == row.measurements:
         return ""
     draws = int(subject.run.table("evenly_spaced")["draws"].max())
     estimated = f" (quick estimate on {draws:,} of these draws)" if draws else " (exact)"

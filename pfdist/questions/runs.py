@@ -12,11 +12,11 @@ from pfdist.common.formatted_sizes import (
     formatted_seconds,
     formatted_size,
 )
-from pfdist.common.measurement_times import REGULAR
+from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.parts import Cell, Page, Section, Table, Text, without_column
 from pfdist.common.rounding import with_interval
 from pfdist.errors import one_line
-from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
+from pfdist.problem.set_key import labels_of_sets, phrase_of
 from pfdist.problem.sweep import parts_that_pay
 from pfdist.questions.list_runs import FINISHED
 from pfdist.results.runs_table import (
@@ -47,8 +47,8 @@ def table_page(frame: pd.DataFrame) -> Page:
     if len(set(frame["set"])) == 1:
         table = without_column(table, "set")
     references = sorted(set(frame["reference"].dropna().astype(str)))
-    regular = references == [REGULAR]
-    other = phrase_of(EVENLY_SPACED) if regular else "the reference"
+    labels = labels_of_sets(references, {})
+    other = phrase_of(*labels.values()) if references in ([EVEN], [REGULAR]) else "the reference"
     gain = Text(f"The gain is how far the expected MSE lies below that of {other} (95 % CI).")
     return Page("", "", [Section("", [table, *([gain] if references else [])])])
 

@@ -4,19 +4,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
 from pfdist.common.component_names import Component, named_components
-from pfdist.common.measurement_times import EVEN
+from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
-from pfdist.common.rounding import rounded, unrounded, with_error, with_interval
+from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.clock import Clock
-from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
+from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
@@ -25,7 +24,6 @@ from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import (
     angles_of,
     criterion_of,
-    measured_of,
     problem_of,
     provenance_of,
     unproved,
@@ -146,28 +144,14 @@ class Subject:
 
     @property
     def reference(self) -> str:
-        """The reference as sentences call it: ``evenly spaced times (every 3 instants)``."""
-        row, every, problem = self.reference_row, self._step_of_reference, problem_of(self.run)
-        phrase, times = phrase_of(row.label), measured_of(self.run)[row.name]
-        if row.name == EVEN:
-            written = [self.clock.text(each) for each in problem.points.written_of(times)]
-            listed = [*written[:3], "...", written[-1]] if len(written) > _LISTED else written
-            return f"the best {phrase} (t = {', '.join(listed)})"
-        is_moved = row.label == EVENLY_SPACED and not problem.feasible.is_regular(times)
-        how = "moved to allowed instants" if is_moved else every
-        return f"{phrase} ({how})" if how else phrase
-
-    @property
-    def _step_of_reference(self) -> str:
-        """The distance of the times of the reference in words; empty unless all are equal."""
-        (name, times), *others = self.clock.by_sensor(self.reference_row.measurement_times).items()
-        steps = {unrounded(later - earlier) for earlier, later in pairwise(times)}
-        if len(steps) != 1 or others:
-            return ""
-        step, sensor = steps.pop(), f" by {name}" * bool(name)
-        if problem_of(self.run).has_clock:
-            return f"every {step} {self.clock.unit}".rstrip() + sensor
-        return ("every instant" if step == "1" else f"every {step} instants") + sensor
+        """The reference as sentences call it: ``regular times (t = 0, 3, 6, ..., 60)``."""
+        row = self.reference_row
+        if row.name not in (EVEN, REGULAR):
+            return phrase_of(row.label)
+        written = [self.clock.text(each) for each in row.measurement_times]
+        listed = [*written[:3], "...", written[-1]] if len(written) > _LISTED else written
+        best = "the best " * (row.name == EVEN)
+        return f"{best}{phrase_of(row.label)} (t = {', '.join(listed)})"
 
     @cached_property
     def quantities(self) -> tuple[Component, ...]:
@@ -276,12 +260,12 @@ def effect(
 
 
 def as_good_text(row: Row) -> str:
-    """How many evenly spaced measurements do as well as a set, or between which two it lies."""
-    numbers = row.evenly_spaced
-    if row.evenly_spaced_between:
-        worse, better = numbers
-        return f"{number_of(worse, 'evenly spaced measurement')} do worse, and {better} do better"
-    return f"{ranges_of_times(numbers)} evenly spaced measurements do as well"
+    """How many evenly spaced measurements do as well as a set, with at most 2 % more error."""
+    undecided, worse = row.evenly_spaced_undecided, row.evenly_spaced_worse
+    others = [f"{ranges_of_times(undecided)} may"] * bool(undecided)
+    others += [f"{ranges_of_times(worse)} do worse"] * bool(worse)
+    said = f"{number_of(row.evenly_spaced, 'evenly spaced measurement')} do as well"
+    return f"{said} ({', '.join(others)})" if others else said
 
 
 def ranges_of_times(numbers: Sequence[int]) -> str:

@@ -199,13 +199,17 @@ _DECLARED = [
         "radians; missing where errors are scaled, or the model has its own error",
     ),
     Column(
-        name="evenly_spaced", dtype="object",
-        meaning="numbers of evenly spaced measurements whose error on the same draws does not "
-        "differ clearly (95 %) from that of the set, or between which it lies",
+        name="evenly_spaced", dtype="Int64",
+        meaning="least number of evenly spaced measurements that do as well: on the same draws the "
+        "95 % interval of the paired difference ends at most 2 % above the set's error",
     ),
     Column(
-        name="evenly_spaced_between", dtype="object",
-        meaning="whether the error lies between those of the two numbers",
+        name="evenly_spaced_undecided", dtype="object",
+        meaning="smaller numbers of which this is undecided",
+    ),
+    Column(
+        name="evenly_spaced_worse", dtype="object",
+        meaning="larger numbers that do worse: their interval begins more than 2 % above",
     ),
     Column(name="gain_draws", dtype="Int64", meaning="draws whose relative gain is a number"),
     Column(

@@ -3,86 +3,94 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from pfdist.common.estimate import Estimate
-from pfdist.common.measurement_times import REGULAR
-from pfdist.problem.set_key import set_key_of
+from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.results.moments import Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, blocks_of, exact_errors
+
+AS_WELL = 0.02
+"""Evenly spaced times whose error lies this share above that of other times do as well."""
 
 Differences = Mapping[int, Estimate]
 """Expected MSE of evenly spaced times, less that of other times, by the number of the former."""
 
 
-def sign_of(difference: Estimate) -> int:
-    """1 if evenly spaced times are clearly worse, -1 if they are clearly better, else 0.
+def sign_of(difference: Estimate, error: float, confidence: float = CONFIDENCE) -> int:
+    """1 if evenly spaced times do worse, -1 if they do as well, 0 if this is undecided.
 
-    The 95 % interval is that of a paired difference; an exact difference has no interval.
+    They do as well if the interval of the paired difference ends at most 2 % of the other error
+    above it, and worse if it begins further above. An exact difference has no interval.
 
-    >>> sign_of(Estimate(2.0, 0.5)), sign_of(Estimate(2.0, 1.5)), sign_of(Estimate(-0.1))
-    (1, 0, -1)
+    >>> sign_of(Estimate(5.0, 1.0), 100.0), sign_of(Estimate(0.5, 0.5), 100.0)
+    (1, -1)
+    >>> sign_of(Estimate(1.0, 1.0), 100.0), sign_of(Estimate(2.0), 100.0)
+    (0, -1)
     """
-    low, high = difference.interval()
-    return int(low > 0.0) - int(high < 0.0)
+    low, high = difference.interval(confidence)
+    return int(low > AS_WELL * error) - int(high <= AS_WELL * error)
 
 
-def doing_as_well(differences: Differences) -> tuple[list[int], bool]:
-    """The numbers of evenly spaced measurements that do as well as other times.
+def doing_as_well(differences: Differences, error: float) -> dict[str, Any]:
+    """The columns ``evenly_spaced``, of numbers of evenly spaced measurements.
 
-    Returns
-    -------
-    (list of int, bool)
-        The numbers whose error does not differ clearly, and False. If there are none, the two
-        numbers between which the error lies, and True; or an empty list if no number reaches it.
+    Parameters
+    ----------
+    differences : mapping of int to Estimate
+    error : float
+        The expected MSE of the other times.
 
     Examples
     --------
-    >>> doing_as_well({36: Estimate(0.9, 0.1), 37: Estimate(0.0, 0.1), 38: Estimate(-0.3, 0.1)})
-    ([37], False)
-    >>> doing_as_well({36: Estimate(0.9, 0.1), 37: Estimate(-0.9, 0.1)})
-    ([36, 37], True)
+    >>> differences = {36: Estimate(0.9), 37: Estimate(0.2, 0.1), 38: Estimate(-0.3, 0.1)}
+    >>> doing_as_well({**differences, 40: Estimate(0.8, 0.1)}, 10.0)
+    {'evenly_spaced': 38, 'evenly_spaced_undecided': [37], 'evenly_spaced_worse': [40]}
     """
-    signs = {number: sign_of(each) for number, each in sorted(differences.items())}
-    if as_good := [number for number, sign in signs.items() if sign == 0]:
-        return as_good, False
-    better = min((number for number, sign in signs.items() if sign < 0), default=0)
-    worse = max((number for number in signs if number < better), default=0)
-    return ([worse, better], True) if worse else ([], False)
+    signs = {number: sign_of(each, error) for number, each in sorted(differences.items())}
+    first = min((number for number, sign in signs.items() if sign < 0), default=None)
+    undecided = [number for number, sign in signs.items() if first and number < first and not sign]
+    worse = [number for number, sign in signs.items() if first and number > first and sign > 0]
+    return {
+        "evenly_spaced": first,
+        "evenly_spaced_undecided": undecided,
+        "evenly_spaced_worse": worse,
+    }
 
 
-def columns_of_even_times(run: StoredRun, names: Iterable[str]) -> dict[str, dict[str, Any]]:
+def columns_of_even_times(run: StoredRun, errors: Mapping[str, float]) -> dict[str, dict[str, Any]]:
     """The columns about evenly spaced times, by the name of the set, if there are any.
 
-    In a run of several numbers of measurements, each found set is compared with all regular times.
-    Otherwise the only found set is compared with those in the table ``evenly_spaced``.
+    In a run of several numbers of measurements, each found set is compared with the references of
+    all larger numbers. Otherwise the only found set is compared with those in the table
+    ``evenly_spaced``.
+
+    Parameters
+    ----------
+    run : StoredRun
+    errors : mapping of str to float
+        The expected MSE of each found set.
     """
-    each: Mapping[str, Differences] = {}
     if "budget" in run.job:
-        each = _on_the_curve(run)
-    elif "evenly_spaced" in run.tables and (found := [*names]):
-        rows = run.table("evenly_spaced").set_index("measurements")
-        errors = zip(rows["difference"], rows["difference_error"], strict=True)
-        each = {found[0]: dict(zip(rows.index, (Estimate(*own) for own in errors), strict=True))}
-    columns = dict[str, dict[str, Any]]()
-    for name, differences in each.items():
-        numbers, is_between = doing_as_well(differences)
-        columns[name] = {"evenly_spaced": numbers, "evenly_spaced_between": is_between}
-    return columns
+        on_the_curve = _on_the_curve(run)
+        return {name: doing_as_well(on_the_curve[name], error) for name, error in errors.items()}
+    rows = run.table("evenly_spaced") if "evenly_spaced" in run.tables else None
+    if rows is None or "plan_mse" not in rows or not errors:  # of an older version
+        return {}
+    each = zip(rows["difference"], rows["difference_error"], strict=True)
+    differences = dict(zip(rows["measurements"], (Estimate(*own) for own in each), strict=True))
+    return {next(iter(errors)): doing_as_well(differences, float(rows["plan_mse"].iloc[0]))}
 
 
 def _on_the_curve(run: StoredRun) -> Mapping[str, Differences]:
-    """The differences of each found set from the regular times of as many or more measurements."""
+    """The differences of each found set from the references of as many or more measurements."""
     numbers = {name: len(times) for name, times in run.sets.items()}
-    regular = [name for name in run.names if set_key_of(name, run.job).origin == REGULAR]
     pairs = {
         (name, other): Moments()
-        for name in run.names
-        if name not in regular
-        for other in regular
+        for name in run.references
+        for other in dict.fromkeys(run.references.values())
         if numbers[other] >= numbers[name]
     }
     exact, found = exact_errors(run), defaultdict[str, dict[int, Estimate]](dict)

@@ -184,9 +184,8 @@ def _add_results(run: StoredRun, rows: dict[str, Row], statistics: ComparisonSta
             gain = relative_gain(*(np.array(each.expected_mse) for each in (row, of_reference)))
             row.add(_exact("gain_of_means", float(gain)))
     rows[run.names[0]].add(_gain_over_itself(run))
-    for name, columns in columns_of_even_times(
-        run, [name for name, row in rows.items() if row.kind == FOUND]
-    ).items():
+    found = {name: row.expected_mse for name, row in rows.items() if row.kind == FOUND}
+    for name, columns in columns_of_even_times(run, found).items():
         rows[name].add(columns)
     _add_typical_errors(run, rows)
     _add_search_errors(run, rows)

@@ -1,15 +1,17 @@
-"""The number of evenly spaced measurements with the plan's error: a quick estimate."""
+"""How many evenly spaced measurements do as well as the plan: a quick estimate."""
 
-import math
 from collections.abc import Generator
 from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
-from pfdist.common.estimate import Estimate
+from pfdist.common.estimate import CONFIDENCE, Estimate
+from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import FilterWork, Result
+from pfdist.problem.even_grids import even_grids
 from pfdist.results import Run
 from pfdist.results.evenly_spaced import sign_of
 from pfdist.results.moments import controlled_mse
@@ -19,102 +21,124 @@ from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.store import EVEN_PHASE, schema
 
 DRAWS = 1000  # at most: the first of the comparison
-_MOST = 24  # numbers that are tried
+_FEW = 250  # decide, if the difference is so clear
+_CLEAR = 0.999
+_LOOK = 24  # draws of their own that choose the times of each number
+_ENDS = 3
+_MOST = 24  # numbers that are judged
 
 
 def is_known(built: Built) -> bool:
     """Whether a run has a single plan, and any number of its measurements can be evenly spaced."""
     problem, is_alone = built.job.problem, len(built.searches) == 1 and built.job.budget is None
-    is_alone = is_alone and not built.job.comparison.is_even  # other numbers are regular times
     is_free = problem.feasible.counted and not problem.is_constrained
     return is_alone and is_free and problem.points.ways == 1 and built.job.criterion.additive
 
 
 def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch, None, None]:
-    """Find the numbers with about the error of the plan, and write the table ``evenly_spaced``.
+    """Judge evenly spaced times of N and more measurements, and write the table ``evenly_spaced``.
 
-    Bisection finds the number at which the error crosses that of the plan, as if the error fell
-    with each measurement. From there, numbers on both sides are tried until one differs clearly.
-    Each set has independent filter noise. Nothing is written if too many numbers do not differ.
+    A look on draws of its own chooses the times of each number; regular times, if the job compares
+    with these, are not chosen. On the draws of the comparison, each number is judged from N upwards
+    until one does as well as the plan; of the larger ones, those that the look finds clearly worse.
+    Each set has independent filter noise. If errors are exact, all numbers are judged.
     """
-    built = session.built
-    tried = _Tried(session, run, measured_of(run)[built.searches[0].name])
-    worse, better = 0, built.feasible.horizon + 1  # no measurement, and one at every instant
-    number = built.feasible.measurements
+    built, name = session.built, session.built.searches[0].name
+    measured, feasible = measured_of(run), built.feasible
+    plan = measured[name]
     session.reporter.begin("evenly spaced times")
-    while better - worse > 1:
-        difference = yield from tried.difference(number)
-        worse, better = (number, better) if difference.value > 0.0 else (worse, number)
-        number = (worse + better) // 2
-    for first, step in ((worse, -1), (better, 1)):
-        number = first
-        while 0 < number <= built.feasible.horizon + 1:
-            difference = yield from tried.difference(number)
-            if sign_of(difference):
-                break
-            if len(tried) >= _MOST or not math.isfinite(difference.value):
-                return
-            number += step
-    session.store.renew("evenly_spaced", EVEN_PHASE, tried.rows())
-
-
-class _Tried:
-    """The evenly spaced times that were tried, and how far their error lies above the plan's."""
-
-    def __init__(self, session: RunSession, run: Run, plan: tuple[int, ...]) -> None:
-        self._session, self._plan = session, plan
-        self._draws = min(DRAWS, run.draws_compared)
-        self._name = session.built.searches[0].name
-        self._differences = dict[int, Estimate]()
-        self._is_exact = session.built.evaluator.expected_mse([plan]) is not None
-        self._errors = controlled_mse(run.table("comparison", self._draws), self._name)
-
-    def __len__(self) -> int:
-        return len(self._differences)
-
-    def difference(self, number: int) -> Generator[WorkBatch, None, Estimate]:
-        """The expected MSE of so many evenly spaced measurements, less that of the plan."""
-        if number not in self._differences:
-            self._differences[number] = yield from self._computed(number)
-        return self._differences[number]
-
-    def rows(self) -> pa.Table:
-        """Rows of the table ``evenly_spaced``."""
-        rows = [
+    grids = {number: _grids(built, number)
+             for number in range(feasible.measurements, feasible.horizon + 2)}  # fmt: skip
+    if (reference := run.references[name]) in (EVEN, REGULAR):
+        grids[feasible.measurements] = (measured[reference],)
+    every = [times for candidates in grids.values() for times in candidates]
+    error = controlled_mse(run.table("comparison", DRAWS), name)
+    exact = built.evaluator.expected_mse([plan, *every])
+    if exact is None:
+        mean = float(np.nanmean(error))
+        looked = yield from _look(session, plan, every)
+    else:
+        mean = float(exact[0])
+        looked = dict(zip(every, map(Estimate, (exact[1:] - mean).tolist()), strict=True))
+    rows, is_found = [], False
+    for number, candidates in grids.items():
+        times = min(candidates, key=lambda each: looked[each].value)
+        difference = looked[times]
+        if exact is None:
+            if is_found and sign_of(difference, mean) <= 0:
+                continue
+            difference = yield from _judged(session, times, error, mean)
+        rows.append(
             {
                 "measurements": number,
-                "measurement_times": self._times(number),
-                "draws": 0 if self._is_exact else self._draws,
+                "measurement_times": times,
+                "draws": 0 if exact is not None else int(difference.degrees) + 1,
                 "difference": difference.value,
                 "difference_error": difference.standard_error,
+                "plan_mse": mean,
             }
-            for number, difference in sorted(self._differences.items())
-        ]
-        return pa.Table.from_pylist(rows, schema=schema("evenly_spaced"))
-
-    def _times(self, number: int) -> tuple[int, ...]:
-        return self._session.built.job.feasible(number).regular()
-
-    def _computed(self, number: int) -> Generator[WorkBatch, None, Estimate]:
-        built, times = self._session.built, self._times(number)
-        exact = built.evaluator.expected_mse([times, self._plan])
-        if exact is not None:
-            return Estimate(float(exact[0] - exact[1]))
-        seed, purpose = built.job.seed, built.study.purpose
-        work = built.evaluator.work(
-            [times],
-            stream_of(purpose, seed, "filter", f"evenly spaced {number}"),
-            stream_of(purpose, seed, "draws"),
-            (0, self._draws),
-            built.comparing,
         )
-        even = np.empty(self._draws)
+        is_found = is_found or sign_of(difference, mean) < 0
+        if len(rows) == _MOST and exact is None:
+            break
+    table = pa.Table.from_pylist(rows, schema=schema("evenly_spaced"))
+    session.store.renew("evenly_spaced", EVEN_PHASE, table)
 
-        def learn(piece: FilterWork, result: Result) -> None:
-            errors = result.mse - result.control if piece.controlled else result.mse
-            even[slice(*piece.draws)] = errors[:, 0]
 
-        works = [replace(work, controlled=bool(built.job.comparison.control))]
-        yield WorkBatch(self._session, EVEN_PHASE, works, None, learn)
-        difference = even - self._errors
-        return Estimate.of_mean(difference[~np.isnan(difference)])
+def _grids(built: Built, number: int) -> tuple[Times, ...]:
+    feasible = built.job.feasible(number)
+    if not built.job.comparison.is_even:
+        return (feasible.regular(),)
+    return even_grids(feasible, ends=_ENDS, every=built.evaluator.exact)
+
+
+def _look(
+    session: RunSession, plan: Times, sets: list[Times]
+) -> Generator[WorkBatch, None, dict[Times, Estimate]]:
+    """How far the error of each set lies above the plan's, on a few draws of their own."""
+    built = session.built
+    errors = np.empty((_LOOK, 1 + len(sets)))
+
+    def learn(piece: FilterWork, result: Result) -> None:
+        errors[slice(*piece.draws)] = result.mse
+
+    work = built.evaluator.work(
+        [plan, *sets],
+        stream_of("shortlist", built.job.seed, "numbers", "filter"),
+        stream_of("shortlist", built.job.seed, "numbers", "draws"),
+        (0, _LOOK),
+        built.comparing,
+    )
+    yield WorkBatch(session, EVEN_PHASE, [work], None, learn)
+    differences = (errors[:, 1:] - errors[:, :1]).T
+    return dict(zip(sets, map(Estimate.of_mean, differences), strict=True))
+
+
+def _judged(
+    session: RunSession, times: Times, plan: NDArray[np.float64], mean: float
+) -> Generator[WorkBatch, None, Estimate]:
+    """How far the error of a set lies above the plan's, on the first draws of the comparison."""
+    built, draws = session.built, min(DRAWS, len(plan))
+    seed, purpose = built.job.seed, built.study.purpose
+    even = np.empty(draws)
+
+    def learn(piece: FilterWork, result: Result) -> None:
+        errors = result.mse - result.control if piece.controlled else result.mse
+        even[slice(*piece.draws)] = errors[:, 0]
+
+    work = built.evaluator.work(
+        [times],
+        stream_of(purpose, seed, "filter", f"evenly spaced {len(times)}"),
+        stream_of(purpose, seed, "draws"),
+        (0, draws),
+        built.comparing,
+    )
+    work = replace(work, controlled=bool(built.job.comparison.control))
+    first = 0
+    for last, confidence in ((min(_FEW, draws), _CLEAR), (draws, CONFIDENCE)):
+        yield WorkBatch(session, EVEN_PHASE, [replace(work, draws=(first, last))], None, learn)
+        apart = even[:last] - plan[:last]
+        difference, first = Estimate.of_mean(apart[~np.isnan(apart)]), last
+        if first == draws or sign_of(difference, mean, confidence):
+            break
+    return difference

@@ -205,6 +205,7 @@ _SCHEMAS = {
         _TIMES,
         _column("draws", pa.int64(), "", "the first draws of the comparison; 0: exact"),
         *_estimate("difference", "expected MSE less that of the plan, on the same draws"),
+        _column("plan_mse", pa.float64(), _MSE, "expected MSE of the plan, on the same draws"),
     ],
     "profile": [
         *_OF_A_SET,

@@ -263,7 +263,7 @@ def test_any_set_may_be_the_reference_in_any_order(write):
     given = load_job(write(), ["comparison.reference=[0, 3, 6]"])
     assert in_file.comparison.reference == given.comparison.reference == (0, 3, 6)
     assert in_file.identity() == given.identity() != load_job(write()).identity()
-    assert load_job(write()).comparison.reference_name == "regular"
+    assert load_job(write()).comparison.reference_name == "evenly_spaced"
     assert given.comparison.reference_name == "reference"
 
 

@@ -149,7 +149,7 @@ def test_a_line_says_that_there_are_too_few_draws_for_a_gain(
     monkeypatch.setattr("pfdist.results.sets.summary_of", lambda run: None)
     text = " ".join(str(answer_of(run)).split())
     assert "The gain is not known" in text
-    assert "evenly spaced: The mean of mse - control is not above 0" in text
+    assert "regular: The mean of mse - control is not above 0" in text
     assert " than with " not in text
     assert run.table("sets")["gain_of_means"].isna().all()
     assert Moments.of_values(MSE[:, 0]).mean > 0
