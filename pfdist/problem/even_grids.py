@@ -16,7 +16,9 @@ from pfdist.errors import MeasurementTimesError
 from pfdist.problem.affordable import nearest
 from pfdist.problem.feasible import Feasible
 
-_ENDS = 7
+_ENDS, _PLACES = 7, 4
+_STEPS = 24  # at most
+_MOST = 10_000  # grids of whole steps, about twice
 _PARTS = (0.75, 0.5, 0.25)  # of the horizon, from its beginning and up to its end
 
 
@@ -26,12 +28,13 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
     Each is t = first + k * step, moved to the nearest instants, and then, if it is not feasible, to
     the nearest feasible set of instants. A set in which two times would be one instant is left out.
     With several sensors there are the regular times alone. `ends` is the number of first times, and
-    that of last times, over one step from an end of the horizon. `every` adds all grids of whole
-    instants with a whole step, which are many if N is small: for errors that take no time.
+    that of last times, over one step from an end of the horizon. Of whole steps, which few
+    measurements of an oscillation may need, there are at least four places, and all if `every` and they are not too
+    many.
 
     >>> grids = even_grids(Feasible(horizon=11, measurement_budget=4))
     >>> grids[0], (0, 3, 6, 9) in grids, len(grids)
-    ((0, 4, 7, 11), True, 38)
+    ((0, 4, 7, 11), True, 41)
     """
     regular = feasible.regular()
     if feasible.points.ways > 1:
@@ -42,19 +45,20 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
         tuple(np.abs(instants - np.linspace(*span, number)[:, None]).argmin(axis=1).tolist())
         for span in _spans(instants, number, ends)
     ]
-    if every:
-        steps = range(1, feasible.horizon // max(1, number - 1) + 1)
-        grids += [
-            tuple(range(first, first + number * step, step))
-            for step in steps
-            for first in range(feasible.horizon + 1 - (number - 1) * step)
-        ]
+    longest = max(1, feasible.horizon // max(1, number - 1))
+    few = np.geomspace(1, longest, _STEPS).round().astype(int).tolist()
+    every = every and longest * feasible.horizon < _MOST
+    for step in range(1, longest + 1) if every else {*few}:
+        left = feasible.horizon - (number - 1) * step
+        firsts = np.linspace(0, left, left + 1 if every else _PLACES).round().astype(int).tolist()
+        grids += [tuple(range(first, first + number * step, step)) for first in firsts]
     for grid in grids:
         if len({*grid}) < number:
             continue
         with suppress(MeasurementTimesError):
-            moved = nearest(grid, feasible.allowed, feasible.required, feasible.spacing)
-            found += [moved] if feasible.accepts(moved) else []
+            if not feasible.accepts(grid):
+                grid = nearest(grid, feasible.allowed, feasible.required, feasible.spacing)
+            found += [grid] if feasible.accepts(grid) else []
     return tuple(dict.fromkeys(found))
 
 
