@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
+from pfdist.common.measurement_times import EVEN as BEST_EVEN
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parsing import parse_json
 from pfdist.common.percent import percent
@@ -86,7 +87,8 @@ class ExplorerSession:
         self._judged, self._judgements = list[Judgement](), 0
         self.best = self.run.best if self.run and self.job.budget is None else None
         self.plan = measured_of(self.run)[self.best.name] if self.run and self.best else None
-        self.even = self.feasible.regular()
+        measured = measured_of(self.run) if self.run and self.best else {}
+        self.even = measured.get(BEST_EVEN) or self.feasible.regular()
         proofs = last_bounds(self.run) if self.run and self.best else {}
         self._proof = proofs.get(self.best.name) if self.best else None
         self.seconds_a_draw = self.played.seconds_a_draw(self.even)

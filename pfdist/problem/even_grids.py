@@ -29,8 +29,8 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
     the nearest feasible set of instants. A set in which two times would be one instant is left out.
     With several sensors there are the regular times alone. `ends` is the number of first times, and
     that of last times, over one step from an end of the horizon. Of whole steps, which few
-    measurements of an oscillation may need, there are at least four places, and all if `every` and they are not too
-    many.
+    measurements of an oscillation may need, there are at least four places, and all if `every` and
+    they are not too many.
 
     >>> grids = even_grids(Feasible(horizon=11, measurement_budget=4))
     >>> grids[0], (0, 3, 6, 9) in grids, len(grids)
@@ -55,10 +55,12 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
     for grid in grids:
         if len({*grid}) < number:
             continue
+        if feasible.accepts(grid):
+            found.append(grid)
+            continue
         with suppress(MeasurementTimesError):
-            if not feasible.accepts(grid):
-                grid = nearest(grid, feasible.allowed, feasible.required, feasible.spacing)
-            found += [grid] if feasible.accepts(grid) else []
+            moved = nearest(grid, feasible.allowed, feasible.required, feasible.spacing)
+            found += [moved] if feasible.accepts(moved) else []
     return tuple(dict.fromkeys(found))
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from pfdist.common.component_names import Component
+from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Page
 from pfdist.common.points import PointNumbers
 from pfdist.common.section import Number, Whole, checked
@@ -40,6 +41,7 @@ from pfdist.questions.report import write_page
 from pfdist.questions.thinned import Matched, judged_errors, matched_of, plans_of
 from pfdist.results import Run, finite
 from pfdist.results.promise import Promise, RelativeErrors, promise, real_over_foreseen
+from pfdist.results.stored_run import measured_of
 from pfdist.runner.backtesting import (
     ReplicateErrors,
 )
@@ -51,6 +53,7 @@ from pfdist.store.user_tables import check_table_replaceable, write_user_table
 
 Array = NDArray[np.float64]
 PLAN, FROM_START, CENTRED = "plan", "from_start", "centred"
+BEST = "the best evenly spaced times"
 SHOWN = 4
 """Replicates that a report shows in full."""
 IMPROBABLE = 0.01
@@ -201,7 +204,7 @@ def backtest(
 
     The table has more measurements of each system, a replicate, than the plan needs. Each replicate
     is filtered with its measurements at the times of the plan, at two grids of evenly spaced times,
-    and at sets of your own. The predictions are judged by the measurements that no set uses. The
+    at the best evenly spaced times of the run, and at sets of your own. The predictions are judged by the measurements that no set uses. The
     model foresees these errors by simulated systems that are measured and judged at the same times.
 
     A table, ``NAME.backtest.csv`` or ``.parquet`` as the data are, a figure, ``NAME.backtest.png``,
@@ -266,10 +269,12 @@ def backtest(
         check(file)
     with following(chosen.progress, chosen.say) as (show, tell):
         if plan_each:
-            built, plan = build(_as_job(job, changes)), None
+            built, plan, even = build(_as_job(job, changes)), None, {}
         else:
             found = planned_run(job, results, changes, tell, planned, "")
             built, plan = found.built, found.times
+            measured = measured_of(found.run)
+            even = {EVEN: measured[EVEN]} if EVEN in measured else {}
         if built.evaluator.told:
             raise JobError(
                 "scenarios.filter must be 'nominal' or 'learned', got 'told': the scenario of a "
@@ -285,8 +290,9 @@ def backtest(
         own = {
             name: instants_evaluated(built.job, name, each) for name, each in (times or {}).items()
         }
-        for name in {*own} & {PLAN, FROM_START, CENTRED}:
+        for name in {*own} & {PLAN, FROM_START, CENTRED, EVEN}:
             raise ArgumentError(f"times: {name!r} is the name of another set; choose another name")
+        own = even | own
         with at_work(execution, [built.evaluator.engine], tell) as pool:
             plans = plans_of(built, replicates, pool, show) if plan is None else plan
             matched, left_out = matched_of(built, replicates, plans, own, within)
@@ -296,7 +302,7 @@ def backtest(
             errors = judged_errors(built, matched, pool, show)
     first = f"evenly spaced times from t = {clock.formatted(0)}"
     sets = {PLAN: "the plan", FROM_START: first, CENTRED: "centred evenly spaced times"}
-    sets |= {name: f"the set {name}" for name in own}
+    sets |= {name: f"the set {name}" for name in own} | dict.fromkeys(even, BEST)
     result = _result(
         sets,
         model.points,

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 
 import pfdist
+from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, unrounded, with_interval
 from pfdist.filters.filter_estimate import few_particles
@@ -75,7 +76,8 @@ def _count(answer: Backtest) -> int:
 
 def _headline(answer: Backtest) -> str:
     gains = []
-    for name in sorted((FROM_START, CENTRED), key=lambda name: answer.promises[name].found):
+    grids = [name for name in (FROM_START, CENTRED, EVEN) if name in answer.sets]
+    for name in sorted(grids, key=lambda name: answer.promises[name].found):
         gain = answer.promises[name]
         ends = [each if math.isfinite(each) else None for each in gain.found_interval]
         change = change_of(gain.found, ends).replace("few draws", "few replicates")

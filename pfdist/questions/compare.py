@@ -59,8 +59,7 @@ class SetsToCompare:
         )
         for name, instants in self._job.given_sets.items():
             if name == REFERENCE or name in named or by_default:
-                chosen = self._regular if instants is None else instants
-                self._add(name, chosen)
+                self._add(*(REGULAR, self._regular) if instants is None else (name, instants))
 
     def add_run(self, run: Run) -> None:
         """Add the sets of a run, but no set twice.

@@ -54,7 +54,7 @@ def test_the_summary_says_what_a_person_wants_to_know(run: Path, call: Call) -> 
     answer = " ".join(call(f"status {run}").out.split())
     for words in (
         "finished, 34 evaluations, 250 draws compared",
-        " than with evenly spaced times (every 4 instants). Its root, the typical error, is ",
+        " than with regular times (t = 0, 4, 8, 12). Its root, the typical error, is ",
         "Measure at t = ",
         "Expected MSE on 250 draws that took no part in the search",
         f"tables: {run}/tables",

@@ -77,9 +77,7 @@ def test_a_summary_is_written_in_any_encoding(
     assert main(["status", str(ASSET)]) == 0
     sys.stdout.flush()
     plus_minus = b"+-" if encoding == "ascii" else "±".encode(encoding)
-    assert re.search(
-        rb"evenly spaced +[\d.]+ " + re.escape(plus_minus) + rb" [\d.]+", out.getvalue()
-    )
+    assert re.search(rb"regular +[\d.]+ " + re.escape(plus_minus) + rb" [\d.]+", out.getvalue())
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])

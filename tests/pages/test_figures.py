@@ -212,7 +212,7 @@ def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
     mse = {name: each.mean for name, each in statistics_of(run).mse.items()}
     reference, *others = run.names
     best = min(others, key=mse.get)
-    assert [line.partition(",")[0] for line in _lines(above)] == ["evenly spaced", best]
+    assert [line.partition(",")[0] for line in _lines(above)] == ["regular", best]
     rows = [line for line in below.get_lines() if line.get_marker() != "None"]
     assert [tuple(line.get_xdata()) for line in rows] == [*run.sets.values()]
     colours = [[line.get_color() for line in lines] for lines in (above.get_lines(), rows)]
@@ -419,7 +419,7 @@ def test_the_budget_has_a_curve_each_for_regular_and_found_times_and_the_bound(
 ) -> None:
     axes = budget(curve, ax=_axes())
     names = {text.get_text(): text.get_color() for text in axes.texts}
-    colours = {"evenly spaced": BLUE, "plan": RED, "lower bound": "black"}
+    colours = {"regular": BLUE, "plan": RED, "lower bound": "black"}
     colours["its 95 % limit"] = "black"
     assert {name: names[name] for name in colours} == colours
     heights = {text.get_text(): text.get_position()[1] for text in axes.texts}
@@ -440,7 +440,7 @@ def test_the_titles_of_budgets_and_searches_have_the_numbers_of_the_tables(
     lower = (100 * (1 - mse["found"] / mse["regular"])).round()
     assert (lower.min(), lower.nunique()) > (0, 1)
     [(_, plot)] = FIGURES["budget"].plots(Tables(several))
-    said = f"{lower.min():.0f} to {lower.max():.0f} % lower than that of evenly spaced times"
+    said = f"{lower.min():.0f} to {lower.max():.0f} % lower than that of regular times"
     assert f"of the plan is {said}, depending on N." in plot.title
     rows = plain.table("evaluations").query("phase == 'genetic'").groupby("generation")
     least, done = rows["expected_mse"].min(), rows["copies"].sum().cumsum()

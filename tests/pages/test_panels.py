@@ -304,7 +304,7 @@ def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
 ) -> None:
     axes = plots.times(proved, ax=_axes())
     names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names == ["evenly spaced", "genetic", "random"]
+    assert names == ["regular", "genetic", "random"]
     rows = [line for line in axes.get_lines() if line.get_marker() != "None"]
     assert [list(line.get_xdata()) for line in rows] == [list(t) for t in proved.sets.values()]
     assert [line.get_markerfacecolor() == "white" for line in rows] == [True, False, False]

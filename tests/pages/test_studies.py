@@ -155,7 +155,7 @@ def test_each_combination_of_the_other_keys_has_a_line_and_the_reference_is_grey
     grey = [each for each in axes.containers if to_hex(each.lines[0].get_color()) == GREY]
     assert list(grey[0].lines[0].get_xdata()) == [3.0, 5.0]
     assert list(grey[0].lines[0].get_ydata()) == [80.0, 80.0]
-    assert grey[0].get_label() == "evenly spaced"
+    assert grey[0].get_label() == "regular"
     gains = plots.against(table, BUDGET, "gain_of_means", ax=axes_of())
     assert GREY not in {to_hex(line.get_color()) for line in gains.get_lines()}
 

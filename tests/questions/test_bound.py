@@ -497,7 +497,7 @@ def test_the_command_says_how_much_is_left(exact: Path, said: Callable[..., str]
         sentence = (
             f"Proved: no other 4 times lower the expected MSE by more than a further {percent}."
         )
-        phrase = "evenly spaced times" if name == "regular" else f"the set {name}"
+        phrase = "regular times" if name == "regular" else f"the set {name}"
         assert f"For {phrase}: {sentence}" in text
 
 

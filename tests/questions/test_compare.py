@@ -190,13 +190,21 @@ def test_the_sets_of_runs_are_compared_on_the_problem_of_the_job(
     second = pfdist.run(other, tmp_path / "second", figures=False)
     kalman = job.with_changes(KALMAN)
     both = compare(kalman, first, second.path, exact, results=tmp_path / "both")
-    named = ["regular", "random", "second_reference", "second_random", "clinic", "late", "few"]
+    named = [
+        "evenly_spaced",
+        "random",
+        "second_reference",
+        "second_random",
+        "clinic",
+        "late",
+        "few",
+    ]
     assert [*both.sets] == named
     assert both.sets["second_random"] == second.sets["random"]
     assert both.job["search"] == []
     more = {"mine": [0, 12]}
     again = compare(kalman, first.path, first, times=more, results=tmp_path / "again")
-    assert [*again.sets] == ["regular", "random", "mine"]
+    assert [*again.sets] == ["evenly_spaced", "random", "mine"]
 
 
 def test_a_comparison_of_the_sets_of_a_run_of_an_object_knows_the_object(

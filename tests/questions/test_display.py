@@ -42,7 +42,7 @@ def test_each_result_is_a_line_at_a_prompt_and_a_table_in_a_notebook(
         assert "<table>" in table
         assert "<b>" not in table
     assert repr(run) == f"<run {run.path}: finished, 20 draws compared>"  # no proof was wanted
-    assert "evenly spaced" in run._repr_html_()
+    assert "regular" in run._repr_html_()
 
 
 def test_a_run_that_cannot_be_read_has_a_card_that_says_so(small_run: pfdist.Run) -> None:

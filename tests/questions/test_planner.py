@@ -248,15 +248,15 @@ def test_next_says_what_a_planner_says(kept: Path, tmp_path: Path) -> None:
 
 
 def test_before_anything_is_measured_next_is_the_plan(kept: Path, tmp_path: Path) -> None:
-    found = pfdist.next_time(kept, table(tmp_path / "y.csv", ()), planned="regular")
-    assert found.plan == found.planned_before == pfdist.open_run(kept.parent).sets["regular"]
+    found = pfdist.next_time(kept, table(tmp_path / "y.csv", ()), planned="evenly_spaced")
+    assert found.plan == found.planned_before == pfdist.open_run(kept.parent).sets["evenly_spaced"]
     assert found.expected.expected_mse == found.expected_before.expected_mse
     with pytest.raises(PfdistError, match="planned must be a compared set"):
         pfdist.next_time(kept, table(tmp_path / "y.csv", ()), planned="nothing")
 
 
 def test_time_that_has_passed_replaces_the_plan(kept: Path, tmp_path: Path) -> None:
-    found = pfdist.next_time(kept, table(tmp_path / "y.csv", (0,)), now=9, planned="regular")
+    found = pfdist.next_time(kept, table(tmp_path / "y.csv", (0,)), now=9, planned="evenly_spaced")
     assert found.plan[0] > 9
     assert len(found.plan) == 4
     assert found.now == 9

@@ -214,7 +214,7 @@ def test_the_bound_of_an_objects_run_is_proved(tmp_path: Path) -> None:
     run = finished(problem, tmp_path / "run")
     job = problem.job(**SECTIONS)
     for proved in (pfdist.bound(run), pfdist.bound(job, results=run.path)):
-        assert {gap.name for gap in proved.gaps} == {"regular", "random"}
+        assert {gap.name for gap in proved.gaps} == {"evenly_spaced", "random"}
         assert all(gap.bound.value <= gap.expected_mse.value for gap in proved.gaps)
 
 

@@ -182,7 +182,7 @@ def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
 ) -> None:
     _, run = planned
     sets = {name: list(times) for name, times in run.sets.items()}
-    assert sets["regular"] == ["0 near", "12 near"]
+    assert sets["evenly_spaced"] == ["0 near", "12 near"]
     assert sets["alone_far"] == ["0 far", "12 far"]
     assert sets["rotation"] == ["0 near", "12 far"]
     assert "alone_both" not in sets  # it may measure once

@@ -197,7 +197,7 @@ def test_it_is_the_filter_of_the_same_formulas(finished: Run, tmp_path: Path) ->
     text = formulas.format(line="pass", more="")
     job.with_name("simulator.py").write_text(text, encoding="utf-8")
     run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
-    for name in ("mse_regular", "mse_random"):
+    for name in ("mse_evenly_spaced", "mse_random"):
         found, expected = (each.table("comparison")[name] for each in (finished, run))
         np.testing.assert_allclose(found, expected, rtol=1e-7)
 

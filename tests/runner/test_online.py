@@ -125,9 +125,9 @@ def test_the_plan_is_the_first_search_also_beside_sets_that_the_job_names(
     """Draws that keep the plan keep its error; a set that the job names is no plan."""
     named = job.with_changes(["comparison.sets.mine=[0, 1, 2, 3]"])
     run = pfdist.run(named, tmp_path / "run", figures=False)
-    assert run.names == ["regular", "mine", "survivors"]
+    assert run.names == ["evenly_spaced", "mine", "survivors"]
     summary, draws = run.as_json()["online"], online_draws(run)
-    assert (summary["reference"]["name"], summary["plan"]["name"]) == ("regular", "survivors")
+    assert [summary[key]["name"] for key in ("reference", "plan")] == ["evenly_spaced", "survivors"]
     assert draws.planned_times == run.sets["survivors"] != run.sets["mine"]
     kept = draws.rows[~draws.differ]
     assert 0 < len(kept) < len(draws.rows)
@@ -190,7 +190,7 @@ def test_degenerate_draws_count_with_their_errors_and_are_counted(tmp_path: Path
 def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Run) -> None:
     online = run.as_json()["online"]
     mse = run.table("online")["mse"].to_numpy()
-    for key, name in (("plan", "survivors"), ("reference", "regular")):
+    for key, name in (("plan", "survivors"), ("reference", "evenly_spaced")):
         told, other = online[key], run.table("comparison")[f"mse_{name}"][:6].to_numpy()
         assert told["name"] == name
         assert told["expected_mse"] == pytest.approx(other.mean())
