@@ -28,9 +28,9 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
     Each is t = first + k * step, moved to the nearest instants, and then, if it is not feasible, to
     the nearest feasible set of instants. A set in which two times would be one instant is left out.
     With several sensors there are the regular times alone. `ends` is the number of first times, and
-    that of last times, over one step from an end of the horizon. Of whole steps, which few
-    measurements of an oscillation may need, there are at least four places, and all if `every` and
-    they are not too many.
+    that of last times, over one step from an end of the horizon. Each whole step,
+    which few measurements of an oscillation may need, has four places, or all if `every` and they
+    are not too many.
 
     >>> grids = even_grids(Feasible(horizon=11, measurement_budget=4))
     >>> grids[0], (0, 3, 6, 9) in grids, len(grids)

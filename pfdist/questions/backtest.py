@@ -204,8 +204,9 @@ def backtest(
 
     The table has more measurements of each system, a replicate, than the plan needs. Each replicate
     is filtered with its measurements at the times of the plan, at two grids of evenly spaced times,
-    at the best evenly spaced times of the run, and at sets of your own. The predictions are judged by the measurements that no set uses. The
-    model foresees these errors by simulated systems that are measured and judged at the same times.
+    at the best evenly spaced times of the run, and at sets of your own. The predictions are judged
+    by the measurements that no set uses. The model foresees these errors by simulated systems that
+    are measured and judged at the same times.
 
     A table, ``NAME.backtest.csv`` or ``.parquet`` as the data are, a figure, ``NAME.backtest.png``,
     and a report, ``NAME.backtest.html``, are written. They replace those of an earlier call, and no

@@ -133,8 +133,8 @@ _DECLARED = [
     ),
     Column(
         name="kind", dtype="object",
-        meaning="found (by a search), regular, reference (the times that the job gives as "
-        "comparison.reference), or given (a set that the job names)",
+        meaning="found (by a search), evenly_spaced, regular, reference (the times that the job "
+        "gives as comparison.reference), or given (a set that the job names)",
     ),
     Column(
         name="reference", dtype="object",

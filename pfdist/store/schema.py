@@ -134,7 +134,12 @@ _SCHEMAS = {
     ],
     "compared": [
         _column("position", pa.int32(), "", "order; 0 is the reference"),
-        _column("name", pa.string(), "", "regular, or the search that found the set"),
+        _column(
+            "name",
+            pa.string(),
+            "",
+            "evenly_spaced, regular, the search that found the set, or a given name",
+        ),
         _TIMES,
         _column("search_mse", pa.float64(), _MSE, "the estimate of the search; null: reference"),
         _column("search_standard_error", pa.float64(), _MSE, "of search_mse"),

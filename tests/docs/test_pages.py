@@ -291,7 +291,7 @@ def test_the_tables_of_a_run_are_read_without_pfdist(monkeypatch: pytest.MonkeyP
     [code, *_] = [text for _, text in _blocks(DOCS / "dataframes.md", "python")]
     names: dict[str, Any] = {}
     exec(code, names)
-    assert names["gain"] == pytest.approx(0.2912, abs=1e-4)  # as README.md prints it
+    assert names["gain"] == pytest.approx(0.2144, abs=1e-4)  # as README.md prints it
     assert len(names["cheapest"]) == 5
 
 
@@ -302,7 +302,9 @@ def test_duckdb_and_polars_read_what_pandas_reads(monkeypatch: pytest.MonkeyPatc
     names: dict[str, Any] = {}
     for _, text in _blocks(DOCS / "dataframes.md", "python"):
         exec(text, names)
-    assert names["means"]["mse_regular"][0] == pytest.approx(draws["mse_regular"].mean())
+    assert names["means"]["mse_evenly_spaced"][0] == pytest.approx(
+        draws["mse_evenly_spaced"].mean()
+    )
 
 
 @pytest.mark.slow

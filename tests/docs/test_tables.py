@@ -104,7 +104,7 @@ def test_the_reference_has_every_table_column_and_option(tables: ModuleType) -> 
     assert all(f"## `{table}`" in columns for table in KEYS)
     for path in (DOCS.parent / "results" / "example" / "tables").glob("*/*.parquet"):
         for column in pq.read_schema(path):
-            generic = re.sub("(regular|relaxation|genetic)", "SET", column.name)
+            generic = re.sub("(evenly_spaced|relaxation|genetic)", "SET", column.name)
             assert re.search(rf"\| `{generic}` \| .* \|", columns), (path.name, column.name)
     usage = tables.usage()
     for name in COMMANDS:

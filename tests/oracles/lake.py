@@ -17,6 +17,7 @@ measurement_budget = 4
 [filter]
 engine = "kalman"
 [comparison]
+reference = "regular"
 draws = 60
 [execution]
 pool = "serial"

@@ -291,3 +291,14 @@ def test_a_job_is_as_good_as_its_run(planned: Path) -> None:
     of_run = judged(pfdist.open_run(planned), days(2)).table
     of_job = judged(planned.parent / "lake.toml", days(2), results=planned).table
     pd.testing.assert_frame_equal(of_run, of_job)
+
+
+def test_the_best_evenly_spaced_times_of_the_run_are_a_third_grid(tmp_path: Path) -> None:
+    problem = pfdist.Problem(lake.lake(), horizon=HORIZON, measurement_budget=4, engine="kalman")
+    run = pfdist.plan(problem, tmp_path / "run", changes=["comparison.draws=2"], figures=False)
+    found = judged(run, days(3))
+    assert [*found.sets] == ["plan", "from_start", "centred", "evenly_spaced"]
+    again = judged(run, days(3), times={"same": run.sets["evenly_spaced"]})
+    real = again.means["real"]
+    assert real["same"] == real["evenly_spaced"]
+    assert "than with the best evenly spaced times" in str(found._page())

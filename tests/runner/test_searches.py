@@ -59,7 +59,7 @@ def test_a_search_for_errors_of_instants_evaluates_all_on_whole_blocks_of_draws(
 
 
 def test_no_search_finds_better_than_all_sets_have(costs: dict[str, float]) -> None:
-    assert set(costs) == {"evenly_spaced", *METHODS}
+    assert set(costs) == {"regular", *METHODS}
     assert min(costs.values()) == costs["exhaustive"]
 
 
@@ -67,7 +67,7 @@ def test_no_search_finds_better_than_all_sets_have(costs: dict[str, float]) -> N
 def test_a_search_finds_better_than_regular_times_and_some_find_the_best_set(
     costs: dict[str, float], name: str
 ) -> None:
-    assert costs[name] < costs["evenly_spaced"]
+    assert costs[name] < costs["regular"]
     if name in DO_NOT_GUESS:
         assert costs[name] == costs["exhaustive"]
 
