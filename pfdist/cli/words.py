@@ -146,7 +146,7 @@ def _search() -> Word:
     # Not above: an installed search that cannot be loaded must not break other commands.
     from pfdist.problem.methods import METHODS  # noqa: PLC0415
 
-    return Word(str, Parameter(metavar="METHOD", choices=tuple(METHODS)))
+    return Word(str | None, Parameter(metavar="METHOD", choices=tuple(METHODS)))
 
 
 _SWITCH = Word(bool, Parameter())

@@ -41,6 +41,7 @@ from pfdist.filters.work import (
     joined,
 )
 from pfdist.kernels.batch import FilterArrays
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
 from pfdist.models.parameters import Parameter, check_lengths
@@ -76,6 +77,9 @@ class Evaluator:
     scenarios: tuple[Scenario, ...] = ()
     told: bool = False
     scale: float = 1.0  # the squared errors are divided by it; see `Scenario`
+    # The estimate of z(t) uses measurements until t + lag, in instants: 0 for that of the filter, T
+    # for that from all measurements. Variances, distances and controls are those of the filter.
+    lag: int = 0
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
@@ -186,14 +190,15 @@ class Evaluator:
 
     @cached_property
     def self_consistent(self) -> "Evaluator":
-        """The same evaluator with draws of the filter's model."""
-        if self.believed == self.model and self.told == bool(self.scenarios):
+        """The same evaluator with draws of the filter's model, and the estimate of its filter."""
+        if self.believed == self.model and self.told == bool(self.scenarios) and not self.lag:
             return self
         return replace(
             self,
             model=self.believed,
             filter_model=None,
             estimations=(),
+            lag=0,
             scenarios=self.scenarios if self.told else (),
         )
 
@@ -219,8 +224,8 @@ class Evaluator:
 
     @property
     def has_particle_loss(self) -> bool:
-        """Whether the engine has particles, and the error is the squared norm."""
-        return self.has_particles and self.model.error is squared_error
+        """Whether the particle loss is known: of filters, if the error is the squared norm."""
+        return self.has_particles and self.model.error is squared_error and not self.lag
 
     def expected_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None, criterion: Criterion = MEAN
@@ -246,7 +251,7 @@ class Evaluator:
         return self._exact_errors_of(self._shares, sets, weighted)
 
     def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
-        errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
+        errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior, self.lag)
         if weighted and self.instant_weights is not None:
             return weighed(errors, self.instant_weights)
         return errors / self.scale
@@ -273,7 +278,9 @@ class Evaluator:
         """Exact expected MSE of each set in each scenario, (C, S)."""
         given = self.horizon, sets, ends, self.prior
         parts = self.of_scenarios or (self,)
-        return np.array([kalman.expected_mse(p.model, *given, p.instant_weights) for p in parts])
+        return np.array(
+            [kalman.expected_mse(p.model, *given, p.instant_weights, self.lag) for p in parts]
+        )
 
     def sum_errors(self, work: FilterWork) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
@@ -321,9 +328,9 @@ class Evaluator:
         """Whether the variance of the particles estimates the error, which varies more.
 
         The filter must have the true model, and be told the scenario if there are several. The
-        error must be the squared norm.
+        error must be the squared norm, of the filter's estimate.
         """
-        is_told = self.told or not self.scenarios
+        is_told = (self.told or not self.scenarios) and not self.lag
         return is_told and self.believed == self.model and self.model.error is squared_error
 
     def id_of(self, estimation: Estimation, *parts: Any) -> str:
@@ -340,6 +347,7 @@ class Evaluator:
             estimation.recorded,
             *(part for part in (self.times, self.weights) if part is not None),
             *([[*map(vars, self.scenarios)], self.told] if self.scenarios else []),
+            *(["lag", self.lag] if self.lag else []),
             *parts,
         )
         return f"{key:016x}"
@@ -500,8 +508,9 @@ class Evaluator:
         return Result(values, degenerate=degenerate, control=control, errors=errors)
 
     def settings(self, estimation: Estimation) -> Estimation:
-        """The estimation, with filters that start from the prior."""
-        return replace(estimation, prior=self.prior)
+        """The estimation, with filters that start from the prior, and the lag of their error."""
+        is_of_lines = estimation.estimator == SQUARED_ERROR.name
+        return replace(estimation, prior=self.prior, lag=self.lag if is_of_lines else 0)
 
 
 def recorded_evaluator(

@@ -63,17 +63,19 @@ def checking(filter_checked_draws: Callable[..., FilterArrays]) -> Callable[...,
         trajectories: bool = False,
         prior: Prior | None = None,
         threshold: float = ALWAYS,
+        lag: int = 0,
     ) -> FilterArrays:
         """The result of a filter for D draws with one set of times and a 64-bit noise key.
 
         `model` is the filter's model, which need not be the draws'. With `trajectories`, the result
-        has estimate and variance. `threshold` is that of `pfdist.kernels.schemes.threshold_of`. The
-        Kalman filter ignores the particles, and only it starts from a normal distribution.
+        has estimate and variance. `threshold` is that of `pfdist.kernels.schemes.threshold_of`, and
+        `lag` that of `Estimation`. The Kalman filter ignores the particles, and only it starts from
+        a normal distribution.
 
         Raises MeasurementTimesError, ModelError, PriorError or ArgumentError for wrong times,
         models, priors or settings.
         """
-        settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
+        settings = Estimation(particles, resampling, prior=prior, threshold=threshold, lag=lag)
         check_filter_settings(model, draws.model, settings)
         check_start(model, draws, prior)
         last = draws.instants[-1]

@@ -7,7 +7,9 @@ writes only formulas. Linearity is tested at four random points.
 
 Sources: Kalman, "A new approach to linear filtering and prediction problems", Journal of Basic
 Engineering 82, 1960. Sinopoli et al., "Kalman filtering with intermittent observations", IEEE
-Transactions on Automatic Control 49, 2004.
+Transactions on Automatic Control 49, 2004. Bierman, "Fixed interval smoothing with discrete
+measurements", International Journal of Control 18, 1973 (the estimates that use later measurements;
+it inverts no covariance of the state).
 """
 
 from collections.abc import Callable, Sequence
@@ -142,15 +144,17 @@ def expected_mse(
     ends: Sequence[int] | None = None,
     prior: Prior | None = None,
     weights: Array | None = None,
+    lag: int = 0,
 ) -> Array:
-    """Exact expected MSE of the Kalman filter with each set of times, (S,): no draws are needed.
+    """Exact expected MSE with each set of times, (S,): no draws are needed.
 
-    The mean is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each
-    set's errors count up to its end only, and are divided by the number of all instants. The
-    weights of the instants have mean 1; by default all are 1. Raises MeasurementTimesError if a set
-    lies outside these instants, and ModelError if the model is not linear-Gaussian.
+    The estimate of z(t) uses measurements until t + lag, by default those of the filter. The mean
+    is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each set's errors
+    count up to its end only, and are divided by the number of all instants. The weights of the
+    instants have mean 1; by default all are 1. Raises MeasurementTimesError if a set lies outside
+    these instants, and ModelError if the model is not linear-Gaussian.
     """
-    errors = expected_errors(model, horizon, sets, prior)
+    errors = expected_errors(model, horizon, sets, prior, lag)
     start = horizon + 1 - errors.shape[1]
     last = [horizon - start] * len(sets) if ends is None else [end - start for end in ends]
     if weights is not None:
@@ -160,7 +164,11 @@ def expected_mse(
 
 
 def expected_errors(
-    model: StateSpaceModel, horizon: int, sets: Sequence[Times], prior: Prior | None = None
+    model: StateSpaceModel,
+    horizon: int,
+    sets: Sequence[Times],
+    prior: Prior | None = None,
+    lag: int = 0,
 ) -> Array:
     """Exact expected error of each instant with each set of times, (S, T+1).
 
@@ -174,17 +182,61 @@ def expected_errors(
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
     errors = np.empty((len(sets), horizon + 1 - start))
+    kept = list[tuple[Array, Array, Array]]()
     for t in range(start, horizon + 1):
         check()
+        through, information = _unmeasured(matrices, t, start, covariance)
         for place in points.at(t):
             here = measured[:, place]
-            gain, observation_matrix = _gain(covariance[here], matrices.measurement[place])
+            gain, observation_matrix, weight = _gain(covariance[here], matrices.measurement[place])
+            if lag:
+                seen = observation_matrix @ through[here]
+                information[here] += through[here].swapaxes(1, 2) @ weight @ seen
+                through[here] -= gain @ seen
             covariance[here] -= gain @ observation_matrix @ covariance[here]
+        kept += [(covariance.copy(), through, information)] if lag else []
         h = matrices.quantity_of_interest[t].matrix
         errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
         if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
+    if lag:
+        covariances, maps, gained = (np.array(each) for each in zip(*kept, strict=True))
+        covariances -= covariances @ _later(maps, gained, lag, both=True) @ covariances
+        for k, each in enumerate(covariances):
+            h = matrices.quantity_of_interest[start + k].matrix
+            errors[:, k] = np.trace(h @ each @ h.T, axis1=1, axis2=2)
     return errors
+
+
+def _unmeasured(
+    matrices: LinearGaussian, t: int, start: int, covariance: Array
+) -> tuple[Array, Array]:
+    """The map of an error from t - 1 to t, one for each covariance, and no information yet."""
+    states = covariance.shape[-1]
+    step = matrices.transition[t - 1].matrix[:, :states] if t > start else np.eye(states)
+    return np.broadcast_to(step, covariance.shape).copy(), np.zeros(covariance.shape)
+
+
+def _later(maps: Array, gained: Array, lag: int, *, both: bool) -> Array:
+    """The part of measurements after t, until t + lag, in the estimate of x(t), at all K instants.
+
+    That of measurements at t, in x(t - 1), is ``gained[t]``. That of later ones goes through
+    ``maps[t]``, (..., n, n), from an error at t - 1 to the error behind the measurements at t; the
+    information, a square array, goes through it on both sides.
+    """
+    total, count = np.zeros_like(gained), len(maps)
+
+    def fill(now: Any, after: Any, known: Array) -> None:
+        through = maps[after].swapaxes(-1, -2) @ known
+        total[now] = gained[after] + (through @ maps[after] if both else through)
+
+    if lag >= count - 1:
+        for k in range(count - 2, -1, -1):
+            fill(k, k + 1, total[k + 1])
+    else:  # the windows of all instants, from their ends
+        for k in range(lag, 0, -1):
+            fill(slice(count - k), slice(k, None), total[: count - k])
+    return total
 
 
 def filter_checked_draws(
@@ -197,30 +249,46 @@ def filter_checked_draws(
 ) -> FilterArrays:
     """The exact filter of draws, with the arguments of the function in `particle_filter`.
 
-    The filter has no particles. It uses only the prior of the settings, and no noise. A component
-    of y that is NaN in every draw was not measured.
+    The filter has no particles. It uses only the prior and the lag of the settings, and no noise. A
+    component of y that is NaN in every draw was not measured.
     """
     instants, points = draws.instants, model.points
     matrices = cached_matrices(model, instants[-1], draws.start)
     begin, covariance = _begin(matrices, settings.prior)
     mean = np.repeat(begin[None], len(draws.index), axis=0)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
+    kept = list[tuple[Array, ...]]()
     for k, t in enumerate(instants):
+        through, information = _unmeasured(matrices, k, 0, covariance)
+        pull = np.zeros_like(mean)
         for point, place, part in zip(points.at(t), points.at(k), model.parts, strict=True):
             if point not in measurement_times:
                 continue
             seen, measurement = _seen(draws.y[:, k, part.y], matrices.measurement[place])
-            gain, observation_matrix = _gain(covariance, measurement)
+            gain, observation_matrix, weight = _gain(covariance, measurement)
             innovation = seen - measurement.offset - _times(observation_matrix, mean)
+            if settings.lag:
+                back = through.T @ weight
+                pull += _times(back, innovation)
+                information += back @ observation_matrix @ through
+                through -= gain @ observation_matrix @ through
             mean = mean + _times(gain, innovation)
             covariance = covariance - gain @ observation_matrix @ covariance
-        quantity = matrices.quantity_of_interest[k]
-        estimate[:, k] = quantity.offset + _times(quantity.matrix, mean)
-        variance[:, k] = np.maximum(np.diag(quantity.matrix @ covariance @ quantity.matrix.T), 0.0)
+        kept.append((mean, covariance, through, information, pull))
         if t < instants[-1]:
             step = matrices.transition[k]
             mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
             covariance = _propagated(covariance, step)
+    means, covariances, maps, gained, pulls = (np.array(each) for each in zip(*kept, strict=True))
+    if settings.lag:
+        later = _later(maps[:, None], pulls[..., None], settings.lag, both=False)
+        means += (covariances[:, None] @ later)[..., 0]
+        information = _later(maps, gained, settings.lag, both=True)
+        covariances -= covariances @ information @ covariances
+    for k, quantity in enumerate(matrices.quantity_of_interest):
+        h = quantity.matrix
+        estimate[:, k] = quantity.offset + _times(h, means[k])
+        variance[:, k] = np.maximum(np.diag(h @ covariances[k] @ h.T), 0.0)
     errors = np.sum((draws.z - estimate) ** 2, axis=2)
     mse = np.mean(weighed(errors, draws.instant_weights), axis=1)
     degenerate = np.zeros(mse.shape, np.bool_)
@@ -246,7 +314,7 @@ def log_evidence(model: StateSpaceModel, y: Array) -> Array:
             seen, measurement = _seen(
                 y[:, t, part.y], matrices.measurement[t * len(parts) + number]
             )
-            gain, observation_matrix = _gain(covariance, measurement)
+            gain, observation_matrix, _ = _gain(covariance, measurement)
             innovation = seen - measurement.offset - _times(observation_matrix, mean)
             noise = _square(measurement.matrix[:, mean.shape[1] :])
             spread = observation_matrix @ covariance @ observation_matrix.T + noise
@@ -306,14 +374,15 @@ def _begin(matrices: LinearGaussian, prior: Prior | None) -> tuple[Array, Array]
     return prior.gaussian.mean, prior.gaussian.covariance
 
 
-def _gain(covariance: Array, measurement: Affine) -> tuple[Array, Array]:
-    """Kalman gain and observation matrix, for one covariance or many."""
+def _gain(covariance: Array, measurement: Affine) -> tuple[Array, Array, Array]:
+    """Kalman gain K, observation matrix and inverse(P) K, for one covariance P or many."""
     states = covariance.shape[-1]
     observation_matrix, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
     innovation_covariance = observation_matrix @ covariance @ observation_matrix.T + _square(noise)
     # Without measurement noise this covariance may be singular: hence the pseudo-inverse.
     inverse = np.linalg.pinv(innovation_covariance, hermitian=True)
-    return covariance @ observation_matrix.T @ inverse, observation_matrix
+    weight = observation_matrix.T @ inverse
+    return covariance @ weight, observation_matrix, weight
 
 
 def _propagated(covariance: Array, transition: Affine) -> Array:

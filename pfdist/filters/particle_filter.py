@@ -96,7 +96,8 @@ def filter_checked_sets(
         shape = (len(draws.index), *shape)
     found = _filter(model, draws, planned, stream, settings, errors=np.zeros(shape))
     mse, degenerate = found.mse[:, columns], found.degenerate[:, columns]
-    for row, (giver, begin) in enumerate(zip(givers, planned.begins, strict=True)):
+    shared = zip(givers, planned.begins, strict=True) if not settings.lag else ()
+    for row, (giver, begin) in enumerate(shared):
         found.errors[..., row, :begin] = found.errors[..., giver, :begin]
     of_instants = found.errors[..., columns, :]
     if errors == SUMS:
@@ -158,6 +159,7 @@ def _filter(
         instant_weights=_array(draws.instant_weights),
         components=kinds.shape[1],
         kinds=kinds,
+        lag=settings.lag,
     )
     filter_all(blocks, request, planned, results, scheme.name)
     callbacks.raise_callback_error()

@@ -103,45 +103,64 @@ def _filter(
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     ranks = np.full((2, *draws.z.shape), np.nan)
     sizes = np.full((count, instants), np.nan)
-    true_error = twin_of(draws.model, draws.instants).error
-    total, alive = np.zeros(count), np.ones(count, np.bool_)
-    degenerate = np.zeros(count, np.bool_)
+    fails = np.zeros((count, instants), np.bool_)
     x, carried = _first(model, draws, stream, settings)
+    past = list[tuple[Array, ...]]()  # z at the last instants, along the particles' lines
     for k, t in enumerate(draws.instants):
         if k > 0:
             x = _states(step(model, _flat(x), t - 1, particles, stream, draws.index), cloud)
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
-        x, weight, fails, weighs = _weighed(model, draws, k, x, carried, times, stream, settings)
-        degenerate |= fails & alive
+        x, weight, fails[:, k], weighs = _weighed(
+            model, draws, k, x, past, carried, times, stream, settings
+        )
         share = weight / weight.sum(axis=1, keepdims=True)
         measured = t in model.points.instants(times)
         quantities = model.quantity_of_interest(_flat(x), t, model.p)
-        for c, values in enumerate(quantities):
-            z = _of_cloud(values, cloud)
-            if scheme.holds_truth and measured:
-                lower = np.stack([z < z[:, :1], z == z[:, :1]])
-                ranks[:, :, k, c] = np.sum(share * lower, axis=2)
-            counted = np.where(weight > 0, z, 0.0)
-            mean[:, k, c], variance[:, k, c] = _moments(counted, share, draws.model.is_angle[c])
+        past.append(tuple(_of_cloud(values, cloud) for values in quantities))
+        del past[: -1 - settings.lag]
+        if scheme.holds_truth and measured:
+            ranks[:, :, k] = np.stack([_shares_below(z, share) for z in past[-1]], axis=-1)
+        # The lines of a measurement give a better estimate of the instants before it.
+        for back, components in enumerate(past[::-1] if measured else past[-1:]):
+            for c, z in enumerate(components):
+                counted, is_angle = np.where(weight > 0, z, 0.0), draws.model.is_angle[c]
+                mean[:, k - back, c], variance[:, k - back, c] = _moments(counted, share, is_angle)
         if ESTIMATORS[settings.estimator].by_error:
             variance[:, k] = _mean_error(draws, k, quantities, mean[:, k], share)
-        error = true_error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
-        mean[~alive, k], variance[~alive, k] = np.nan, np.nan
-        total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
-        sizes[weighs & alive, k] = _effective_sizes(weight)[weighs & alive]
-        infinite = alive & ~(total < np.inf)
-        total[infinite], alive[infinite] = np.inf, False
+        sizes[weighs, k] = _effective_sizes(weight)[weighs]
         key = model.points.at(t)[-1]
-        x, carried = _resampled(x, weight, settings, stream, draws.index, key, weighs)
+        x, carried = _resampled(x, past, weight, settings, stream, draws.index, key, weighs)
+    mse, ends = _mse(draws, mean)
+    before = np.arange(instants) <= ends[:, None]
+    mean[~before], variance[~before], sizes[~before] = np.nan, np.nan, np.nan
+    degenerate = np.any(fails & before, axis=1)
     last = np.stack(x, axis=1)
-    last[~alive] = np.nan
+    last[ends < instants] = np.nan
     if scheme.holds_truth:
-        total[degenerate] = np.nan
+        mse[degenerate] = np.nan
     errors = np.empty((0, 0))
-    mse = total / instants
     return FilterArrays(mse, degenerate, mean, variance, sizes, errors, ranks, last, carried)
+
+
+def _mse(draws: Draws, mean: Array) -> tuple[Array, NDArray[np.int64]]:
+    """The MSE of each draw, and the instant at which it becomes infinite, or T + 1."""
+    count, instants, _ = mean.shape
+    total, ends = np.zeros(count), np.full(count, instants)
+    true_error = twin_of(draws.model, draws.instants).error
+    for k, t in enumerate(draws.instants):
+        error = true_error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
+        total += weighed(_like(error, (count,)), draws.instant_weights[k])
+        infinite = ~(total < np.inf)
+        total[infinite], ends[infinite] = np.inf, np.minimum(ends[infinite], k)
+    return total / instants, ends
+
+
+def _shares_below(z: Array, share: Array) -> Array:
+    """The share of particles below the truth, which is particle 0, and of those like it, (2, D)."""
+    below: Array = np.sum(share * np.stack([z < z[:, :1], z == z[:, :1]]), axis=2)
+    return below
 
 
 def _first(
@@ -179,6 +198,7 @@ def _weighed(
     draws: Draws,
     k: int,
     x: tuple[Array, ...],
+    past: list[tuple[Array, ...]],
     weight: Array,
     times: Times,
     stream: int,
@@ -188,21 +208,22 @@ def _weighed(
 
     A measurement that no particle of a draw explains is left out there. The last array says which
     draws the last measurement has weighed. The sensors weigh in their order. The particles are
-    resampled in between, but not propagated. `weight` has the carried weights.
+    resampled in between, but not propagated. `weight` has the carried weights, and `past` the
+    earlier z along the particles' lines.
     """
     count, particles = cloud = x[0].shape
     degenerate, weighs = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
     for point, part in zip(model.points.at(draws.instants[k]), model.parts, strict=True):
         if point not in times:
             continue
-        x, weight = _resampled(x, weight, settings, stream, draws.index, point - 1, weighs)
+        x, weight = _resampled(x, past, weight, settings, stream, draws.index, point - 1, weighs)
         y = tuple(np.repeat(values, particles) for values in draws.y[:, k, part.y].T)
         log_weight = part.model.log_likelihood(y, _flat(x), draws.instants[k], model.p)
         new = weights_of(_of_cloud(log_weight, cloud) + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
         if ALL_SCHEMES[settings.resampling].sorts:
             order = np.where(weighs[:, None], _order_by_state(x[0], new), np.arange(particles))
-            x = (np.take_along_axis(x[0], order, axis=1),)
+            x = _taken(x, past, order)
             new = np.take_along_axis(new, order, axis=1)
         weight = np.where(weighs[:, None], new, weight)
         degenerate |= ~weighs
@@ -211,6 +232,7 @@ def _weighed(
 
 def _resampled(
     x: tuple[Array, ...],
+    past: list[tuple[Array, ...]],
     weight: Array,
     settings: Estimation,
     stream: int,
@@ -228,8 +250,19 @@ def _resampled(
     ancestors = ancestors_of(settings.resampling, weight, stream, index, key)
     uneven = (weighs & (_effective_sizes(weight) < settings.threshold * particles))[:, None]
     ancestors = np.where(uneven, ancestors, np.arange(particles))
-    x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
-    return x, np.where(uneven, 1.0, weight)
+    return _taken(x, past, ancestors), np.where(uneven, 1.0, weight)
+
+
+def _taken(
+    x: tuple[Array, ...], past: list[tuple[Array, ...]], ancestors: NDArray[np.intp]
+) -> tuple[Array, ...]:
+    """The states of ancestors; their past is taken in place."""
+
+    def of_ancestors(components: tuple[Array, ...]) -> tuple[Array, ...]:
+        return tuple(np.take_along_axis(each, ancestors, axis=1) for each in components)
+
+    past[:] = map(of_ancestors, past)
+    return of_ancestors(x)
 
 
 def _effective_sizes(weight: Array) -> Array:

@@ -40,6 +40,8 @@ class Estimation:
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
     proposal: str = PLAIN  # see `pfdist.filters.guiding`
+    # instants: the estimate of z(t) uses measurements until t + lag; see `pfdist.kernels.lines`
+    lag: Annotated[Whole, Field(ge=0)] = 0
 
     @property
     def carries(self) -> bool:
@@ -48,9 +50,9 @@ class Estimation:
 
     @property
     def recorded(self) -> dict[str, int | float | str]:
-        """The fields by name, without the prior, unused fields and defaults."""
+        """The fields by name, without those of an evaluator, unused fields and defaults."""
         recorded = {**vars(self)}
-        del recorded["prior"]
+        del recorded["prior"], recorded["lag"]
         if not self.carries:
             del recorded["threshold"]
         if self.proposal == PLAIN:

@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.kernels.ancestors import Resampling
+from pfdist.kernels.ancestors import Resampling, sum_of_first, sum_of_squares, weighted_sum
 from pfdist.kernels.blocks import Blocks, call_block
 from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
@@ -89,6 +89,8 @@ class FilterRequest(NamedTuple):
     components: int  # of the longest process
     # (2, components): kinds of INITIAL_NOISE and PROCESS_NOISE; -1 for none
     kinds: NDArray[np.int64]
+    # the estimate of z(t) uses measurements until t + lag; 0 for the filter's
+    lag: int
 
 
 INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
@@ -109,7 +111,7 @@ class FilterArrays(NamedTuple):
     # log-likelihood: the filter leaves this measurement out. Bytes in the kernel, at first 0.
     degenerate: NDArray[np.uint8] | NDArray[np.bool_]
     # (D, T+1, q): of a single set, weighted mean and variance of the particles' z(t); NaN after the
-    # instant at which a draw became infinite
+    # instant at which a draw became infinite. With a lag the compiled filter gives no variance: NaN
     estimate: NDArray[np.float64] = np.empty((0, 0, 0))
     variance: NDArray[np.float64] = np.empty((0, 0, 0))
     # (D, T+1): of a single set, the effective sample size after the last measurement of an instant;
@@ -210,6 +212,32 @@ class Steps(NamedTuple):
     keep: int
 
 
+class Lines(NamedTuple):
+    """The ancestral lines of a batch's particles; see `pfdist.kernels.lines`.
+
+    Arrays begin with the instant. All are empty if the filter keeps no lines.
+    """
+
+    # of particles; a second half for guided filters: on the paths that are redrawn
+    quantity: NDArray[np.float64]  # (T+1, means, stride): results of the block QUANTITY
+    weight: NDArray[np.float32]  # (T+1, stride): at measured instants, before resampling
+    # (T+1, 2 sensors + 1, stride): ancestors by each resampling before a sensor, by each sorting
+    # after it, and by the last resampling
+    ancestor: NDArray[np.int32]
+    moved: NDArray[np.uint8]  # (T+1, 2 sensors + 1): whether some draw was resampled, or sorted
+    flow: NDArray[np.float64]  # (2, stride): weights of the lines through each particle, or zeros
+    listed: NDArray[np.int32]  # (stride,): first in each draw, the particles with such a weight
+    # of draws
+    number: NDArray[np.int64]  # (row,): of these particles
+    means: NDArray[np.float64]  # (T+1, means, row): weighted means of `quantity`: the filter's,
+    smoothed: NDArray[np.float64]  # and those over the lines
+    total: NDArray[np.float64]  # (row,): sum of the weights
+    # addresses of the filter's own steps
+    resample: int
+    leave_out: int
+    finish: int
+
+
 class FilterCall(NamedTuple):
     """The data that all functions of a filter share."""
 
@@ -222,10 +250,12 @@ class FilterCall(NamedTuple):
     scratch: Resampling
     saved: SavedBatches
     steps: Steps
+    lines: Lines
 
 
 (
     blocks_of, request_of, plan_of, results_of, wanted_of, batch_of, scratch_of, saved_of, steps_of,
+    lines_of,
 ) = readers(FilterCall)  # fmt: skip
 
 
@@ -361,3 +391,86 @@ def is_drawn_again(instant):
         return False
     is_first = instant.sensors & ((1 << instant.sensor) - 1) == 0
     return is_first and (instant.t > 0 or not request.has_prior)
+
+
+@compiled
+def measuring(at, s, t):
+    """The sensors that measure, a bit for each: the last of 64 is the sign."""
+    request, measured, sensors = request_of(at.work), plan_of(at.work).measured, np.int64(0)
+    width = (request.sensors + 7) // 8
+    for place in range(width):
+        byte = np.int64(measured[(s * request.instants + t) * width + place])
+        sensors |= byte << (8 * place)
+    return sensors
+
+
+@compiled
+def fill_mean(at, values, mean):
+    """Fill a row of draws with the weighted mean of a row of particles."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    for d in range(at.draws):
+        origin = d * batch.width
+        if batch.weighted[d]:
+            value = weighted_sum(batch.weight, values, origin, batch.width)
+        else:
+            value = sum_of_first(values, origin, request.particles)
+        mean[d] = value / batch.total[d]
+
+
+@compiled
+def record_sizes(at, t):
+    """Record the effective sample sizes of draws that the instant's last measurement weighed.
+
+    Source: Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of
+    the American Statistical Association 89, 1994.
+    """
+    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
+    for d in range(at.draws):
+        if batch.weighs[d] and batch.error[d] < np.inf:
+            squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
+            place = (at.first + d) * request.instants + t
+            results.sizes[place] = batch.total[d] * batch.total[d] / squares
+
+
+@compiled
+def add_squared_errors(at, s, t):
+    """Add the errors of the means of z in `moments`; let draws with another sum be infinite."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    quantities, weights = request.quantities, request.weights
+    if weights.squared_error != 0.0:
+        for d in range(at.draws):
+            z = ahead(request.z, ((at.first + d) * request.instants + t) * quantities)
+            for c in range(quantities):
+                batch.moments[c * batch.row + d] = z[c]
+        of_draws(at, ERROR, t, batch.moments, batch.distance)
+        for d in range(at.draws):
+            error = weights.squared_error * batch.distance[d]
+            add_error(at, s, t, d, error, request.instant_weights[t])
+    for d in range(at.draws):
+        if not batch.error[d] < np.inf:
+            batch.error[d] = np.inf
+
+
+@compiled
+def add_error(at, s, t, d, error, weight):
+    """Add an error, by the instant's weight, to those of a draw that has not ended.
+
+    An instant of weight 0 does not count, even if its error is infinite. If they are wanted, add it
+    also to the errors at the instant: weighted to a sum over the draws, and else as it is.
+    """
+    request, results, wanted, batch = (
+        request_of(at.work),
+        results_of(at.work),
+        wanted_of(at.work),
+        batch_of(at.work),
+    )
+    if not batch.error[d] < np.inf:
+        return
+    apart = wanted.errors_apart
+    place = (at.first + d) * apart + s * request.instants + t
+    if apart > 0:
+        results.errors[place] += error
+    if weight != 0.0:
+        batch.error[d] += weight * error
+        if wanted.errors and apart == 0:
+            results.errors[place] += weight * error

@@ -9,24 +9,21 @@ an instant in lockstep, as a *batch*, so that a step has enough particles; see
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.kernels import guided
+from pfdist.kernels import guided, lines
 from pfdist.kernels.ancestors import (
     ENTRIES,
     Drawn,
     Search,
     resampling_scratch,
     sort_by_state,
-    sum_of_first,
     sum_of_squares,
     sum_of_weights,
     take_ancestors,
     weigh,
-    weighted_sum,
 )
 from pfdist.kernels.batch import (
     DEVIATIONS,
     DISTANCE,
-    ERROR,
     ESTIMATE,
     INITIAL,
     INITIAL_NOISE,
@@ -41,20 +38,26 @@ from pfdist.kernels.batch import (
     FilterCall,
     FilterRequest,
     Instant,
+    Lines,
     SavedBatches,
     Slot,
     Steps,
     Wanted,
+    add_error,
+    add_squared_errors,
     batch_of,
     blocks_of,
     copy_numbers,
+    fill_mean,
     fill_noise,
     is_drawn_again,
+    measuring,
     of_draws,
     of_particles,
     other,
     plan_of,
     present,
+    record_sizes,
     request_of,
     results_of,
     saved_of,
@@ -107,21 +110,10 @@ def _filter_set(at, s):
         begin, stop = stop, plan.stops[k]
         for t in range(begin, stop):
             resamples = goes_on or t + 1 < plan.ends[s]
-            _filter_instant(at, s, t, _measuring(at, s, t), resamples)
+            _filter_instant(at, s, t, measuring(at, s, t), resamples)
         if plan.slots[k] >= 0:
             call(steps.save, Slot(at, plan.slots[k]))
     call(steps.finish, Instant(at, s, 0, 0, 0))
-
-
-@compiled
-def _measuring(at, s, t):
-    """The sensors that measure, a bit for each: the last of 64 is the sign."""
-    request, measured, sensors = request_of(at.work), plan_of(at.work).measured, np.int64(0)
-    width = (request.sensors + 7) // 8
-    for place in range(width):
-        byte = np.int64(measured[(s * request.instants + t) * width + place])
-        sensors |= byte << (8 * place)
-    return sensors
 
 
 @compiled
@@ -398,30 +390,18 @@ def _estimate(instant):
     instant = read(instant)
     at, s, t, _, _ = instant
     request, steps, batch = request_of(at.work), steps_of(at.work), batch_of(at.work)
-    quantities, weights = request.quantities, request.weights
-    cloud, mean = present(at), ahead(batch.moments, quantities * batch.row)
+    cloud, mean = present(at), ahead(batch.moments, request.quantities * batch.row)
     if request.is_state:
         for r in range(request.means):
             values = ahead(cloud, request.components_of_state[r] * batch.stride)
-            _fill_mean(at, values, ahead(batch.means, r * batch.row))
+            fill_mean(at, values, ahead(batch.means, r * batch.row))
     else:
         of_particles(at, QUANTITY, t, cloud, batch.quantity)
         _fill_means(at, batch.means, request.means)
     of_draws(at, ESTIMATE, t, batch.means, mean)
     if steps.estimate_variance != 0:
         call(steps.estimate_variance, instant)
-    if weights.squared_error != 0.0:
-        for d in range(at.draws):
-            z = ahead(request.z, ((at.first + d) * request.instants + t) * quantities)
-            for c in range(quantities):
-                batch.moments[c * batch.row + d] = z[c]
-        of_draws(at, ERROR, t, batch.moments, batch.distance)
-        for d in range(at.draws):
-            error = weights.squared_error * batch.distance[d]
-            _add(at, s, t, d, error, request.instant_weights[t])
-    for d in range(at.draws):
-        if not batch.error[d] < np.inf:
-            batch.error[d] = np.inf
+    add_squared_errors(at, s, t)
 
 
 @compiled
@@ -430,20 +410,7 @@ def _fill_means(at, means, rows):
     batch = batch_of(at.work)
     for r in range(rows):
         values = ahead(batch.quantity, r * batch.stride)
-        _fill_mean(at, values, ahead(means, r * batch.row))
-
-
-@compiled
-def _fill_mean(at, values, mean):
-    """Fill a row of draws with the weighted mean of a row of particles."""
-    request, batch = request_of(at.work), batch_of(at.work)
-    for d in range(at.draws):
-        origin = d * batch.width
-        if batch.weighted[d]:
-            value = weighted_sum(batch.weight, values, origin, batch.width)
-        else:
-            value = sum_of_first(values, origin, request.particles)
-        mean[d] = value / batch.total[d]
+        fill_mean(at, values, ahead(means, r * batch.row))
 
 
 @entry(Instant)
@@ -463,7 +430,7 @@ def _estimate_variance(instant):
     if wanted.moments:
         _record(at, t, mean, variance)
         if sensors != 0:
-            _record_sizes(at, t)
+            record_sizes(at, t)
     has_distance = request.filters > 1
     if has_distance:
         _measure_distance(at, t, s, mean)
@@ -475,7 +442,7 @@ def _estimate_variance(instant):
             error *= request.weights.variance
         if has_distance and at.number > 0:
             error += request.weights.distance * batch.distance[d]
-        _add(at, s, t, d, error, request.instant_weights[t])
+        add_error(at, s, t, d, error, request.instant_weights[t])
 
 
 @compiled
@@ -490,21 +457,6 @@ def _record(at, t, mean, variance):
 
 
 @compiled
-def _record_sizes(at, t):
-    """Record the effective sample sizes of draws that the instant's last measurement weighed.
-
-    Source: Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of
-    the American Statistical Association 89, 1994.
-    """
-    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
-    for d in range(at.draws):
-        if batch.weighs[d] and batch.error[d] < np.inf:
-            squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
-            place = (at.first + d) * request.instants + t
-            results.sizes[place] = batch.total[d] * batch.total[d] / squares
-
-
-@compiled
 def _measure_distance(at, t, s, mean):
     """Keep the means of the first filter; the second measures the distance of its own to these."""
     request, batch = request_of(at.work), batch_of(at.work)
@@ -515,31 +467,6 @@ def _measure_distance(at, t, s, mean):
     else:
         copy_numbers(first_means, ahead(mean, 2 * count), count)
         of_draws(at, DISTANCE, t, mean, batch.distance)
-
-
-@compiled
-def _add(at, s, t, d, error, weight):
-    """Add an error, by the instant's weight, to those of a draw that has not ended.
-
-    An instant of weight 0 does not count, even if its error is infinite. If they are wanted, add it
-    also to the errors at the instant: weighted to a sum over the draws, and else as it is.
-    """
-    request, results, wanted, batch = (
-        request_of(at.work),
-        results_of(at.work),
-        wanted_of(at.work),
-        batch_of(at.work),
-    )
-    if not batch.error[d] < np.inf:
-        return
-    apart = wanted.errors_apart
-    place = (at.first + d) * apart + s * request.instants + t
-    if apart > 0:
-        results.errors[place] += error
-    if weight != 0.0:
-        batch.error[d] += weight * error
-        if wanted.errors and apart == 0:
-            results.errors[place] += weight * error
 
 
 @entry(Instant)
@@ -615,17 +542,21 @@ def filter_all(
     numbers = (request.states + 1) * width * max(1, plan.clouds)
     if request.rows.size:
         numbers += 2 * (guided.longest_gap(plan) + 1) * request.components * width
+    if request.lag:
+        numbers += request.instants * (request.means + request.sensors + 1) * width
     draws = max(1, min(request.draws, _TOGETHER // width, _MOST_SAVED // numbers))
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    batch, saved, _memory = _arrays(request, plan, width, draws)
+    batch, saved, kept, _memory = _arrays(request, plan, width, draws)
     apart = results.errors[:1].size if results.errors.ndim == 3 else 0
     wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, apart)
     scratch = resampling_scratch(draws, width)
     steps = _needed(request, plan, results, scheme)
     blocks = compiled.blocks
-    filter_draws(FilterCall(blocks, request, plan, results, wanted, batch, scratch, saved, steps))
+    filter_draws(
+        FilterCall(blocks, request, plan, results, wanted, batch, scratch, saved, steps, kept)
+    )
 
 
 def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: str) -> Steps:
@@ -636,7 +567,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
     def address(function: Entry, is_needed: bool = True) -> int:
         return function.address if is_needed else 0
 
-    return Steps(
+    steps = Steps(
         begin=address(_take_prior if request.has_prior else _draw_prior),
         resume=address(_resume, saves),
         save=address(_save, saves),
@@ -656,11 +587,21 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         finish=address(_finish),
         keep=address(_keep, results.cloud.size > 0),
     )
+    if not request.lag:
+        return steps
+    return steps._replace(
+        estimate=lines.estimate.address,
+        estimate_variance=0,
+        resample=lines.resample.address,
+        sort=address(lines.sort, steps.sort != 0),
+        leave_out=address(lines.restore, draws_again),
+        finish=lines.finish.address,
+    )
 
 
 def _arrays(
     request: FilterRequest, plan: Plan, width: int, draws: int
-) -> tuple[CloudBatch, SavedBatches, list[NDArray[np.uint8]]]:
+) -> tuple[CloudBatch, SavedBatches, Lines, list[NDArray[np.uint8]]]:
     """The arrays of a batch of draws, and their memory."""
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
     states, quantities, spacious = request.states, request.quantities, stride + SPARE
@@ -702,5 +643,21 @@ def _arrays(
         numbers=slots * 2 * row,
         flags=slots * 2 * row,
     )
+    instants, events = (request.instants if request.lag else 0), 2 * request.sensors + 1
+    of_lines, rows = zeros(
+        Lines,
+        quantity=instants * request.means * stride * (2 if steps else 1),
+        weight=instants * stride,
+        ancestor=instants * events * stride,
+        moved=instants * events,
+        flow=2 * stride if instants else 0,
+        listed=stride if instants else 0,
+        number=row if instants else 0,
+        means=instants * request.means * row,
+        smoothed=instants * request.means * row,
+        total=row if instants else 0,
+    )
     batch = CloudBatch(draws, width, stride, spacious, row, **arrays)
-    return batch, SavedBatches(**places), [memory, kept]
+    own = {"resample": _resample, "leave_out": guided.leave_out, "finish": _finish}
+    rows |= {name: step.address if instants else 0 for name, step in own.items()}
+    return batch, SavedBatches(**places), Lines(**rows), [memory, kept, of_lines]

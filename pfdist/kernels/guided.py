@@ -24,6 +24,7 @@ from pfdist.kernels.batch import (
     INITIAL,
     INITIAL_NOISE,
     PROCESS_NOISE,
+    QUANTITY,
     SENSORS,
     TRANSITION,
     At,
@@ -33,6 +34,7 @@ from pfdist.kernels.batch import (
     copy_numbers,
     fill_rows,
     is_drawn_again,
+    lines_of,
     other,
     plan_of,
     present,
@@ -95,7 +97,7 @@ def guide(instant):
     """Redraw the noise since the last measurement, and move the particles accordingly."""
     instant = read(instant)
     at, request, batch = instant.at, request_of(instant.at.work), batch_of(instant.at.work)
-    first, k = _last_measured(instant), request.rows[instant.sensor]
+    first, k = last_measured(instant), request.rows[instant.sensor]
     block = SENSORS + request.sensors + BLOCKS * instant.sensor
     steps, sums = instant.t - first, k * (k + 5) // 2
     _fill_noises(instant, first, k)
@@ -108,7 +110,7 @@ def guide(instant):
 
 
 @compiled
-def _last_measured(instant):
+def last_measured(instant):
     """The instant of the last measurement, or that of the prior; -1 if there is neither."""
     request = request_of(instant.at.work)
     measured = ahead(plan_of(instant.at.work).measured, instant.s * request.instants)
@@ -138,6 +140,7 @@ def _go(instant, path):
             _steer(path, step, is_last)
     for step in range(path.steps):
         _step(path, np.int64(-1), step)
+    _keep_quantities(path)
     last = _record(path, path.steps + 1)
     is_truth = request.holds_truth and path.place % batch.width == 0
     for c in range(request.states):
@@ -241,6 +244,28 @@ def _step(path, block, step):
     else:
         which = INITIAL if t < 0 else TRANSITION
     _call(path, which, t, _record(path, step + 1), _record(path, step + 2), _noise(path, step))
+
+
+@compiled
+def _keep_quantities(path):
+    """Keep z at the instants within the path, if lines are kept."""
+    blocks, request, batch = (
+        blocks_of(path.at.work),
+        request_of(path.at.work),
+        batch_of(path.at.work),
+    )
+    for step in range(path.steps - 1 if request.lag > 0 else 0):
+        t = path.first + step + 1
+        row = (request.instants + t) * request.means * batch.stride + path.place
+        call_block(
+            blocks,
+            QUANTITY * request.instants + t,
+            (ahead(lines_of(path.at.work).quantity, row), batch.stride),
+            (_record(path, step + 2), CHUNK),
+            (batch.noise, batch.spacious),
+            (batch.means, 0, 0),
+            (1, path.particles),
+        )
 
 
 @compiled

@@ -61,6 +61,10 @@ class Problem(Shown):
         Start, step and time zone, if times are dates: ``{"start": "2026-04-01", "step": "1 d"}``.
     instant_weights : sequence of float, optional
         Weight of the error of each instant in the MSE.
+    lag : int or float, optional
+        The estimate of z at a time uses measurements until so much later.
+    estimate : {"filtered", "smoothed"}, optional
+        With "smoothed", the estimate of z at a time uses all measurements.
     measurement_budget : int, optional
         The number of measurements.
     forbidden, allowed, required : sequence of int, float, str and range, optional

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from itertools import chain
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -33,6 +33,7 @@ from pfdist.problem.sections import Moment, MomentsAndRanges, is_list_of
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.written import instants_written
 
+FILTERED, SMOOTHED = "filtered", "smoothed"
 _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
@@ -162,6 +163,11 @@ class ProblemSection(JobSection):
         The time of every instant, 2 to 32,001 in ascending order, instead of ``horizon``.
     instant_weights : list of numbers
         Weight of the error of each instant in the MSE, at least 0; only ratios matter.
+    lag : number, clock
+        The estimate of z at a time uses measurements until so much later.
+    estimate : str
+        "filtered": the estimate of z at a time uses measurements until then. "smoothed": it uses
+        all measurements. By default "filtered", unless there is a lag.
     measurement_budget : int
         N, the exact number of measurements, at most the number of allowed instants.
     forbidden : list of times and ranges, clock
@@ -187,6 +193,9 @@ class ProblemSection(JobSection):
     time_unit: Annotated[str, Field(max_length=_LONGEST_UNIT)] | None = None
     times: Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS)] | None = None
     instant_weights: _Numbers | None = None
+    lag: Moment | None = None
+    # None stands for "filtered", which is not written into a job
+    estimate: Literal["filtered", "smoothed"] | None = None
     measurement_budget: _Budget | None = None
     forbidden: MomentsAndRanges | None = None
     allowed: MomentsAndRanges | None = None
@@ -215,6 +224,16 @@ class ProblemSection(JobSection):
             raise ValueError(f"problem.{info.field_name} {error}") from error
         return numbers if isinstance(value, list | tuple) else numbers[0]
 
+    @field_validator("estimate")
+    @classmethod
+    def _is_no_lag(cls, value: str | None, info: ValidationInfo) -> str | None:
+        if info.data.get("lag") is not None:
+            raise ValueError(
+                f"problem.estimate must be left out with problem.lag, got {value!r}: a lag is "
+                "between 'filtered' and 'smoothed'"
+            )
+        return value if value == SMOOTHED else None
+
     @field_validator("sensors", mode="before")
     @classmethod
     def _are_sensors(cls, value: Any) -> Any:
@@ -223,7 +242,7 @@ class ProblemSection(JobSection):
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
         try:
-            self.feasible, self.weights  # noqa: B018  made here: they check the values together
+            self.feasible, self.weights, self.instants_of_lag  # noqa: B018  made here: they check the values together
         except MeasurementTimesError as error:
             raise ValueError(self._said(str(error))) from error
         return self
@@ -371,6 +390,32 @@ class ProblemSection(JobSection):
                 f"{shown(list(given))}"
             )
         return tuple((weights / weights.mean()).tolist())
+
+    @cached_property
+    def instants_of_lag(self) -> int:
+        """The estimate of z(t) uses measurements until so many instants after t.
+
+        It is T for the smoothed estimate, and 0 for the filtered one. Raises
+        `MeasurementTimesError` if the lag is no number of instants.
+        """
+        clock, lag = self.clock, self.lag
+        if lag is None:
+            return clock.horizon if self.estimate == SMOOTHED else 0
+        if not self.has_clock:
+            return min(self._whole("lag", lag), clock.horizon)
+        if not clock.is_even:
+            raise MeasurementTimesError(f"lag needs times with equal steps, got lag = {lag:g}")
+        step = clock.times[1] - clock.times[0]
+        if not step - clock.slack <= lag < np.inf:
+            raise MeasurementTimesError(f"lag must be at least a step, {step:g}, got {lag:g}")
+        return min(int((lag + clock.slack) / step), clock.horizon)
+
+    @property
+    def estimate_written(self) -> str:
+        """The key that says which measurements an estimate uses, and its value."""
+        if self.lag is not None:
+            return f"problem.lag = {self.lag:g}"
+        return f"problem.estimate = {self.estimate or FILTERED!r}"
 
     @property
     def is_constrained(self) -> bool:

@@ -92,6 +92,9 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
     dated, unit = subject.clock.has_dates, subject.clock.unit
+    if problem_of(subject.run).instants_of_lag:
+        later = f"until {_spelled(problem['lag'], unit)} later" if "lag" in problem else "all"
+        yield "measurements that an estimate uses", later
     for key, name in _TIMES.items():
         if problem.get(key):
             yield name, _spelled(problem[key], unit, dated=dated)

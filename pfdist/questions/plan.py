@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Unpack
 
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.options import Options, with_options
 from pfdist.questions.run import run
 from pfdist.questions.run_of_job import PLANNED, folder_of, searched_by
@@ -18,7 +17,7 @@ from pfdist.runner.bound_settings import LEAST_DRAWS
 def plan(
     job: JobSource,
     results: str | Path | None = None,
-    search: str = DEFAULT_METHOD,
+    search: str | None = None,
     changes: Iterable[str] = (),
     bound_draws: int | None = None,
     reuse: str | Path | Iterable[str | Path] = (),
@@ -39,8 +38,9 @@ def plan(
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if the job lists searches: the other folder belongs to their run.
-    search : str
-        Method of the search, with its default settings.
+    search : str, optional
+        Method of the search, with its default settings. By default relaxation, or exchange if the
+        estimate uses later measurements.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3``. The name of the search is its method, as in
         ``search.relaxation.paths=16``.

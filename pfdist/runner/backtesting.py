@@ -232,6 +232,7 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
         problem = {"times": [*clock.times], "measurement_budget": 1}
         problem |= {"time_unit": clock.unit or None}
         problem |= {"sensors": [*job.problem.points.sensors] or None}
+        problem |= {"lag": job.problem.lag, "estimate": job.problem.estimate}
         given = {name: value for name, value in problem.items() if value is not None}
         compared = {"sets": {"regular": "regular"}}  # a job without a search compares a set
         others: dict[str, Any] = {"search": [], "budget": None, "online": None}

@@ -175,6 +175,7 @@ def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel
             estimations=(comparing_of(job), Settings.from_job(job).estimation),
             times=times,
             weights=job.problem.weights,
+            lag=job.problem.instants_of_lag,
             others=[each.parameters for each in scenarios],
             told=told,
         )

@@ -159,8 +159,14 @@ class Replanner:
 def check_plannable(evaluator: Evaluator) -> None:
     """Raise `ModelError` unless systems can be simulated from the filter's particles.
 
-    They cannot if the filter's model has states of another size than the true model.
+    They cannot if the filter's model has states of another size than the true model. Nor do the
+    particles have the past, which estimates that use later measurements need.
     """
+    if evaluator.lag:
+        raise ModelError(
+            "online choice of times needs problem.estimate = 'filtered', got an estimate that uses "
+            "later measurements"
+        )
     if evaluator.scenarios:
         raise ModelError("online choice of times needs a job without scenarios, got some")
     true, believed = evaluator.model.components[0], evaluator.believed.components[0]

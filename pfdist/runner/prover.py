@@ -75,6 +75,8 @@ class Prover:
         self._built, self.settings = built, settings
         if built.job.criterion.bound == "none":
             raise JobError(f"no bound is known for the {built.job.criterion.label}")
+        if built.evaluator.lag:
+            raise JobError(f"no bound is known for {built.job.problem.estimate_written}")
         self.shares: tuple[float, ...] = ()
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         count = settings.particles or built.job.filter.particles

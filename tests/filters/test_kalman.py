@@ -13,6 +13,7 @@ import pytest
 import pfdist
 from oracles.clocked import with_clock
 from oracles.figures_under import CORES, figures_under
+from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from oracles.moments import assert_mean
 from pfdist import Job, StateSpaceModel, linear_gaussian, load_model
@@ -60,13 +61,14 @@ def joint(model: StateSpaceModel) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("times", [(), (0, 2, 3, 7), tuple(range(HORIZON + 1))])
 @pytest.mark.parametrize("name", MODELS)
-def test_it_is_the_conditional_distribution(name: str, times: tuple[int, ...]) -> None:
+@in_turn("lag", [0, 2, HORIZON])
+def test_it_is_the_conditional_distribution(name: str, times: tuple[int, ...], lag: int) -> None:
     model = MODELS[name]
     draws = simulate(model, HORIZON, range(5), 3)
-    filtered = kalman.filter_draws(model, draws, times, 1, 1, trajectories=True)
+    filtered = kalman.filter_draws(model, draws, times, 1, 1, trajectories=True, lag=lag)
     z, y = joint(model)
     for t in range(HORIZON + 1):
-        known = [s for s in times if s <= t]
+        known = [s for s in times if s <= t + lag]
         seen = np.concatenate([y[s] for s in known] or [np.empty((0, z.shape[2]))])
         values = np.concatenate([draws.y[:, s] for s in known] or [np.empty((5, 0))], axis=1)
         weights = np.linalg.solve(seen @ seen.T, seen @ z[t].T).T
@@ -74,7 +76,7 @@ def test_it_is_the_conditional_distribution(name: str, times: tuple[int, ...]) -
         variance = np.diag((z[t] - weights @ seen) @ z[t].T)
         np.testing.assert_allclose(filtered.estimate[:, t], mean, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(filtered.variance[0, t], variance, rtol=1e-9, atol=1e-9)
-    cost = kalman.expected_mse(model, HORIZON, [times])
+    cost = kalman.expected_mse(model, HORIZON, [times], lag=lag)
     assert cost == pytest.approx([filtered.variance[0].sum(axis=1).mean()], rel=1e-12)
 
 

@@ -53,6 +53,42 @@ def grid_filter(
     return means, variances
 
 
+def grid_smoother(
+    model: StateSpaceModel, draws: Draws, measurement_times: Collection[int], points: int = 1000
+) -> Array:
+    """Mean (D, T+1) of z(t) given all measurements; arguments as for `grid_filter`.
+
+    The likelihood of later measurements goes back, and the density of the earlier ones forward.
+    """
+    p, instants = model.p, draws.x.shape[1]
+    means, likelihoods = np.empty((len(draws.x), instants)), list[Array]()
+    grids, steps, densities = list[Array](), list[Array](), list[Array]()
+    pushed, sd = _mean_and_deviation(lambda w: model.initial((w,), p)[0])
+    for t in range(instants):
+        grids.append(_grid(draws, t, sd, points))
+        steps.append(_normal(grids[t], pushed if t == 0 else pushed[:, None], sd))
+        weights = densities[-1] @ steps[t] if t else np.tile(steps[0], (len(draws.x), 1))
+        likelihoods.append(np.ones_like(weights))
+        if t in measurement_times:
+            log_likelihood = model.log_likelihood((draws.y[:, t],), (grids[t],), t, p)
+            likelihoods[t] = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
+        weights = weights * likelihoods[t]
+        densities.append(weights / weights.sum(axis=1, keepdims=True))
+        if t + 1 < instants:
+            pushed, sd = _mean_and_deviation(
+                lambda w, t=t: model.transition((grids[t],), t, (w,), p)[0]
+            )
+    later = np.ones_like(densities[0])
+    for t in range(instants - 1, -1, -1):
+        both = densities[t] * later
+        (z,) = model.quantity_of_interest((grids[t],), t, p)
+        means[:, t] = both @ z / both.sum(axis=1)
+        if t:
+            later = (later * likelihoods[t]) @ steps[t].T
+            later /= later.max(axis=1, keepdims=True)
+    return means
+
+
 def _mean_and_deviation(formula) -> tuple[Array, float]:
     """Give the mean and the factor of the noise of a formula that is affine in its noise."""
     mean, plus_one, minus_one = formula(0.0), formula(1.0), formula(-1.0)

@@ -323,3 +323,91 @@ def test_the_condition_of_resampling_is_written_only_if_it_is_not_the_default(wr
     assert below.filter.threshold == 0.5
     with pytest.raises(JobError, match=r"filter\.resample must be 'always', or 'below'.*'half'"):
         load_job(write("[filter]", '[filter]\nresample = "half"'))
+
+
+# --- which measurements an estimate uses ----------------------------------------------------------
+
+
+def test_the_filtered_estimate_is_not_written_into_a_job(write):
+    plain, said = load_job(write()), load_job(write(), ["problem.estimate=filtered"])
+    assert job_toml(said.identity()) == job_toml(plain.identity())
+    assert (plain.problem.instants_of_lag, plain.evaluation) == (0, said.evaluation)
+    smoothed = load_job(write(), ["problem.estimate=smoothed"])
+    assert smoothed.problem.instants_of_lag == 10
+    assert smoothed.identity()["problem"]["estimate"] == "smoothed"
+
+
+@in_turn(
+    ("clock", "lag", "instants"),
+    [
+        ({}, 3, 3),
+        ({}, 11, 10),
+        ({"time_step": 0.1}, 0.3, 3),
+        ({"time_step": 4.0, "horizon": 40}, 11, 2),
+        ({"clock": {"start": "2026-04-01", "step": "1 d"}}, 2, 2),
+    ],
+)
+def test_a_lag_is_a_duration_on_the_clock(write, clock, lag, instants):
+    horizon = clock.get("horizon", 1 if "time_step" in clock else 10)
+    own = {"measurement_budget": 3, **clock, "horizon": horizon, "lag": lag}
+    job = load_job(write(), ["search=[]", "comparison.sets={a=[0]}"], {"problem": own})
+    assert job.problem.instants_of_lag == instants
+
+
+@in_turn(
+    ("changes", "message"),
+    [
+        (["lag=0"], "^problem.lag must be at least 1, got 0"),
+        (["lag=1.5"], "^problem.lag must be an integer"),
+        (["time_unit=h", "lag=0.5"], "^problem.lag must be at least a step, 1, got 0.5"),
+        (
+            ["horizon=10", "lag=3", "estimate=filtered"],
+            "^problem.estimate must be left out with problem.lag, got 'filtered'",
+        ),
+        (["estimate=best"], "^problem.estimate must be 'filtered' or 'smoothed', got 'best'"),
+    ],
+)
+def test_a_lag_that_is_none_is_one_line(write, changes, message):
+    with pytest.raises(JobError, match=message):
+        load_job(write(), [f"problem.{change}" for change in changes])
+
+
+def test_a_lag_needs_equal_steps(write):
+    own = {"times": [0, 1, 3, 9], "measurement_budget": 2, "lag": 2}
+    with pytest.raises(JobError, match=r"^problem.lag needs times with equal steps, got lag = 2"):
+        load_job(write(), [], {"problem": own})
+
+
+@in_turn(
+    ("change", "message"),
+    [
+        (
+            "search=[{method='corridor'}]",
+            r"whole sets \(exchange, .*\), got corridor: errors of inst",
+        ),
+        ("online={}", "a job without a section online"),
+        ("budget={least=2,most=3}", "a job without a section budget"),
+    ],
+)
+def test_later_measurements_need_sets_that_are_compared_as_a_whole(write, change, message):
+    with pytest.raises(JobError, match=rf"^problem.estimate = 'smoothed' needs .*{message}"):
+        load_job(write(), ["problem.estimate=smoothed", change])
+    with pytest.raises(
+        JobError, match=r"^comparison.control = true needs problem.estimate = 'filt"
+    ):
+        load_job(write(), ["problem.estimate=smoothed", "comparison.control=true"])
+
+
+def test_the_usual_search_compares_whole_sets_if_estimates_use_later_measurements(tmp_path):
+    (tmp_path / "a.toml").write_text("seed = 1\n[problem]\nhorizon = 6\nmeasurement_budget = 2\n")
+    job, later = load_job(tmp_path / "a.toml"), ["problem.lag=2"]
+    searches = [
+        [search.method for search in each.search]
+        for each in (job, job.with_changes(later), load_job(job.path, later))
+    ]
+    assert searches == [["relaxation"], ["exchange"], ["exchange"]]
+    back = job.with_changes(later).with_changes(settings={"seed": 3})
+    assert [search.method for search in back.search] == ["exchange"]
+    polished = ["search.exchange.polish=true", "problem.estimate=smoothed"]
+    assert job.with_changes(polished).search[0].polish
+    assert job.with_changes(settings={"problem": {"lag": 1}}).search[0].method == "exchange"

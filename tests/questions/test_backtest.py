@@ -71,6 +71,23 @@ def test_errors_are_those_of_the_plan_and_both_grids(planned: Path) -> None:
     assert found.files == ()
 
 
+def test_smoothed_estimates_are_judged_if_the_job_makes_them(planned: Path, tmp_path: Path) -> None:
+    """Unused measurements from all used ones: the conditional mean of a Gaussian process."""
+    changes = ["problem.estimate=smoothed"]
+    smoothed = pfdist.run(planned.parent / "lake.toml", tmp_path, changes=changes, figures=False)
+    data, times = days(1), [1, 15, 30, 40]
+    found = judged(smoothed, data, times={"mine": times})
+    t = np.arange(HORIZON + 1)
+    variances = estimates(np.full(t.size, np.nan), ())[1]
+    covariance = 0.95 ** abs(t - t[:, None]) * variances[np.minimum(t, t[:, None])]
+    seen, y = covariance[times], data["y0"].to_numpy()
+    mean = seen.T @ np.linalg.solve(seen[:, times] + 0.1**2 * np.eye(4), y[times])
+    sets = [*map(int, found.plan)], *GRIDS.values(), times
+    judged_at = [each for each in t if not any(each in some for some in sets)]
+    real = found.table.query("set == 'mine'").iloc[0]["real"]
+    assert real == pytest.approx(np.mean((y - mean)[judged_at] ** 2) / y[judged_at].var(), rel=1e-9)
+
+
 def test_a_foreseen_gain_is_that_of_the_exact_errors(planned: Path) -> None:
     found = judged(planned, days(24))
     sets = {"plan": tuple(map(int, found.plan)), **GRIDS}

@@ -1,0 +1,272 @@
+"""The estimate of z(t) that uses later measurements, by the particles' ancestral lines.
+
+The filter keeps z of all particles at each instant, and the ancestors at each resampling. At the
+end of a set, the weights of a measurement go back along the lines: the weight of a particle at t is
+the sum over its descendants. So the estimate of z(t) is a weighted mean over those particles at t
+that have descendants, which become few soon. No transition density is needed.
+
+With a lag, z(t) is estimated by the lines of the last measurement until t + lag, before it is
+resampled. If this measurement lies before t, the estimate is the filter's.
+
+Sets come in the order of a tree, see `pfdist.kernels.prefixes`. So when a set resumes from a saved
+batch at t, all that is kept of the instants before t is still that of the shared prefix.
+
+Source: Kitagawa, "Monte Carlo filter and smoother for non-Gaussian nonlinear state space models",
+Journal of Computational and Graphical Statistics 5, 1996 (storing the state vector; fixed lag).
+"""
+
+import numpy as np
+
+from pfdist.kernels.ancestors import sort_by_state, sum_of_weights, weighted_sum
+from pfdist.kernels.batch import (
+    ESTIMATE,
+    QUANTITY,
+    Instant,
+    add_squared_errors,
+    batch_of,
+    copy_numbers,
+    fill_mean,
+    is_drawn_again,
+    lines_of,
+    measuring,
+    of_draws,
+    of_particles,
+    other,
+    plan_of,
+    present,
+    record_sizes,
+    request_of,
+    results_of,
+    scratch_of,
+    steps_of,
+    wanted_of,
+)
+from pfdist.kernels.cached import compiled, entry
+from pfdist.kernels.guided import last_measured
+from pfdist.kernels.memory import ahead, call, read
+
+_FEW = np.int64(4)  # fewer lines than one in so many particles are added up one by one
+
+
+@entry(Instant)
+def estimate(instant):
+    """Keep z and its mean, and at a measurement also the weights."""
+    at, _, t, sensors, _ = read(instant)
+    request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
+    z, means = _quantity(at, t), ahead(lines.means, t * request.means * batch.row)
+    of_particles(at, QUANTITY, t, present(at), z)
+    for r in range(request.means):
+        fill_mean(at, ahead(z, r * batch.stride), ahead(means, r * batch.row))
+    if sensors == 0:
+        return
+    for d in range(at.draws):
+        origin = d * batch.width
+        weight = ahead(lines.weight, t * batch.stride + origin)
+        if batch.weighted[d]:
+            copy_numbers(ahead(batch.weight, origin), weight, batch.width)
+        else:
+            for i in range(batch.width):
+                weight[i] = np.float32(1.0 if i < request.particles else 0.0)
+    if wanted_of(at.work).moments:
+        record_sizes(at, t)
+
+
+@entry(Instant)
+def resample(instant):
+    """Resample, and keep the ancestors."""
+    instant = read(instant)
+    at, event = instant.at, _event(instant.at, instant.t, 2 * instant.sensor)
+    batch, lines, scratch = batch_of(at.work), lines_of(at.work), scratch_of(at.work)
+    call(lines.resample, instant)
+    lines.moved[event] = 0
+    for d in range(at.draws):
+        lines.moved[event] |= batch.resamples[d]
+    if lines.moved[event]:
+        for d in range(at.draws):
+            ancestors = ahead(lines.ancestor, event * batch.stride + d * batch.width)
+            copy_numbers(ahead(scratch.ancestor, d * scratch.span), ancestors, batch.width)
+
+
+@entry(Instant)
+def sort(instant):
+    """Sort the particles, and keep their order."""
+    at, _, t, _, sensor = read(instant)
+    request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
+    source, target, scratch = present(at), other(at), scratch_of(at.work)
+    event = _event(at, t, 2 * sensor + 1)
+    lines.moved[event] = 1
+    for d in range(at.draws):
+        origin = d * batch.width
+        sort_by_state(
+            source, target, batch.weight, batch.cumulative, origin, batch.width, request.particles,
+            batch.weighs[d] > 0, scratch,
+        )  # fmt: skip
+        order = ahead(lines.ancestor, event * batch.stride + origin)
+        copy_numbers(scratch.shares, order, request.particles)
+        for i in range(request.particles, batch.width):
+            order[i] = i
+    batch.half[0] = 1 - batch.half[0]
+
+
+@entry(Instant)
+def restore(instant):
+    """Restore particles that were redrawn for a measurement that is left out, with their paths."""
+    instant = read(instant)
+    at = instant.at
+    request, batch = request_of(at.work), batch_of(at.work)
+    call(lines_of(at.work).leave_out, instant)
+    if not is_drawn_again(instant):
+        return
+    for t in range(last_measured(instant) + 1, instant.t):
+        for d in range(at.draws):
+            if not batch.weighs[d]:
+                for r in range(request.means):
+                    place = r * batch.stride + d * batch.width
+                    z = ahead(_quantity(at, t), place)
+                    copy_numbers(z, ahead(_quantity(at, request.instants + t), place), batch.width)
+
+
+@entry(Instant)
+def finish(instant):
+    """Estimate z of all instants by the lines, and write the results of a set."""
+    instant = read(instant)
+    at, s, _, _, _ = instant
+    request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
+    end, size = plan_of(at.work).ends[s], request.means * batch.row
+    copy_numbers(lines.means, lines.smoothed, end * size)
+    behind = end  # the estimates from here on are known
+    for m in range(end - 1, -1, -1):
+        first = max(m - request.lag, 0)
+        if first < behind and measuring(at, s, m) != 0:
+            _trace(at, s, m, first, min(m + 1, behind))
+            behind = first
+    mean = ahead(batch.moments, request.quantities * batch.row)
+    for t in range(end):
+        of_draws(at, ESTIMATE, t, ahead(lines.smoothed, t * size), mean)
+        if wanted_of(at.work).moments:
+            _record(at, t, mean)
+        add_squared_errors(at, s, t)
+    call(lines.finish, instant)
+
+
+@compiled
+def _record(at, t, mean):
+    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
+    for d in range(at.draws):
+        if batch.error[d] < np.inf:
+            first = ((at.first + d) * request.instants + t) * request.quantities
+            for c in range(request.quantities):
+                results.estimate[first + c] = mean[c * batch.row + d]
+
+
+@compiled
+def _event(at, t, number):
+    return t * (2 * request_of(at.work).sensors + 1) + number
+
+
+@compiled
+def _quantity(at, row):
+    """The rows of z at an instant; those of redrawn paths come after those of all instants."""
+    stride = batch_of(at.work).stride
+    return ahead(lines_of(at.work).quantity, row * request_of(at.work).means * stride)
+
+
+@compiled
+def _trace(at, s, m, first, behind):
+    """Estimate z at the instants from `first`, before `behind`, by the lines of a measurement."""
+    request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
+    weight, sorts = ahead(lines.weight, m * batch.stride), steps_of(at.work).sort != 0
+    for d in range(at.draws):
+        lines.total[d] = sum_of_weights(weight, d * batch.width, batch.width)
+    half = np.int64(-1)  # of `flow`, once lines have met; before, weights are those of particles
+    redrawn = False  # whether the noise until the next measurement was drawn again
+    for t in range(m, first - 1, -1):
+        sensors = measuring(at, s, t)
+        if sensors != 0 and t < m:
+            half = _back(at, weight, _event(at, t, 2 * request.sensors), half)
+        if t < behind:
+            z = _quantity(at, request.instants + t if redrawn and sensors == 0 else t)
+            for r in range(request.means):
+                mean = ahead(lines.smoothed, (t * request.means + r) * batch.row)
+                _fill_mean(at, weight, half, ahead(z, r * batch.stride), mean)
+        for sensor in range(request.sensors - 1, -1, -1):
+            if (sensors >> sensor) & 1:
+                redrawn = is_drawn_again(Instant(at, s, t, sensors, sensor))
+                if sorts:
+                    half = _back(at, weight, _event(at, t, 2 * sensor + 1), half)
+                half = _back(at, weight, _event(at, t, 2 * sensor), half)
+    _clear(at, half)
+
+
+@compiled
+def _clear(at, half):
+    """Leave zeros in `flow`."""
+    batch, lines = batch_of(at.work), lines_of(at.work)
+    for d in range(at.draws if half >= 0 else 0):
+        flow, index = _flow(at, half, d), ahead(lines.listed, d * batch.width)
+        for i in range(lines.number[d]):
+            flow[np.int64(index[i])] = 0.0
+
+
+@compiled
+def _flow(at, half, d):
+    batch = batch_of(at.work)
+    return ahead(lines_of(at.work).flow, half * batch.stride + d * batch.width)
+
+
+@compiled
+def _fill_mean(at, weight, half, z, mean):
+    """Fill a row of draws with the mean of z, weighted with the lines through each particle."""
+    batch, lines = batch_of(at.work), lines_of(at.work)
+    for d in range(at.draws):
+        origin = d * batch.width
+        if half < 0:
+            value = weighted_sum(weight, z, origin, batch.width)
+        elif lines.number[d] * _FEW > batch.width:
+            value = weighted_sum(_flow(at, half, d), ahead(z, origin), np.int64(0), batch.width)
+        else:
+            flow, index = _flow(at, half, d), ahead(lines.listed, origin)
+            value = 0.0
+            for i in range(lines.number[d]):
+                value += flow[np.int64(index[i])] * z[origin + index[i]]
+        mean[d] = value / lines.total[d]
+
+
+@compiled
+def _back(at, weight, event, half):
+    """Move weights to ancestors, and list these; return the half of `flow` with the weights."""
+    batch, lines = batch_of(at.work), lines_of(at.work)
+    if lines.moved[event] == 0:
+        return half
+    other_half = np.int64(1) if half == 0 else np.int64(0)
+    for d in range(at.draws):
+        origin = d * batch.width
+        flow, index = _flow(at, other_half, d), ahead(lines.listed, origin)
+        ancestor = ahead(lines.ancestor, event * batch.stride + origin)
+        if half < 0:
+            _add_up(ahead(weight, origin), ancestor, flow, index, batch.width)
+            lines.number[d] = batch.width
+            continue
+        children, parents = _flow(at, half, d), np.int64(0)
+        for i in range(lines.number[d]):
+            child = np.int64(index[i])
+            parent, part = ancestor[child], children[child]
+            before = flow[np.int64(parent)]
+            flow[np.int64(parent)] = before + part
+            children[child] = 0.0
+            index[parents] = parent
+            parents += (before == 0.0) & (part > 0.0)
+        lines.number[d] = parents
+    return other_half
+
+
+@compiled
+def _add_up(weight, ancestor, flow, index, width):
+    """Add up the weights of a draw's particles, and list all."""
+    for i in range(width):
+        index[i] = i
+    quarter = width // np.int64(4)
+    for i in range(quarter):
+        for stream in range(np.int64(4)):  # siblings are neighbours, and wait for each other
+            k = i + stream * quarter
+            flow[np.int64(ancestor[k])] += np.float64(weight[k])
