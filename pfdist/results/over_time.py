@@ -9,14 +9,17 @@ errors, and those of differences of two sets. `evaluate` and `why` have ranges o
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.results.stored_run import StoredRun, measured_of, problem_of, schema_version_of
+from pfdist.store.tables import first_occurrences
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,14 +50,19 @@ def longest_range(draws: int) -> int:
     return int(1 << max(0, (draws // _FEWEST).bit_length() - 1))
 
 
-def read_ranges(rows: pd.DataFrame) -> list[Range]:
+def read_ranges(rows: pa.Table) -> list[Range]:
     """The ranges in rows of the table, in order; a range that is part of another is left out."""
     found = list[Range]()
-    rows = rows.sort_values(["draw", "draws", "position"], ascending=[True, False, True])
-    for _, same in rows.groupby(["draw", "draws"], sort=False):
-        first, draws = int(same["draw"].iloc[0]), int(same["draws"].iloc[0])
+    draw, draws, position, sums = (
+        rows[name].to_numpy() for name in ("draw", "draws", "position", "sums")
+    )
+    order = np.lexsort((position, -draws, draw))
+    draw, draws, sums = draw[order], draws[order], sums[order]
+    starts = np.flatnonzero(first_occurrences(draw, draws)).tolist()
+    for start, end in pairwise([*starts, len(draw)]):
+        first = int(draw[start])
         if not found or first >= found[-1].end:
-            found.append(Range(first, draws, np.stack([*same["sums"]])))
+            found.append(Range(first, int(draws[start]), np.stack([*sums[start:end]])))
     return found
 
 
@@ -98,7 +106,7 @@ def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Arr
 
 def _ranges_of(run: StoredRun) -> list[Range]:
     """The ranges of a comparison; the sums in a run of schema version 3 are weighted."""
-    ranges, weights = read_ranges(run.table(RANGE_SUMS)), problem_of(run).weights
+    ranges, weights = read_ranges(run._store.rows(RANGE_SUMS)), problem_of(run).weights
     if weights is None or schema_version_of(run) >= _UNWEIGHTED_SINCE:
         return ranges
     with np.errstate(divide="ignore", invalid="ignore"):  # weight 0: the error is unknown

@@ -17,7 +17,7 @@ import numpy as np
 from pfdist.common.estimate import Estimate
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
-from pfdist.results.stored_run import StoredRun, statistics_of
+from pfdist.results.stored_run import StoredRun, on_common_draws, statistics_of
 
 SMALL, SMALL_AT_MOST = 0.01, 0.05
 """Fractions of the expected MSE: P is enough if the loss by two filters and the limit are lower."""
@@ -203,8 +203,7 @@ def particle_losses_of(
     """
     if not (run._store.has("filter_distance") and run._store.has("filter_variance")):
         return {}
-    rows = run.table("filter_distance").merge(run.table("filter_variance"), on="draw")
-    rows = rows.merge(run.table("comparison", int(rows["draw"].max()) + 1), on="draw")
+    rows = on_common_draws(run, "filter_distance", "filter_variance")
     particles, whole = run.job["filter"]["particles"], (statistics or statistics_of(run)).mse
     return {
         name: particle_loss(

@@ -28,6 +28,7 @@ from pfdist.results.stored_run import (
     copies_of,
     last_bounds,
     measured_of,
+    on_common_draws,
     own_estimation,
     problem_of,
     statistics_of,
@@ -62,7 +63,7 @@ def sets_of(run: StoredRun) -> pd.DataFrame:
 
 def _computed(run: StoredRun) -> list[Row]:
     rows = {row.name: row for row in _given(run)}
-    has_results = "comparison" in run.tables
+    has_results = run._store.has("comparison")
     if has_results:
         _add_results(run, rows, statistics_of(run))
         add_bounds(rows.values(), last_bounds(run))
@@ -90,7 +91,7 @@ def rows_of_sets(run: StoredRun) -> list[Row]:
     """The rows of the table of sets, the reference first; empty before the searches have ended."""
     if (known := summary_of(run)) is not None:
         return known.sets
-    return _computed(run) if "compared" in run.tables else []
+    return _computed(run) if run._store.has("compared") else []
 
 
 def _given(run: StoredRun) -> Iterable[Row]:
@@ -117,13 +118,18 @@ def _given(run: StoredRun) -> Iterable[Row]:
         if is_found:
             row.add({each: entry[each] for each in ("search_mse", "search_standard_error")})
         elif "budget" not in run.job:
-            row.add(described(run.job, name, tuple(times)))
+            row.add(described(run.job, name, tuple(times), problem))
         if not math.isnan(exact := entry.get("exact_mse", math.nan)):
             row.add(_exact("expected_mse", exact) | {"standard_error": 0.0})
         yield row
 
 
-def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[str, Any]:
+def described(
+    job: Mapping[str, Any],
+    name: str,
+    times: Sequence[Time],
+    problem: ProblemSection | None = None,
+) -> dict[str, Any]:
     """A description of a set that the job gives, and the constraints of the job that it breaks.
 
     Parameters
@@ -134,13 +140,15 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
         Name of the set.
     times : sequence of int or float
         Measurement times of the set, on the clock of the job.
+    problem : ProblemSection, optional
+        The job's section [problem], if it is known.
 
     Returns
     -------
     dict
         ``description``, a phrase, and ``broken_constraints``, a list of sentences.
     """
-    problem = ProblemSection.model_validate(job["problem"])
+    problem = problem or ProblemSection.model_validate(job["problem"])
     feasible, instants = problem.feasible, problem.points.read(times)
     number = f"N = {len(times)}"
     if not feasible.counted:
@@ -212,7 +220,7 @@ def typical_error(error: float, is_angle: bool) -> float:
 
 def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
     """The shares of the components of z in the error of each set, by the trajectories."""
-    if "trajectories" not in run.tables:
+    if not run._store.has("trajectories"):
         return {}
     rows, problem = run.table("trajectories"), problem_of(run)
     suffixes = [each.suffix for each in components_in(rows, "z_")]
@@ -307,7 +315,7 @@ def _add_particle_losses(
     losses = particle_losses_of(run, statistics)
     if not losses:
         return
-    unmeasured = float(run.table("filter_variance")["unmeasured"].mean())
+    unmeasured = float(run._store.rows("filter_variance")["unmeasured"].to_pandas().mean())
     # A budget curve has many sets: the largest loss speaks for all.
     worst = max(losses, key=lambda name: losses[name].limit) if "budget" in run.job else ""
     for name, loss in losses.items():
@@ -320,11 +328,9 @@ def _add_particle_losses(
 
 def _gain_over_itself(run: StoredRun) -> Results:
     """The effect of filter noise alone on a gain, if the reference was filtered twice."""
-    if "repeated" not in run.tables:
+    if not run._store.has("repeated"):
         return {}
-    again = run.table("repeated")
-    last = int(again["draw"].max()) + 1
-    both = again.merge(run.table("comparison", last), on="draw")
+    both = on_common_draws(run, "repeated")
     gain = gain_over_itself(both[f"mse_{run.names[0]}"].to_numpy(), both["mse"].to_numpy())
     low, high = gain.estimate.interval()
     return {

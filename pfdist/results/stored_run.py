@@ -6,12 +6,13 @@ import warnings
 from collections import defaultdict
 from collections.abc import Iterator
 from copy import deepcopy
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
@@ -55,12 +56,11 @@ class StoredRun:
 
     def table(self, name: str, draws: int | None = None) -> pd.DataFrame:
         """A table that the run has in files; only its first draws, if `draws` is given."""
-        there = self._store.tables
-        if name not in there:
+        if not self._store.has(name):
             has = ", ".join(self.tables) or "none yet"
             raise StoreError(f"the run {self.path} has no table {name!r}; it has: {has}")
         table = self._store.compared() if name == "compared" else self._store.read(name, draws)
-        if "compared" in there:
+        if self._store.has("compared"):
             table.attrs["sets"] = self.labels
         return table
 
@@ -254,9 +254,10 @@ def copies_of(run: StoredRun) -> dict[str, list[int]]:
     """The copies of each evaluation of a search, in all its phases, by the name of the search."""
     if not run._store.has("evaluations"):
         return {}
-    rows = run.table("evaluations")
-    names = rows["phase"].astype(str).str.partition(".")[0]
-    return {str(name): copies.tolist() for name, copies in rows["copies"].groupby(names)}
+    rows, copies = run._store.rows("evaluations"), defaultdict[str, list[int]](list)
+    for phase, number in zip(rows["phase"].to_pylist(), rows["copies"].to_pylist(), strict=True):
+        copies[phase.partition(".")[0]].append(number)
+    return copies
 
 
 def evaluations_of(run: StoredRun) -> int:
@@ -309,6 +310,19 @@ def errors_of(run: StoredRun) -> Iterator[tuple[NDArray[Any], NDArray[Any], pa.T
             for names in (columns, [f"degenerate_{name}" for name in run.sets])
         )
         yield errors, degenerate, rows
+
+
+def on_common_draws(run: StoredRun, *tables: str) -> pa.Table:
+    """The columns of some tables and of the comparison, on the draws that all of them have."""
+    each = [run._store.rows(table) for table in tables]
+    last = min(1 + pc.max(rows["draw"]).as_py() for rows in each)
+    each.append(run._store.rows("comparison", last))
+    draws = reduce(np.intersect1d, [rows["draw"].to_numpy() for rows in each])
+    columns = dict[str, pa.ChunkedArray]()
+    for rows in each:
+        common = rows.filter(pc.is_in(rows["draw"], pa.array(draws)))
+        columns |= dict(zip(common.column_names, common.columns, strict=True))
+    return pa.table(columns)
 
 
 def statistics_of(run: StoredRun) -> ComparisonStatistics:

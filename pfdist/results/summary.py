@@ -12,6 +12,7 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -111,7 +112,8 @@ def keep_summary(run: StoredRun, sets: Sequence[Row]) -> None:
 
 def worker_seconds_of(run: StoredRun) -> float | None:
     """Seconds that all tasks have taken, or None if that is not known."""
-    return float(run.table("timings")["seconds"].sum()) if "timings" in run.tables else None
+    has = run._store.has("timings")
+    return float(np.sum(run._store.rows("timings")["seconds"])) if has else None
 
 
 def _fingerprint(run: StoredRun) -> bytes:

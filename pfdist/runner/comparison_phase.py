@@ -210,9 +210,9 @@ def _publish(store: Store, draws: int, most: int) -> None:
     rows = ROWS_IN_A_FILE["comparison"]
     pieces: dict[str, Iterable[pa.Table]] = {"comparison": store.blocks("comparison", rows, draws)}
     if store.has(RANGE_SUMS):
-        committed_sums = store.read(RANGE_SUMS)
-        ranges = [each for each in read_ranges(committed_sums) if each.end <= draws]
-        names = list(dict.fromkeys(committed_sums["name"]))  # rows are in order of the sets
+        sums = store.rows(RANGE_SUMS)
+        ranges = [each for each in read_ranges(sums) if each.end <= draws]
+        names = list(dict.fromkeys(sums["name"].to_pylist()))  # rows are in order of the sets
         pieces[RANGE_SUMS] = [_range_rows(names, joined_ranges(ranges, most))]
     store.publish_together(COMPARISON, pieces)
 

@@ -302,8 +302,9 @@ class RunSession:
             self.store.commit(table, phase, pa.concat_tables(rows[phase, table]))
         for phase, done in outcomes.items():
             self.store.commit("timings", phase, self._timings(phase, done))
-        for write in later:
-            write()
+        with self.store.together():
+            for write in later:
+                write()
         self._last_commit = time.monotonic()
 
     def _timings(self, phase: str, outcomes: list[Outcome]) -> pa.Table:

@@ -59,8 +59,9 @@ def drive(session: RunSession) -> Generator[WorkBatch, None, None]:
             yield from run_online(session, sets)
     finally:  # also if the driver is closed early: rows that still wait are committed
         session.commit()
-        for phase in (*built.phases, COMPARISON, ONLINE_TIMES):
-            store.settle("timings", phase)
+        with store.together():
+            for phase in (*built.phases, COMPARISON, ONLINE_TIMES):
+                store.settle("timings", phase)
 
 
 def foreseen_steps(built: Built) -> float:

@@ -83,9 +83,9 @@ def publish_search(store: Store, phase: str) -> None:
     if not unpublished(store, [phase]):
         return
     store.settle("error_sums", phase)
-    rows = store.read("evaluations", phase=phase)
-    most = rows.groupby("evaluation", sort=False)["draws"].max()
-    wanted = {str(id_): int(draws) for id_, draws in most.items()}
+    rows, wanted = store.read("evaluations", phase=phase), dict[str, int]()
+    for id_, draws in zip(rows["evaluation"], rows["draws"].tolist(), strict=True):
+        wanted[id_] = max(draws, wanted.get(id_, 0))
     store.publish("draws", phase, _draws_of(store, wanted))
     own = store.own_schema(schema("evaluations"))
     table = pa.Table.from_pandas(rows, schema=own, preserve_index=False)
@@ -217,7 +217,7 @@ def run_phase(
     optimiser, name, reporter = phase.optimiser, phase.name, session.reporter
     committed = set[int]()
     if session.store.has(EVALUATIONS, name):
-        committed.update(session.store.read(EVALUATIONS, phase=name)["generation"])
+        committed.update(session.store.rows(EVALUATIONS, phase=name)["generation"].to_pylist())
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)

@@ -139,6 +139,16 @@ def read_if_hashed(path: Path, wanted: str, most: float = math.inf) -> bytes | N
         return file.read()
 
 
+def stamp_of(path: Path) -> tuple[int, ...]:
+    """Numbers that differ between two versions of a file; raises `OSError` if there is none."""
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # else NFS has an old one
+    try:
+        about = os.fstat(handle)
+    finally:
+        os.close(handle)
+    return about.st_dev, about.st_ino, about.st_mtime_ns, about.st_ctime_ns, about.st_size
+
+
 def digest(path: Path) -> str:
     """SHA-256 of a plain file; raises as `open_plain`."""
     with open(open_plain(path), "rb") as file:

@@ -12,6 +12,7 @@ two steps costs:
   listed any more are removed, and last the parts. A kill before the list costs nothing: the parts
   or the former files are still there, and the next start removes what is not listed. After a kill
   behind the list, parts may be left: their phase is published again, with the same bytes.
+  Several tables may take each of these steps together.
 - job.toml, model.json or run.json is replaced: files.json lists the hashes of the old and the new
   content, then the file gets its name. The next list keeps only the hash of the file that is there.
 - Tables change: the pages leave the list first. Their files stay until new ones replace them, which
@@ -21,7 +22,6 @@ two steps costs:
 import contextlib
 import hashlib
 import json
-import os
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
@@ -61,25 +61,13 @@ def read_listing(folder: Path) -> Listing | None:
     path = folder / FILES
     with files.reading(path):
         try:
-            version = _version(path)
+            version = files.stamp_of(path)
         except (FileNotFoundError, NotADirectoryError):
             return None
     known = _known.get(path)
     if known is None or known[0] != version:
         known = _known[path] = version, _read(path)
     return known[1]
-
-
-def _version(path: Path) -> tuple[int, ...]:
-    """Numbers that differ between two versions of a file that is replaced as a whole."""
-    handle = os.open(
-        path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
-    )  # else NFS may know an old one
-    try:
-        about = os.fstat(handle)
-    finally:
-        os.close(handle)
-    return about.st_dev, about.st_ino, about.st_mtime_ns, about.st_ctime_ns, about.st_size
 
 
 def _read(path: Path) -> Listing | None:
@@ -118,7 +106,7 @@ def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None
     text = json.dumps(_content(listing), indent=1) + "\n"
     path = folder / FILES
     files.write_file(path, lambda file: file.write_text(text, encoding="utf-8"))
-    _known[path] = _version(path), listing
+    _known[path] = files.stamp_of(path), listing
 
 
 def listed_pages(folder: Path) -> set[Path]:

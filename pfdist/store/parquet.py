@@ -13,6 +13,8 @@ so a process may die at any time. A commit reads and lists nothing, so its cost 
 
 from __future__ import annotations
 
+import contextlib
+import os
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -37,6 +39,7 @@ from pfdist.store.tables import (
     check_names,
     cut_rows,
     first_occurrences,
+    name_table,
     prepare_table,
     read_file,
     signed,
@@ -50,6 +53,7 @@ ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
 _ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing the files that are read
 Value = TypeVar("Value")
+_Change = tuple[set[Path], set[Path], list[Path]]  # files that are new, files and parts that go
 
 
 class Store:
@@ -70,6 +74,7 @@ class Store:
         self._columns = columns
         # Files of the draws table by evaluation; None until they are needed.
         self._holders: dict[str, set[Path]] | None = None
+        self._unlisted: list[_Change] | None = None  # see `together`
 
     def timed(self, rows: pa.Table) -> pa.Table:
         """Rows with times in place of instants, if the run has times."""
@@ -114,11 +119,7 @@ class Store:
         The file gets its name in one step: before it nothing is committed, and after it all rows
         are.
         """
-        prepared = self._prepared(self.path / "parts" / table, rows)
-        path = self.path / "parts" / table / f"{phase}-{prepared.sha256[:HASH_DIGITS]}.parquet"
-        files.give_name(prepared, path)  # a file with this name has the same content
-        if table == "draws":
-            self._note_holder(path, rows)
+        self._write(self.path / "parts" / table, phase, rows)
 
     def publish(self, table: str, phase: str, pieces: Iterable[pa.Table]) -> None:
         """Write all rows of a phase to files of its table, and remove the phase's parts.
@@ -134,28 +135,53 @@ class Store:
         for table, stream in pieces.items():
             folder, length = self.path / "tables" / table, ROWS_IN_A_FILE.get(table, _MANY)
             for number, rows in enumerate(cut_rows(stream, length)):
-                prepared = self._prepared(folder, rows.combine_chunks())
-                path = folder / f"{phase}-{number:05d}-{prepared.sha256[:HASH_DIGITS]}.parquet"
-                files.give_name(prepared, path)
-                written.add(path)
-                if table == "draws":
-                    self._note_holder(path, rows)
+                written.add(self._write(folder, f"{phase}-{number:05d}", rows.combine_chunks()))
             former = self._published(table) | self._listed(table)
             old |= {path for path in former if path.name.startswith(f"{phase}-")}
             parts += self._parts(table, phase)
+        if self._unlisted is None:
+            self._replace([(written, old, parts)])
+        else:
+            self._unlisted.append((written, old, parts))
+
+    @contextlib.contextmanager
+    def together(self) -> Iterator[None]:
+        """A context in which tables are published together: they are listed once, at its end.
+
+        After an error in it none is listed, so their parts stay, and the next start publishes them.
+        """
+        self._unlisted = unlisted = list[_Change]()
+        try:
+            yield
+        finally:
+            self._unlisted = None
+        if unlisted:
+            self._replace(unlisted)
+
+    def _replace(self, changes: Iterable[_Change]) -> None:
+        """List files that were written, no longer list old ones, and remove these, then parts."""
         # The list comes after all files and before the first part goes: at any instant every row is
         # in a part or in a file that is listed. Parts go last: they show that this was cut short.
-        self._list(self._listed() - old | written)
-        gone = [*(old - written), *parts]
+        listed = self._listed()
+        for written, old, _ in changes:
+            listed = listed - old | written
+        self._list(listed)
+        gone = [path for written, old, parts in changes for path in (*(old - written), *parts)]
         for path in gone:
             files.remove(path)
         holders = self._holders or {}
         for id_ in holders:
             holders[id_] -= holders[id_].intersection(gone)  # of all parts, few are holders
 
-    def _prepared(self, folder: Path, rows: pa.Table) -> files.Prepared:
-        """A file with rows in the form in which files hold them, which has no name yet."""
-        return prepare_table(folder, signed(self.timed(rows), self._run_key))
+    def _write(self, folder: Path, start: str, rows: pa.Table) -> Path:
+        """Write rows, in the form in which files hold them, to a file whose name begins so."""
+        own = signed(self.timed(rows), self._run_key)
+        prepared = prepare_table(folder, own)
+        path = folder / f"{start}-{prepared.sha256[:HASH_DIGITS]}.parquet"
+        name_table(prepared, path, own, self._run_key)  # one with this name has the same content
+        if folder.name == "draws":
+            self._note_holder(path, rows)
+        return path
 
     def settle(self, table: str, phase: str) -> None:
         """Publish all committed rows of a phase, sorted by key, if it has parts.
@@ -173,12 +199,14 @@ class Store:
         self.publish(table, phase, [unique(pieces, keys_of(table, rows.column_names))])
 
     def read(self, table: str, draws: int | None = None, phase: str = "") -> pd.DataFrame:
+        """A table as `rows` gives it, as a DataFrame."""
+        return frame_of(self.rows(table, draws, phase))
+
+    def rows(self, table: str, draws: int | None = None, phase: str = "") -> pa.Table:
         """A table, parts and published files as one, sorted by key.
 
         It may be limited to the first draws, or to the rows of a phase.
         """
-        import pandas as pd  # noqa: PLC0415  it loads when tables are made
-
         condition = None if draws is None else pc.field("draw") < draws
         pieces = self._load(table, phase, filters=condition)
         if not pieces:
@@ -186,9 +214,7 @@ class Store:
                 f"the run {self.path} has no table {table!r} yet, or its parts are damaged: run "
                 "the same command again"
             )
-        frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
-        keys = keys_of(table, [*frame.columns])
-        return frame.drop_duplicates(keys).sort_values(keys, ignore_index=True)
+        return unique(pieces, keys_of(table, pieces[0].column_names))
 
     def compared(self) -> pd.DataFrame:
         """The table of the compared sets, with checked names.
@@ -337,13 +363,13 @@ class Store:
         return unique(pieces, KEYS["error_sums"])
 
     def _parts(self, table: str, phase: str) -> list[Path]:
-        found = (self.path / "parts").glob(f"{table}/{phase}-*.parquet")
-        return sorted(filter(_is_own, found))
+        start = "" if phase == "*" else f"{phase}-"
+        return sorted(_files_in(self.path / "parts", table, start))
 
     def _published(self, table: str = "*") -> set[Path]:
         """Files with names of published files, whether they are listed or not."""
-        found = (self.path / "tables").glob(f"{table}/*-?????-*.parquet")
-        return set(filter(_is_own, found))
+        found = _files_in(self.path / "tables", table)
+        return {path for path in found if path.name.count("-") > 1}
 
     def _listed(self, table: str = "") -> set[Path]:
         """Published files of a table, or of all, as files.json lists them."""
@@ -431,9 +457,18 @@ class Store:
                 self._holders[id_].add(path)
 
 
-def _is_own(path: Path) -> bool:
-    """Whether a file has the name of a file of a table; other files belong to the user."""
-    return path.parent.name in TABLES and NAME.fullmatch(path.name) is not None
+def _files_in(folder: Path, table: str, start: str = "") -> Iterator[Path]:
+    """Files of a table, or of all (``*``), by their names; other files belong to the user."""
+    for name in _names_in(folder) if table == "*" else [table]:
+        for file in _names_in(folder / name) if name in TABLES else ():
+            if file.startswith(start) and NAME.fullmatch(file):
+                yield folder / name / file
+
+
+def _names_in(folder: Path) -> list[str]:
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        return os.listdir(folder)
+    return []
 
 
 def _ranges(values: NDArray[np.int64], lengths: NDArray[np.int64] | None = None) -> Iterator[range]:

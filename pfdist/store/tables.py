@@ -7,6 +7,7 @@ names that are not UTF-8. So pyarrow gets open files, which are opened by the by
 import contextlib
 import os
 import re
+from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
-from pfdist.store.files import Prepared, prepare, read_if_hashed
+from pfdist.store import files
+from pfdist.store.files import Prepared, prepare, read_if_hashed, stamp_of
 from pfdist.store.schema import RUN_KEY, check_schema_version, wrong_columns
 
 NAME = re.compile(r"([a-z][a-z0-9_.]*)-(?:\d{5}-)?([0-9a-f]{16})\.parquet")
@@ -26,6 +28,10 @@ NAME = re.compile(r"([a-z][a-z0-9_.]*)-(?:\d{5}-)?([0-9a-f]{16})\.parquet")
 
 HASH_DIGITS = 16  # of the SHA-256 in a name
 REMEDY = "remove it, and run the same command again"
+
+_known = OrderedDict[Path, tuple[tuple[int, ...], str | None, pa.Table]]()
+"""The small files that this process has read or written last: version, key of the run, rows."""
+_MOST_KNOWN, _MOST_BYTES, _MOST_KEPT = 64, 400_000, 50_000  # files; bytes and values of a file
 
 _USUAL_VALUES, _MOST_VALUES_A_BYTE = 10_000_000, 100  # that a file may hold when it is unpacked
 _LONGEST_NAME = 64  # a search's name and a number of measurements
@@ -46,6 +52,26 @@ def prepare_table(folder: Path, table: pa.Table) -> Prepared:
         pa.default_memory_pool().release_unused()  # otherwise memory grows with each file
 
     return prepare(folder, write)
+
+
+def name_table(prepared: Prepared, path: Path, table: pa.Table, run_key: str | None) -> None:
+    """Give the file of a table its final name; this process need not read it then."""
+    files.give_name(prepared, path)
+    if table.nbytes <= _MOST_BYTES:
+        if any(map(pa.types.is_nested, table.schema.types)):
+            with pa.OSFile(os.fsencode(path)) as file:  # Parquet has other names in lists
+                table = table.cast(pq.read_schema(file))
+        sink = pa.BufferOutputStream()  # a copy, because the arrays of the rows may change
+        with pa.ipc.new_stream(sink, table.schema) as stream:
+            stream.write_table(table)
+        _remember(path, stamp_of(path), run_key, pa.ipc.open_stream(sink.getvalue()).read_all())
+
+
+def _remember(path: Path, version: tuple[int, ...], run_key: str | None, table: pa.Table) -> None:
+    if table.nbytes <= _MOST_BYTES:
+        _known[path] = version, run_key, table
+        while len(_known) > _MOST_KNOWN:
+            _known.popitem(last=False)
 
 
 def holds_table(path: Path, name: bytes) -> bool:
@@ -69,10 +95,14 @@ def read_file(
     is compared with that in its name. The table is that of the file's folder, and the file must
     belong to the run with this key; None: it must have no key. Raises `FileNotFoundError` if there
     is no such file. Raises `StoreError` if it cannot be read, has another schema version, or
-    belongs to another run or table.
+    belongs to another run or table. A small file that has not changed since this process read it
+    is not read again, but by a call without columns, which checks every byte.
     """
     named = NAME.fullmatch(path.name)
     with _reading(path):
+        version, known = stamp_of(path), _known.get(path)
+        if known is not None and known[:2] == (version, run_key) and columns != []:
+            return _chosen(known[2], columns, filters)
         content = read_if_hashed(path, named[2]) if named else None
         if content is None:
             return None
@@ -91,13 +121,21 @@ def read_file(
         values = sum(chunk.num_values for chunk in column_chunks(unpacked))
         if values > max(_USUAL_VALUES, _MOST_VALUES_A_BYTE * len(content)):
             raise ValueError(f"{len(content):,} bytes must not hold {values:,} values")
-        return pq.read_table(
-            pa.BufferReader(content),
-            columns=columns,
-            filters=filters,
-            partitioning=None,
-            use_threads=False,  # each thread would keep its own memory
-        )
+
+        def read(**chosen: Any) -> pa.Table:  # each thread would keep its own memory
+            return pq.read_table(
+                pa.BufferReader(content), partitioning=None, use_threads=False, **chosen
+            )
+
+        if columns == [] or values > _MOST_KEPT:
+            return read(columns=columns, filters=filters)
+        _remember(path, version, run_key, whole := read())
+        return _chosen(whole, columns, filters)
+
+
+def _chosen(table: pa.Table, columns: list[str] | None, filters: pc.Expression | None) -> pa.Table:
+    rows = table if filters is None else table.filter(filters)
+    return rows if columns is None else rows.select(columns)
 
 
 def column_chunks(about: pq.FileMetaData) -> Iterator[pq.ColumnChunkMetaData]:
@@ -138,7 +176,7 @@ def first_occurrences(*columns: NDArray[Any]) -> NDArray[np.bool_]:
 
 def unique(pieces: list[pa.Table], key: list[str]) -> pa.Table:
     """The first row of each key, sorted by key."""
-    rows = pa.concat_tables(pieces)
+    rows = pa.concat_tables(pieces, promote_options="default")  # others may have more columns
     rows = rows.sort_by([(name, "ascending") for name in key])  # a stable sort
     return rows.filter(pa.array(first_occurrences(*(rows[name].to_numpy() for name in key))))
 

@@ -67,7 +67,8 @@ def check_readme(run: Path) -> None:
     rows = {row["label"]: row for row in open_run(run).as_json()["sets"]}
     plan, readme = rows["plan"], " ".join((ROOT / "README.md").read_text("utf-8").split())
     assert f"do as well as {plan['evenly_spaced']} evenly spaced ones" in readme
-    assert f"The expected MSE is {100 * plan['gain_of_means']:.0f} % > lower than with the best 21" in readme
+    lower = f"{100 * plan['gain_of_means']:.0f}"
+    assert f"The expected MSE is {lower} % > lower than with the best 21" in readme
     assert f"by more than a further {100 * rounded_up(plan['bound_gap_at_most']):.2g} %" in readme
 
 

@@ -29,8 +29,9 @@ def _draws(evaluation: str, first: int, last: int) -> pa.Table:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
     """A run with a published phase and a part of another one."""
+    monkeypatch.setattr(tables, "_MOST_KNOWN", 0)  # each file is read, as in another process
     write_about(tmp_path, KEY, {"job.toml": "seed = 1\n", "run.json": json.dumps(RUN)})
     store = Store(tmp_path, KEY)
     store.publish("draws", "genetic", [_draws("a", 0, 5)])

@@ -5,11 +5,13 @@ import os
 import re
 import socket
 import subprocess
+from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -28,7 +30,8 @@ from pfdist.store import (
     trajectories_schema,
     variance_schema,
 )
-from pfdist.store.schema import TABLES
+from pfdist.store.listing import read_listing
+from pfdist.store.schema import KEYS, TABLES
 from pfdist.store.tables import cut_rows
 
 
@@ -38,7 +41,8 @@ def _draws(evaluation: str, first: int, last: int) -> pa.Table:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+    monkeypatch.setattr(tables, "_MOST_KNOWN", 0)  # each file is read, as in another process
     return Store(tmp_path)
 
 
@@ -229,11 +233,65 @@ def test_what_cannot_be_read_is_an_error_that_says_why(store: Store) -> None:
         store.read("comparison")
 
 
+@pytest.mark.parametrize("table", ["draws", "evaluations", "compared", "error_sums", "bound"])
+def test_rows_that_this_process_wrote_are_those_that_another_reads(
+    table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = {"int": 3, "dou": 0.1, "str": "a", "boo": True, "lis": [1, 2]}
+    row = {each.name: values[str(each.type)[:3]] for each in schema(table)}
+    rows = pa.Table.from_pylist([row, dict.fromkeys(row) | {KEYS[table][0]: row[KEYS[table][0]]}])
+    Store(tmp_path, "key").commit(table, "phase", rows.cast(schema(table)))
+    (path,) = (tmp_path / "parts" / table).iterdir()
+    written = tables.read_file(path, "key", [*row][:2])
+    monkeypatch.setattr(tables, "_known", OrderedDict())
+    read = tables.read_file(path, "key", [*row][:2])
+    assert written.equals(read, check_metadata=True)
+
+
+def test_a_file_that_changes_after_it_was_written_or_read_is_read_again(tmp_path: Path) -> None:
+    store = Store(tmp_path, "key")
+    store.publish("draws", "genetic", [_draws("a", 0, 5)])
+    (path,), rows = tmp_path.glob("tables/draws/*"), pc.field("draw") > 2
+    content = path.read_bytes()
+    for _ in range(2):
+        assert tables.read_file(path, "key", filters=rows).num_rows == 2
+        with pytest.raises(StoreError, match="belongs to another run"):
+            tables.read_file(path, "other")
+        path.write_bytes(content[:-1])
+        for reads in (store.read, lambda _: store.check_published()):
+            with pytest.raises(StoreError, match="is damaged"):
+                reads("draws")
+        path.write_bytes(content)
+    path.unlink()
+    with pytest.raises(StoreError, match="is missing"):
+        store.read("draws")
+
+
+def test_tables_that_are_published_together_are_listed_at_the_end_or_not_at_all(
+    store: Store,
+) -> None:
+    def fail() -> None:
+        with store.together():
+            store.settle("draws", "random")
+            raise KeyError
+
+    store.commit("draws", "random", _draws("a", 0, 5))
+    with pytest.raises(KeyError):
+        fail()
+    assert store.has_parts("draws", "random")
+    assert read_listing(store.path) is None
+    with store.together():
+        store.settle("draws", "random")
+        store.publish("repeated", "comparison", [schema("repeated").empty_table()])
+    assert not store.has_parts()
+    assert len(store.read("draws")) == 5
+
+
 def test_a_small_file_of_far_too_many_values_is_not_unpacked(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    constant = pa.table({name: [None] * 10_000 for name in schema("draws").names})
-    rows = constant.cast(schema("draws"))
+    a_row = {"evaluation": "a", "draw": 0, "mse": None, "degenerate": None}
+    rows = pa.Table.from_pylist([a_row] * 10_000, schema=schema("draws"))
     store.publish("draws", "genetic", [rows])
     assert len(store.read("draws")) == 1  # equal keys
     monkeypatch.setattr(tables, "_USUAL_VALUES", 100)
