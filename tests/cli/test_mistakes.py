@@ -168,7 +168,7 @@ def test_no_pipe_device_socket_or_huge_file_is_read(
         ("run {job} --set model.parameters.proces_sd=1", 1, "process_sd"),
         ("run {folder}/smal.toml", 1, "small.toml"),
         ("status found", 1, "results/foun"),
-        ("filter {kept} x.csv --planned regula", 1, "regular"),
+        ("filter {kept} x.csv --planned relaxatio", 1, "relaxation"),
     ],
 )
 def test_a_misspelt_word_is_followed_by_the_nearest_one(

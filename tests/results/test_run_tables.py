@@ -40,7 +40,7 @@ def test_every_table_that_a_run_has_is_read_by_its_name_and_no_other(run: Run) -
 
 def test_computed_tables_follow_from_the_stored(run: Run) -> None:
     comparison, gains = run.table("comparison"), run.table("gains")
-    expected = 1 - comparison["mse_genetic"] / comparison["mse_regular"]
+    expected = 1 - comparison["mse_genetic"] / comparison["mse_evenly_spaced"]
     np.testing.assert_allclose(gains["gain_genetic"], expected)
     costs = run.table("sets").set_index("name")["expected_mse"]
     for name in run.sets:
