@@ -17,8 +17,7 @@ from pfdist.problem.affordable import nearest
 from pfdist.problem.feasible import Feasible
 
 _ENDS, _PLACES = 7, 4
-_STEPS = 24  # at most
-_MOST = 10_000  # grids of whole steps, about twice
+_MOST = 5_000  # grids of whole steps, about
 _PARTS = (0.75, 0.5, 0.25)  # of the horizon, from its beginning and up to its end
 
 
@@ -28,9 +27,9 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
     Each is t = first + k * step, moved to the nearest instants, and then, if it is not feasible, to
     the nearest feasible set of instants. A set in which two times would be one instant is left out.
     With several sensors there are the regular times alone. `ends` is the number of first times, and
-    that of last times, over one step from an end of the horizon. Each whole step,
-    which few measurements of an oscillation may need, has four places, or all if `every` and they
-    are not too many.
+    that of last times, over one step from an end of the horizon. Whole steps, which few
+    measurements of an oscillation may need, have four places, or all if `every` and these are not
+    too many.
 
     >>> grids = even_grids(Feasible(horizon=11, measurement_budget=4))
     >>> grids[0], (0, 3, 6, 9) in grids, len(grids)
@@ -46,8 +45,8 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
         for span in _spans(instants, number, ends)
     ]
     longest = max(1, feasible.horizon // max(1, number - 1))
-    few = np.geomspace(1, longest, _STEPS).round().astype(int).tolist()
-    every = every and longest * feasible.horizon < _MOST
+    few = np.geomspace(1, longest, 3 * ends + 3).round().astype(int).tolist()
+    every = every and longest * feasible.horizon < 2 * _MOST
     for step in range(1, longest + 1) if every else {*few}:
         left = feasible.horizon - (number - 1) * step
         firsts = np.linspace(0, left, left + 1 if every else _PLACES).round().astype(int).tolist()

@@ -228,10 +228,10 @@ class Job(JobSection):
                     f'{name!r} twice: give a search another name with name = "..."'
                 )
         reference = self.comparison.reference
-        if self.comparison.is_even and EVEN in named:
+        if EVEN in named and (self.comparison.is_even or self.search):
             raise ValueError(
-                f"comparison.sets must not name a set {EVEN!r} if comparison.reference is "
-                f"{EVENLY_SPACED!r}, which has this name in tables"
+                f"comparison.sets must not name a set {EVEN!r}: the best evenly spaced times have "
+                "this name in tables"
             )
         if isinstance(reference, str) and reference not in (EVENLY_SPACED, REGULAR, *named):
             sets = ", ".join(map(repr, named)) or "which names none"

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Unpack
 
-from pfdist.common.measurement_times import REGULAR, Times
+from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.errors import JobError, shown
 from pfdist.problem.job import Job
 from pfdist.problem.points import Points
@@ -59,7 +59,10 @@ class SetsToCompare:
         )
         for name, instants in self._job.given_sets.items():
             if name == REFERENCE or name in named or by_default:
-                self._add(*(REGULAR, self._regular) if instants is None else (name, instants))
+                self._add(
+                    REGULAR if name == EVEN and instants is None else name,
+                    self._regular if instants is None else instants,
+                )
 
     def add_run(self, run: Run) -> None:
         """Add the sets of a run, but no set twice.
@@ -113,9 +116,10 @@ class SetsToCompare:
                     f"{', '.join(self._written)}, got {name!r}",
                     argument="times",
                 )
-            if name in RESERVED and not (name == REGULAR and instants == self._regular):
+            reserved = (*RESERVED, EVEN)
+            if name in reserved and not (name == REGULAR and instants == self._regular):
                 raise JobError(
-                    f"names of times must not be {', '.join(map(repr, RESERVED))}, got {name!r}; "
+                    f"names of times must not be {', '.join(map(repr, reserved))}, got {name!r}; "
                     f"only the regular times of the problem are called {REGULAR!r}",
                     argument="times",
                 )

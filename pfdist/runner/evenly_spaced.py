@@ -1,5 +1,6 @@
 """How many evenly spaced measurements do as well as the plan: a quick estimate."""
 
+import math
 from collections.abc import Generator
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import FilterWork, Result
 from pfdist.problem.even_grids import even_grids
+from pfdist.problem.feasible import Feasible
 from pfdist.results import Run
 from pfdist.results.evenly_spaced import sign_of
 from pfdist.results.moments import controlled_mse
@@ -26,6 +28,8 @@ _CLEAR = 0.999
 _LOOK = 24  # draws of their own that choose the times of each number
 _ENDS = 3
 _MOST = 24  # numbers that are judged
+_NEAR, _FAR = 40, 12  # numbers after N that are looked at, one by one and then further apart
+_MOST_STEPS = 1e10  # particle-steps of the look: half a minute of a core
 
 
 def is_known(built: Built) -> bool:
@@ -41,28 +45,34 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
     A look on draws of its own chooses the times of each number; regular times, if the job compares
     with these, are not chosen. On the draws of the comparison, each number is judged from N upwards
     until one does as well as the plan; of the larger ones, those that the look finds clearly worse.
-    Each set has independent filter noise. If errors are exact, all numbers are judged.
+    Each set has independent filter noise. If errors are exact, all these numbers are judged.
+    Nothing is written if the plan's error is not finite, or the look would take too long.
     """
     built, name = session.built, session.built.searches[0].name
     measured, feasible = measured_of(run), built.feasible
     plan = measured[name]
     session.reporter.begin("evenly spaced times")
-    grids = {number: _grids(built, number)
-             for number in range(feasible.measurements, feasible.horizon + 2)}  # fmt: skip
-    if (reference := run.references[name]) in (EVEN, REGULAR):
-        grids[feasible.measurements] = (measured[reference],)
-    every = [times for candidates in grids.values() for times in candidates]
+    grids = {number: _grids(built, number) for number in _numbers(feasible)}
+    if run.references[name] == built.job.comparison.reference_name in (EVEN, REGULAR):
+        grids[feasible.measurements] = (measured[run.references[name]],)
     error = controlled_mse(run.table("comparison", DRAWS), name)
-    exact = built.evaluator.expected_mse([plan, *every])
-    if exact is None:
-        mean = float(np.nanmean(error))
-        looked = yield from _look(session, plan, every)
-    else:
-        mean = float(exact[0])
-        looked = dict(zip(every, map(Estimate, (exact[1:] - mean).tolist()), strict=True))
+    exact = built.evaluator.expected_mse([plan])
+    mean = float(np.nanmean(error) if exact is None else exact[0])
+    looked = dict[Times, Estimate]()
+    if exact is None and math.isfinite(mean):
+        looked = yield from _look(
+            session, plan, [times for each in grids.values() for times in each]
+        )
+    if not math.isfinite(mean) or (exact is None and not looked):
+        return
     rows, is_found = [], False
     for number, candidates in grids.items():
-        times = min(candidates, key=lambda each: looked[each].value)
+        errors = built.evaluator.expected_mse(candidates)
+        if errors is not None:
+            looked = dict(zip(candidates, map(Estimate, (errors - mean).tolist()), strict=True))
+        times = min(
+            candidates, key=lambda each: (math.isnan(looked[each].value), looked[each].value)
+        )
         difference = looked[times]
         if exact is None:
             if is_found and sign_of(difference, mean) <= 0:
@@ -81,7 +91,7 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
         is_found = is_found or sign_of(difference, mean) < 0
         if len(rows) == _MOST and exact is None:
             break
-    table = pa.Table.from_pylist(rows, schema=schema("evenly_spaced"))
+    table = pa.Table.from_pylist(rows, schema=schema("evenly_spaced", "plan_mse"))
     session.store.renew("evenly_spaced", EVEN_PHASE, table)
 
 
@@ -89,7 +99,16 @@ def _grids(built: Built, number: int) -> tuple[Times, ...]:
     feasible = built.job.feasible(number)
     if not built.job.comparison.is_even:
         return (feasible.regular(),)
-    return even_grids(feasible, ends=_ENDS, every=built.evaluator.exact)
+    return even_grids(feasible, ends=_ENDS)
+
+
+def _numbers(feasible: Feasible) -> list[int]:
+    """Numbers from N up to all instants: the next ones, and some of those beyond."""
+    first, last = feasible.measurements, feasible.horizon + 1
+    near = min(last, first + _NEAR)
+    return sorted(
+        {*range(first, near + 1), *np.geomspace(near, last, _FAR).round().astype(int).tolist()}
+    )
 
 
 def _look(
@@ -109,6 +128,8 @@ def _look(
         (0, _LOOK),
         built.comparing,
     )
+    if work.steps > _MOST_STEPS:
+        return {}
     yield WorkBatch(session, EVEN_PHASE, [work], None, learn)
     differences = (errors[:, 1:] - errors[:, :1]).T
     return dict(zip(sets, map(Estimate.of_mean, differences), strict=True))

@@ -466,7 +466,7 @@ def _files_in(folder: Path, table: str, start: str = "") -> Iterator[Path]:
 
 
 def _names_in(folder: Path) -> list[str]:
-    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+    with contextlib.suppress(OSError):
         return os.listdir(folder)
     return []
 

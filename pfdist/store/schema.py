@@ -210,7 +210,6 @@ _SCHEMAS = {
         _TIMES,
         _column("draws", pa.int64(), "", "the first draws of the comparison; 0: exact"),
         *_estimate("difference", "expected MSE less that of the plan, on the same draws"),
-        _column("plan_mse", pa.float64(), _MSE, "expected MSE of the plan, on the same draws"),
     ],
     "profile": [
         *_OF_A_SET,
@@ -255,6 +254,9 @@ _SCHEMAS = {
 
 
 _OPTIONAL = {
+    "plan_mse": _column(
+        "plan_mse", pa.float64(), _MSE, "expected MSE of the plan, on the same draws"
+    ),
     "exact_mse": _column("exact_mse", pa.float64(), _MSE, "if the engine is exact"),
     "scenario": _column(
         "scenario",

@@ -7,6 +7,7 @@ names that are not UTF-8. So pyarrow gets open files, which are opened by the by
 import contextlib
 import os
 import re
+import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -31,6 +32,7 @@ REMEDY = "remove it, and run the same command again"
 
 _known = OrderedDict[Path, tuple[tuple[int, ...], str | None, pa.Table]]()
 """The small files that this process has read or written last: version, key of the run, rows."""
+_lock = threading.Lock()
 _MOST_KNOWN, _MOST_BYTES, _MOST_KEPT = 64, 400_000, 50_000  # files; bytes and values of a file
 
 _USUAL_VALUES, _MOST_VALUES_A_BYTE = 10_000_000, 100  # that a file may hold when it is unpacked
@@ -69,9 +71,10 @@ def name_table(prepared: Prepared, path: Path, table: pa.Table, run_key: str | N
 
 def _remember(path: Path, version: tuple[int, ...], run_key: str | None, table: pa.Table) -> None:
     if table.nbytes <= _MOST_BYTES:
-        _known[path] = version, run_key, table
-        while len(_known) > _MOST_KNOWN:
-            _known.popitem(last=False)
+        with _lock:
+            _known[path] = version, run_key, table
+            while len(_known) > _MOST_KNOWN:
+                _known.popitem(last=False)
 
 
 def holds_table(path: Path, name: bytes) -> bool:

@@ -68,6 +68,14 @@ def test_a_budget_has_the_best_of_each_number(small_job: Job, tmp_path: Path) ->
 
 def test_its_name_belongs_to_it(small_job: Job) -> None:
     for changes in (['search=[{method="random", name="evenly_spaced"}]'],
-                    [EVEN, "comparison.sets={evenly_spaced=[1, 2, 3, 4]}"]):  # fmt: skip
+                    ["comparison.sets={evenly_spaced=[1, 2, 3, 4]}"]):  # fmt: skip
         with pytest.raises(pfdist.PfdistError, match="evenly_spaced"):
             small_job.with_changes(changes)
+
+
+def test_a_comparison_keeps_the_name_that_a_set_has(small_job: Job, tmp_path: Path) -> None:
+    job = small_job.with_changes(["comparison.sets={mine='regular', other=[1, 2, 3, 4]}", EVEN])
+    run = pfdist.compare(job, results=tmp_path / "run", draws=20, figures=False)
+    assert [*run.sets] == ["mine", "other"]
+    with pytest.raises(pfdist.PfdistError, match="'evenly_spaced'"):
+        pfdist.compare(job, times={"evenly_spaced": [0, 1, 2, 3]}, results=tmp_path / "no")

@@ -15,6 +15,7 @@ from pfdist.questions.subject import ranges_of_times
 from pfdist.results.columns import Row, rows_of
 from pfdist.results.moments import controlled_mse
 from pfdist.runner.build import build
+from pfdist.store import EVEN_PHASE
 
 EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=2"]
 DRAWS = "comparison.draws=300"
@@ -56,7 +57,7 @@ def test_the_first_number_and_larger_ones_that_do_worse_are_named(
     numbers, evaluator = range(4, 32), build(job).evaluator
     is_even = reference == "evenly spaced"
     grids = [
-        even_grids(job.feasible(each), every=True) if is_even else [job.feasible(each).regular()]
+        even_grids(job.feasible(each), ends=3) if is_even else [job.feasible(each).regular()]
         for each in numbers
     ]
     errors = [min(evaluator.expected_mse(each)) for each in grids]
@@ -119,3 +120,13 @@ def test_nothing_is_said_where_measurements_tell_nothing(small_job: Job, tmp_pat
     run = pfdist.plan(small_job, tmp_path / "run", changes=blind, figures=False)
     assert _plan(run).evenly_spaced is None  # undecided
     assert "evenly spaced measurements" not in answer_in_a_line(run)
+
+
+def test_a_table_of_an_earlier_version_says_nothing(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.plan(small_job, tmp_path / "run", changes=EXACT, figures=False)
+    rows = run._store.rows("evenly_spaced").drop_columns(["plan_mse"])
+    run._store.publish("evenly_spaced", EVEN_PHASE, [rows])
+    again = pfdist.open_run(run.path)
+    assert "plan_mse" not in again.table("evenly_spaced")
+    assert _plan(again).evenly_spaced is None
+    assert answer_in_a_line(again)
