@@ -138,7 +138,7 @@ def test_every_page_has_a_description_of_its_own(site: Path) -> None:
         ("MCMC", "faq"),
         ("Kalman", "words"),
         ("budget", "words"),
-        ("smoothing", "cookbook"),
+        ("smoothing", "job-file"),
     ],
 )
 def test_the_search_finds_other_words_for_a_thing(
