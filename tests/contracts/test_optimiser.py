@@ -56,6 +56,7 @@ AT_RANDOM = ("genetic", "random")
 EXACT = ("exhaustive", "relaxation", "survivors")  # where evaluations are exact
 BEST_UNDER_NOISE = (*EXACT, "exchange")
 BEST = (2, 4, 6, 8)
+NOISE = np.random.default_rng(0).exponential(size=(DRAWS, 1))
 
 MODEL = TRACKING.as_model()
 BELIEVED = replace(TRACKING, d=np.array([[0.1]]))
@@ -111,10 +112,8 @@ def _evaluation(candidate: Candidate, problem: str) -> Evaluation:
     times, end, since = candidate.measurement_times, candidate.end, candidate.since
     instants = np.arange(PROBLEMS[problem].horizon + 1)
     counts = ((since or 0) <= instants) & (instants <= (instants[-1] if end is None else end))
-    noise = np.zeros(1)
-    if problem == NOISY:
-        noise = np.random.default_rng(0).exponential(size=DRAWS)[: candidate.draws]
-    errors = np.where(counts, _errors(times, problem) + noise[:, None], 0.0)
+    noise = NOISE[: candidate.draws] if problem == NOISY else np.zeros((1, 1))
+    errors = np.where(counts, _errors(times, problem) + noise, 0.0)
     if problem == NOISY and since is None:
         return Evaluation(times, errors.mean(axis=1), end=end)
     mean = errors.mean(axis=0)

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, nullcontext
 from http.client import HTTPConnection
 from pathlib import Path
 from types import SimpleNamespace
@@ -205,32 +205,6 @@ def command(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         each.communicate()
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
-)
-def test_the_command_prints_its_address_and_ends_with_a_signal(
-    command: Callable[..., subprocess.Popen[str]], number: signal.Signals
-) -> None:
-    process = command("--no-browser")
-    assert process.stdout is not None
-    address = process.stdout.readline().strip()
-    host, port = urlsplit(address).hostname, urlsplit(address).port
-    assert host == "127.0.0.1"
-    assert len(urlsplit(address).path) > 40  # a token of 32 bytes
-    assert port is not None
-    assert asked(port, urlsplit(address).path).status == 200  # it listens already
-    with opened(port, urlsplit(address).path + "socket") as page:
-        page.send(json.dumps({"ask": "state", "id": 1}))
-        assert json.loads(page.recv(20))["model"] == "ungm"
-        process.send_signal(number)
-        with pytest.raises(ConnectionClosed):
-            page.recv(20)
-    _, error = process.communicate(timeout=20)
-    assert process.returncode == {signal.SIGINT: 130, signal.SIGTERM: 75}[number]
-    assert error.splitlines()[-1] == "pfdist: Stopped."
-    assert "Traceback" not in error
-
-
 # It stays until the page is served, as one in a terminal does, and writes what it has seen.
 BROWSER = """
 import json, os, re, sys, urllib.request
@@ -245,23 +219,51 @@ os.rename("seen", "seen.json")
 """
 
 
-def test_a_browser_that_stays_gets_a_private_file_without_the_token_in_its_words(
-    command: Callable[..., subprocess.Popen[str]], tmp_path: Path
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
+def test_a_browser_that_stays_gets_a_private_file_without_the_token_and_a_signal_ends_the_command(
+    command: Callable[..., subprocess.Popen[str]], tmp_path: Path, number: signal.Signals
 ) -> None:
     (tmp_path / "browser.py").write_text(BROWSER)
     process = command(BROWSER=f"{sys.executable} {tmp_path / 'browser.py'} %s")
     assert process.stdout is not None
     address = process.stdout.readline().strip()
+    host, port, path = (getattr(urlsplit(address), part) for part in ("hostname", "port", "path"))
+    assert host == "127.0.0.1"
+    assert len(path) > 40  # a token of 32 bytes
+    assert asked(port, path).status == 200  # it listens already
     seen = tmp_path / "seen.json"
     for _ in range(400):
         if not seen.exists():
             time.sleep(0.05)
     link, modes, found, status = json.loads(seen.read_text())
-    assert urlsplit(address).path.strip("/") not in link
+    assert path.strip("/") not in link
     assert (modes, found, status) == (["700", "600"], address, 200)
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=20)
+    with opened(port, path + "socket") as page:
+        page.send(json.dumps({"ask": "state", "id": 1}))
+        assert json.loads(page.recv(20))["model"] == "ungm"
+        process.send_signal(number)
+        with pytest.raises(ConnectionClosed):
+            page.recv(20)
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == {signal.SIGINT: 130, signal.SIGTERM: 75}[number]
+    assert error.splitlines()[-1] == "pfdist: Stopped."
+    assert "Traceback" not in error
     assert not Path(link.removeprefix("file://")).parent.exists()
+
+
+def test_no_browser_is_opened_where_none_is_wanted(
+    call: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened_beside = list[object]()
+
+    async def serve(server: object, listening: object, beside: object) -> None:
+        opened_beside.append(beside)
+
+    monkeypatch.setattr("pfdist.explorer.server._serve", serve)
+    assert call(f"explore {SMALL} --no-browser").code == 0
+    assert [type(each) for each in opened_beside] == [nullcontext]
 
 
 def test_a_port_in_use_is_an_error_of_one_line(port: int, call: Callable[..., Any]) -> None:

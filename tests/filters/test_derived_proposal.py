@@ -73,14 +73,14 @@ def test_a_target_that_is_seen_sharply_is_not_lost() -> None:
     """
     sharp = {"bearing_sd": 1e-4, "range_sd": 1e-4}
     model, times = load_model("constant_velocity").with_parameters(sharp), (5, 12, 19, 26, 33, 40)
-    draws = simulate(model, 40, range(100), 11)
+    draws = simulate(model, 40, range(40), 11)
     few, many = (
         filter_checked_draws(model, draws, times, 7, guided(particles)).mse
-        for particles in (250, 2000)
+        for particles in (150, 1200)
     )
     assert abs(few.mean() / many.mean() - 1.0) < 0.02
     assert (
-        filter_checked_draws(model, draws, times, 7, Estimation(2000)).mse.mean() > 2 * many.mean()
+        filter_checked_draws(model, draws, times, 7, Estimation(1200)).mse.mean() > 2 * many.mean()
     )
 
 

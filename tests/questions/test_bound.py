@@ -148,7 +148,7 @@ def test_many_measurements_are_counted_one_by_one(
 
 def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(run_of: RunOf) -> None:
     run = run_of("model.name=random_walk", "model.filter.parameters.step_sd=5.0")
-    for gap in bound(run, LEAST_DRAWS).gaps:
+    for gap in bound(run, LEAST_DRAWS, work=0).gaps:
         assert gap.filter_model.value > 4 * gap.filter_model.standard_error > 0
 
 
@@ -217,7 +217,7 @@ def test_a_likelihood_that_is_not_that_of_the_noise_gives_no_bound(
 ) -> None:
     """Found by `check-model`, and, where that cannot tell, by the truth among the particles."""
     run = run_of(OWN, "filter.particles=100", source=INFLATED)
-    first = bound(run, LEAST_DRAWS)
+    first = bound(run, LEAST_DRAWS, work=0)
     assert all("check-model finds that the likelihood is wrong" in gap.reason for gap in first.gaps)
     monkeypatch.setattr("pfdist.runner.prover.likelihood", lambda model, draws: ("note", ""))
     shutil.rmtree(run / "tables" / "bound")
@@ -386,7 +386,7 @@ def test_what_is_committed_is_not_computed_again(
 
 def test_a_comparison_of_many_draws_is_used_and_not_computed_again(run_of: RunOf) -> None:
     run = pfdist.open_run(run_of(*WALK, f"comparison.draws={SET_DRAWS}"))
-    found, statistics = bound(run.path, LEAST_DRAWS), statistics_of(run)
+    found, statistics = bound(run.path, LEAST_DRAWS, work=0), statistics_of(run)
     for gap in found.gaps:
         mse = statistics.mse[gap.name]
         assert gap.expected_mse.value == mse.mean
@@ -409,7 +409,7 @@ def test_a_run_of_another_version_is_proved_and_not_written_to(
 ) -> None:
     monkeypatch.setattr("pfdist.runner.identity.version", lambda name: "99")
     said, before = list[str](), sorted(walk.rglob("*"))
-    found = bound(walk, LEAST_DRAWS, say=said.append)
+    found = bound(walk, LEAST_DRAWS, work=0, say=said.append)
     assert not any(gap.reason for gap in found.gaps)
     change = f"is of another program (pfdist: {pfdist.__version__} -> 99)"
     assert any(change in line for line in said)

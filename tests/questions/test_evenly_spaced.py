@@ -48,13 +48,13 @@ def test_the_first_number_and_larger_ones_that_do_worse_are_named(
     """With exact errors the error is known of every number, which more do not always lower."""
     changes = ["filter.engine=kalman", "comparison.draws=2", f"comparison.reference={reference}"]
     run = pfdist.plan(
-        pfdist.Problem(OSCILLATOR, horizon=30, measurement_budget=4),
+        pfdist.Problem(OSCILLATOR, horizon=20, measurement_budget=4),
         tmp_path / "run",
         changes=changes,
         figures=False,
     )
     job, plan = pfdist.load_job(run.path), _plan(run)
-    numbers, evaluator = range(4, 32), build(job).evaluator
+    numbers, evaluator = range(4, 22), build(job).evaluator
     is_even = reference == "evenly spaced"
     grids = [
         even_grids(job.feasible(each), ends=3) if is_even else [job.feasible(each).regular()]
@@ -74,7 +74,8 @@ def test_the_first_number_and_larger_ones_that_do_worse_are_named(
 
 
 def test_differences_are_those_of_the_same_draws(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.plan(small_job, tmp_path / "run", changes=[DRAWS], figures=False)
+    few = [DRAWS, "filter.particles=20"]
+    run = pfdist.plan(small_job, tmp_path / "run", changes=few, figures=False)
     job, table = pfdist.load_job(run.path), run.table("evenly_spaced").set_index("measurements")
     plan = run.table("comparison")[f"mse_{run.names[-1]}"].to_numpy()
     assert table["draws"].isin([250, len(plan)]).all()

@@ -13,7 +13,7 @@ from pfdist.filters.evaluator import recorded_evaluator
 from pfdist.filters.evidence import exact_log_evidence
 from pfdist.questions.fit import Fitted
 
-HORIZON, SYSTEMS = 20, 15
+HORIZON, SYSTEMS = 10, 15
 TRUE = {"a": 0.9, "sd": 0.5, "noise": 0.7}
 START = {"a": 0.6, "sd": 1.0, "noise": 1.0}
 

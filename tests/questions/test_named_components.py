@@ -59,6 +59,7 @@ evaluations = 3
 draws = 10
 [comparison]
 draws = 12
+reference = "regular"
 [execution]
 pool = "serial"
 """
@@ -89,9 +90,7 @@ def test_columns_of_trajectories_have_the_names_and_the_numbers_of_the_run_witho
     run: pfdist.Run, plain: pfdist.Run
 ) -> None:
     def columns(z: tuple[str, ...], y: tuple[str, ...]) -> list[str]:
-        estimates = [
-            f"estimate_{name}_{end}" for name in ("evenly_spaced", "mine_too") for end in z
-        ]
+        estimates = [f"estimate_{name}_{end}" for name in ("regular", "mine_too") for end in z]
         return ["draw", "t", *(f"z_{end}" for end in z), *(f"y_{end}" for end in y), *estimates]
 
     named = pd.read_parquet(run.path / "tables" / "trajectories")

@@ -123,7 +123,7 @@ def test_the_filter_has_nominal_parameters_or_is_told() -> None:
     times = (0, 3, 7, 10)
     for filter_, told in (("nominal", False), ("told", True)):
         evaluation = pfdist.evaluate(
-            problem(filter=filter_, particles=200), times, draws=BLOCK * 200
+            problem(filter=filter_, particles=200), times, draws=BLOCK * 100
         )
         for number, own in evaluation.of_scenarios.items():
             believed = SCENARIOS[number] if told else NOMINAL
@@ -170,6 +170,7 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
 
     monkeypatch.setattr(search_phase, "_Found", seen)
     changes = ["comparison.draws=48", "search.relaxation.evaluation.draws=48"]
+    changes += ["problem.horizon=8", "problem.measurement_budget=3"]
     asked = problem("worst", filter="nominal", particles=40)
     pfdist.plan(
         asked, tmp_path / "run", changes=changes, pool="serial", bound_draws=0, figures=False

@@ -258,14 +258,14 @@ def test_a_point_that_another_process_computes_is_left_out_and_said(
 def test_the_work_is_foreseen_by_the_measured_speed_of_the_model(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Hundreds of sines in a step take at least a microsecond; the guess for all models is 2 ns."""
+    """150 sines in a step take more than 200 ns; the guess for all models is 2 ns."""
     (small_job.path.parent / "slow.py").write_text(
         "from dataclasses import replace\n"
         "import numpy as np\n"
         "from pfdist import load_model\n"
         "def transition(x, t, w, p):\n"
         "    total = x[0]\n"
-        "    for k in range(300):\n"
+        "    for k in range(150):\n"
         "        total = np.sin(total + k)\n"
         "    return (total + w[0],)\n"
         "model = replace(load_model('random_walk'), linear_gaussian=False, transition=transition)\n"

@@ -148,7 +148,7 @@ def test_limits_hold_together_as_often_as_they_say() -> None:
     """
     names = [f"relaxation_{number}" for number in range(2, 6)]
     table = _table(dict.fromkeys(names, 7.0 + NOISE))
-    groups = np.random.default_rng(1).normal(5.0, 1.0, (400, 4, GROUPS))
+    groups = np.random.default_rng(1).normal(5.0, 1.0, (200, 4, GROUPS))
     errors = groups.std(axis=2, ddof=1) / math.sqrt(GROUPS)
     covered = 0
     for bounds in np.stack([groups.mean(axis=2), errors], axis=2):
@@ -158,7 +158,7 @@ def test_limits_hold_together_as_often_as_they_say() -> None:
             for number, (name, (bound, error)) in enumerate(zip(names, bounds, strict=True))
         }
         covered += bool((with_bounds(table, proofs)["bound_low"] < 5.0).all())
-    assert abs(covered / 400 - CONFIDENCE) < 4 * math.sqrt(0.95 * 0.05 / 400)
+    assert abs(covered / 200 - CONFIDENCE) < 4 * math.sqrt(0.95 * 0.05 / 200)
 
 
 def test_an_exact_bound_is_a_limit_and_a_withdrawn_bound_is_none(table: pd.DataFrame) -> None:

@@ -38,7 +38,9 @@ SHORT = [
     "evaluation.draws=3",
     "search.genetic.generations=1",
     "search.random.evaluations=2",
-    "comparison.draws=20",
+    "comparison.draws=4",
+    "filter.particles=20",
+    "search.genetic.population=4",
 ]
 HELPER = "def f(x):\n    return 0.9 * x\n"
 
