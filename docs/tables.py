@@ -55,6 +55,7 @@ from pfdist.store.schema import (
     comparison_schema,
     distance_schema,
     filtered_schema,
+    other_schema,
     schema,
     trajectories_schema,
     variance_schema,
@@ -94,6 +95,8 @@ _ROWS = {
     "comparison": "each draw, with a column for each SET; all sets filter the same draws",
     "range_sums": "each compared set and range of draws, about 32 to 64 ranges for each set",
     "repeated": "up to 2,000 of these draws: the reference under other noise",
+    "other_estimate": "each of the first fifth of these draws, with a column for each SET: "
+    "`filtered_SET` if the job's own estimate is smoothed",
     "filter_distance": "up to 1,000 of these draws, with a column for each SET",
     "filter_variance": "up to 1,000 of these draws, with a column for each SET",
     "online": "each draw whose times are chosen one after another",
@@ -154,10 +157,11 @@ def sweep_keys() -> str:
 def columns() -> str:
     """Give the tables of all columns of the tables of a run."""
     schemas = {
-        "compared": schema("compared", "exact_mse"),
+        "compared": schema("compared", "exact_mse", "exact_other_mse"),
         "evenly_spaced": schema("evenly_spaced", "plan_mse"),
         "bound": schema("bound", "shares"),
         "comparison": comparison_schema(["SET"], with_control=True, with_scenarios=True),
+        "other_estimate": other_schema("smoothed", ["SET"]),
         "filter_distance": distance_schema(["SET"]),
         "filter_variance": variance_schema(["SET"]),
         "trajectories": trajectories_schema(["SET"], _MODEL, _MODEL),

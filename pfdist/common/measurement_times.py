@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from pfdist.errors import MeasurementTimesError, shown
 
 Times = tuple[int, ...]
+Lag = int | tuple[int, ...]
+"""Instants after t whose measurements the estimate of z(t) uses: of all t, or (T+1,) of each."""
 REGULAR: Final = "regular"  # name of the regular times in jobs and tables
 EVEN: Final = "evenly_spaced"  # name of the best evenly spaced times in tables
 
@@ -87,3 +89,18 @@ def random_below(bound: int, rng: np.random.Generator) -> int:
         number = int.from_bytes(rng.bytes(-(-bits // 8)), "little") >> (-bits % 8)
         if number < bound:
             return number
+
+
+def last_used(lag: Lag, instants: range) -> NDArray[np.int64]:
+    """The last measurement that the estimate of each instant uses, (K,); all count from the first.
+
+    With longer steps a lag has fewer instants, but no estimate uses fewer than an earlier one.
+    """
+    own = lag[instants.start : instants.stop] if isinstance(lag, tuple) else lag
+    last: NDArray[np.int64] = np.minimum(np.arange(len(instants)) + own, len(instants) - 1)
+    return last
+
+
+def first_smoothed(lag: Lag, instants: range) -> NDArray[np.int64]:
+    """The first instant whose estimate uses the measurement at each instant, (K,)."""
+    return np.searchsorted(last_used(lag, instants), np.arange(len(instants)))

@@ -57,6 +57,8 @@ class Evaluation(Shown):
     profile : DataFrame, optional
         The expected error over time, if `pfdist.evaluate` was asked for it: t, measured, draws,
         error and standard_error.
+    few_lines : str
+        A sentence if a smoothed estimate is that of few particles.
     """
 
     measurement_times: Times
@@ -70,6 +72,7 @@ class Evaluation(Shown):
     degenerate: NDArray[np.bool_] | None = None
     clouds: int = 0
     profile: "pd.DataFrame | None" = None
+    few_lines: str = ""
 
     @property
     def draws(self) -> int:

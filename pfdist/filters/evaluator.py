@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common import stopping
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.points import PointNumbers
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
@@ -41,7 +41,7 @@ from pfdist.filters.work import (
     joined,
 )
 from pfdist.kernels.batch import FilterArrays
-from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
 from pfdist.models.parameters import Parameter, check_lengths
@@ -78,8 +78,8 @@ class Evaluator:
     told: bool = False
     scale: float = 1.0  # the squared errors are divided by it; see `Scenario`
     # The estimate of z(t) uses measurements until t + lag, in instants: 0 for that of the filter, T
-    # for that from all measurements. Variances, distances and controls are those of the filter.
-    lag: int = 0
+    # for that from all measurements. See `Estimation`. Controls are those of the filter.
+    lag: Lag = 0
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
@@ -147,6 +147,11 @@ class Evaluator:
         )
 
     @cached_property
+    def other_estimate(self) -> "Evaluator":
+        """The evaluator with the smoothed estimate; if this one has a lag, with the filter's."""
+        return replace(self, lag=0 if self.lag else self.horizon, estimations=())
+
+    @cached_property
     def of_scenarios(self) -> tuple["Evaluator", ...]:
         """The evaluator of each scenario; empty without scenarios.
 
@@ -190,15 +195,14 @@ class Evaluator:
 
     @cached_property
     def self_consistent(self) -> "Evaluator":
-        """The same evaluator with draws of the filter's model, and the estimate of its filter."""
-        if self.believed == self.model and self.told == bool(self.scenarios) and not self.lag:
+        """The same evaluator with draws of the filter's model."""
+        if self.believed == self.model and self.told == bool(self.scenarios):
             return self
         return replace(
             self,
             model=self.believed,
             filter_model=None,
             estimations=(),
-            lag=0,
             scenarios=self.scenarios if self.told else (),
         )
 
@@ -225,7 +229,7 @@ class Evaluator:
     @property
     def has_particle_loss(self) -> bool:
         """Whether the particle loss is known: of filters, if the error is the squared norm."""
-        return self.has_particles and self.model.error is squared_error and not self.lag
+        return self.has_particles and self.model.error is squared_error
 
     def expected_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None, criterion: Criterion = MEAN
@@ -328,9 +332,9 @@ class Evaluator:
         """Whether the variance of the particles estimates the error, which varies more.
 
         The filter must have the true model, and be told the scenario if there are several. The
-        error must be the squared norm, of the filter's estimate.
+        error must be the squared norm.
         """
-        is_told = (self.told or not self.scenarios) and not self.lag
+        is_told = self.told or not self.scenarios
         return is_told and self.believed == self.model and self.model.error is squared_error
 
     def id_of(self, estimation: Estimation, *parts: Any) -> str:
@@ -454,8 +458,9 @@ class Evaluator:
         return [work.result(self._for(work)).in_ranges(work) for work in works]
 
     def _for(self, work: FilterWork) -> "Evaluator":
-        """The evaluator with the filter's model of a work."""
-        return self.truth if work.knows_truth else self
+        """The evaluator with the filter's model of a work, and the estimate that it wants."""
+        known = self.truth if work.knows_truth else self
+        return known.other_estimate if work.other_estimate else known
 
     def pieces(self, work: FilterWork, seconds: float) -> list[FilterWork]:
         """The parts of a work, cut between draws, each of about this many seconds."""
@@ -483,11 +488,11 @@ class Evaluator:
                 np.stack([getattr(each, name) for each in each_set], axis=1)
                 for name in ("mse", "degenerate")
             )
-            estimates, sizes = (
+            estimates, sizes, lines = (
                 np.stack([getattr(each, name) for each in each_set])
-                for name in ("estimate", "sizes")
+                for name in ("estimate", "sizes", "lines")
             )
-            return Result(mse, draws.z, draws.y, estimates, sizes, degenerate=degenerate)
+            return Result(mse, draws.z, draws.y, estimates, sizes, lines, degenerate=degenerate)
         values = np.empty((len(draws.index), len(work.measurement_times)))
         control = np.zeros(values.shape if work.controlled else 0)
         degenerate = np.zeros(values.shape, np.bool_)
@@ -508,9 +513,13 @@ class Evaluator:
         return Result(values, degenerate=degenerate, control=control, errors=errors)
 
     def settings(self, estimation: Estimation) -> Estimation:
-        """The estimation, with filters that start from the prior, and the lag of their error."""
-        is_of_lines = estimation.estimator == SQUARED_ERROR.name
-        return replace(estimation, prior=self.prior, lag=self.lag if is_of_lines else 0)
+        """The estimation, with filters that start from the prior, and the lag of their error.
+
+        The control of an own error is that of the filter, whose expectation is 0, too.
+        """
+        by_error = ESTIMATORS[estimation.estimator].by_error
+        is_of_filter = by_error and self.model.error is not squared_error
+        return replace(estimation, prior=self.prior, lag=0 if is_of_filter else self.lag)
 
 
 def recorded_evaluator(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from pfdist.common.measurement_times import Lag
 from pfdist.common.section import Whole, checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
@@ -51,6 +52,7 @@ from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
+from pfdist.models.base import within_half_turn
 from pfdist.models.recorded import declared
 
 Array = NDArray[np.float64]
@@ -157,6 +159,7 @@ class Filter:
         # the last suspicious one, and `_unseen_by_many` has all measurements since then.
         many = replace(settings, particles=max(particles, MANY))
         self._many = replace(self.unmeasured, settings=many)
+        self._seen: list[tuple[int, Array]] = []
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
         self._collapsed: int | None = None
@@ -243,6 +246,7 @@ class Filter:
         # The filter moves only here, after everything that may raise an error. So it stays where it
         # was if a measurement is refused.
         self._filter = self._ahead = moved
+        self._seen.append((t, measurement))
         self._unseen_by_many.append((t, measurement))
         self._evidence += log_density
         self._now, self._collapsed = now, now.collapsed
@@ -273,6 +277,55 @@ class Filter:
             return self._now
         self._ahead, mean, variance = self._moved(t)
         return self._estimate(mean[-1], variance[-1], self._ahead)
+
+    def smoothed(self, t: int | None = None, lag: Lag | None = None) -> list[FilterEstimate]:
+        """The estimates of z from all measurements so far, at each instant; the filter stays.
+
+        The filter runs once more from its first instant, in NumPy, with the same noise, and keeps
+        all particles of all instants. A particle has the weight of its descendants. Long before the
+        last measurement these have few ancestors: see `FilterEstimate.effective_sample_size`.
+
+        Parameters
+        ----------
+        t : int, optional
+            The last instant, not before the last measurement; by default that of `now`.
+        lag : int, or tuple of int, optional
+            If given, the estimate of z(t) uses measurements until t + lag only. A tuple has a lag
+            for each instant of the clock.
+
+        Returns
+        -------
+        list of FilterEstimate
+            For each instant from the first; without surprises.
+
+        Raises
+        ------
+        MeasurementsError
+            The instant is wrong.
+        ArgumentError
+            The lag is below 1; or there are too many instants, more than 1,465 with 500 particles.
+        """
+        start, is_angle = self.unmeasured, self.model.is_angle
+        last = self.predict(self._now.t if t is None else t).t
+        instants, measured = last + 1 - start.t, {at for at, _ in self._seen}
+        if instants > start.most_smoothed:
+            raise ArgumentError(
+                f"the estimate of {start.settings.particles:,} particles can be smoothed at "
+                f"{start.most_smoothed:,.0f} instants at most, got {instants:,}"
+            )
+        if lag is not None and not np.max(lag) >= 1:
+            raise ArgumentError(f"lag must be at least 1, got {shown(lag)}", argument="lag")
+        found, estimates = start.smoothed(last, self._seen, lag or instants), []
+        for k, (mean, variance) in enumerate(
+            zip(found.estimate[0], found.variance[0], strict=True)
+        ):
+            belief: Belief = Normal(mean, np.sqrt(variance))
+            if found.line_z.size:
+                z = within_half_turn(found.line_z[0, k].T, mean, is_angle).T
+                belief = Particles(z, found.line_weight[0, k])
+            each = estimate_of(start.t + k, mean, variance, is_angle, belief)
+            estimates.append(replace(each, measured=each.t in measured))
+        return estimates
 
     def _formatted(self, t: int) -> str:
         return formatted_instant(self.model, t)

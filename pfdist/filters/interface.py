@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times, validated
+from pfdist.common.measurement_times import Lag, Times, validated
 from pfdist.common.points import PointNumbers
 from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Prior
@@ -63,7 +63,7 @@ def checking(filter_checked_draws: Callable[..., FilterArrays]) -> Callable[...,
         trajectories: bool = False,
         prior: Prior | None = None,
         threshold: float = ALWAYS,
-        lag: int = 0,
+        lag: Lag = 0,
     ) -> FilterArrays:
         """The result of a filter for D draws with one set of times and a 64-bit noise key.
 

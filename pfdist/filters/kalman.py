@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times, last_used
 from pfdist.common.stopping import check
 from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
@@ -144,7 +144,7 @@ def expected_mse(
     ends: Sequence[int] | None = None,
     prior: Prior | None = None,
     weights: Array | None = None,
-    lag: int = 0,
+    lag: Lag = 0,
 ) -> Array:
     """Exact expected MSE with each set of times, (S,): no draws are needed.
 
@@ -168,7 +168,7 @@ def expected_errors(
     horizon: int,
     sets: Sequence[Times],
     prior: Prior | None = None,
-    lag: int = 0,
+    lag: Lag = 0,
 ) -> Array:
     """Exact expected error of each instant with each set of times, (S, T+1).
 
@@ -201,7 +201,8 @@ def expected_errors(
             covariance = _propagated(covariance, matrices.transition[t])
     if lag:
         covariances, maps, gained = (np.array(each) for each in zip(*kept, strict=True))
-        covariances -= covariances @ _later(maps, gained, lag, both=True) @ covariances
+        last = last_used(lag, range(start, horizon + 1))
+        covariances -= covariances @ _later(maps, gained, last, both=True) @ covariances
         for k, each in enumerate(covariances):
             h = matrices.quantity_of_interest[start + k].matrix
             errors[:, k] = np.trace(h @ each @ h.T, axis1=1, axis2=2)
@@ -217,25 +218,26 @@ def _unmeasured(
     return np.broadcast_to(step, covariance.shape).copy(), np.zeros(covariance.shape)
 
 
-def _later(maps: Array, gained: Array, lag: int, *, both: bool) -> Array:
-    """The part of measurements after t, until t + lag, in the estimate of x(t), at all K instants.
+def _later(maps: Array, gained: Array, last: NDArray[np.int64], *, both: bool) -> Array:
+    """The part of measurements after t, until `last`, in the estimate of x(t), at all K instants.
 
     That of measurements at t, in x(t - 1), is ``gained[t]``. That of later ones goes through
     ``maps[t]``, (..., n, n), from an error at t - 1 to the error behind the measurements at t; the
     information, a square array, goes through it on both sides.
     """
-    total, count = np.zeros_like(gained), len(maps)
+    total, count, lags = np.zeros_like(gained), len(maps), last - np.arange(len(maps))
 
     def fill(now: Any, after: Any, known: Array) -> None:
         through = maps[after].swapaxes(-1, -2) @ known
         total[now] = gained[after] + (through @ maps[after] if both else through)
 
-    if lag >= count - 1:
+    if (last == count - 1).all():
         for k in range(count - 2, -1, -1):
             fill(k, k + 1, total[k + 1])
     else:  # the windows of all instants, from their ends
-        for k in range(lag, 0, -1):
-            fill(slice(count - k), slice(k, None), total[: count - k])
+        for k in range(lags.max(), 0, -1):
+            (now,) = np.nonzero(lags >= k)
+            fill(now, now + k, total[now])
     return total
 
 
@@ -281,9 +283,10 @@ def filter_checked_draws(
             covariance = _propagated(covariance, step)
     means, covariances, maps, gained, pulls = (np.array(each) for each in zip(*kept, strict=True))
     if settings.lag:
-        later = _later(maps[:, None], pulls[..., None], settings.lag, both=False)
+        last_measured = last_used(settings.lag, instants)
+        later = _later(maps[:, None], pulls[..., None], last_measured, both=False)
         means += (covariances[:, None] @ later)[..., 0]
-        information = _later(maps, gained, settings.lag, both=True)
+        information = _later(maps, gained, last_measured, both=True)
         covariances -= covariances @ information @ covariances
     for k, quantity in enumerate(matrices.quantity_of_interest):
         h = quantity.matrix

@@ -3,16 +3,19 @@
 It gives the same bits as a filter with the same keys that receives all measurements at once.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.streams import stream_key
 from pfdist.errors import MeasurementsError, shown
+from pfdist.filters import kalman, plain
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
@@ -32,6 +35,7 @@ def formatted_instant(model: StateSpaceModel, t: int) -> str:
 
 
 Array = NDArray[np.float64]
+_MOST_STEPS = 2**30  # particles times squared instants: some seconds, and megabytes
 
 
 @dataclass(frozen=True)
@@ -86,26 +90,41 @@ class OneFilter:
         after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
         return after, filtered.estimate[0], filtered.variance[0]
 
+    @property
+    def most_smoothed(self) -> float:
+        """The largest number of instants for `smoothed`: its work grows with their square."""
+        kept = self.settings.particles if ENGINES[self.engine].has_particles else 0
+        return math.isqrt(_MOST_STEPS // kept) if kept else np.inf
+
+    def smoothed(self, t: int, seen: Sequence[tuple[int, Array]], lag: Lag) -> FilterArrays:
+        """The estimates, with later measurements until a lag, at all instants from this one to t.
+
+        The filter has received these measurements before: instants, and their arrays (m,).
+        """
+        given = self.model, *self._draws(t, seen), self.stream, replace(self.settings, lag=lag)
+        if ENGINES[self.engine].has_particles:
+            return plain.filter_checked_draws(*given, lines=True)
+        return kalman.filter_checked_draws(*given)
+
     def _filtered(self, t: int, y: Array | None = None) -> FilterArrays:
         """The result of the engine's `filter_checked_draws` up to t, for this one system."""
-        check_lengths(self.model.parameters, t + 1)
-        measurements, quantities = self.model.components[1:]
-        measured_y = np.zeros((1, t + 1 - self.t, measurements))
-        if y is not None:
-            measured_y[0, -1] = y
-        draws = Draws(
-            self.model,
-            range(self.draw, self.draw + 1),
-            np.empty((1, 0, 0)),
-            measured_y,
-            np.zeros((*measured_y.shape[:2], quantities)),  # no truth is known
-            self.t,
-        )
-        times = () if y is None else made(self.model, t, y)
+        draws, times = self._draws(t, [] if y is None else [(t, y)])
         filtered: FilterArrays = ENGINES[self.engine].filters.filter_checked_draws(
             self.model, draws, times, self.stream, self.settings, trajectories=True
         )
         return filtered
+
+    def _draws(self, t: int, seen: Sequence[tuple[int, Array]]) -> tuple[Draws, Times]:
+        """The system up to t, of which no truth is known, and its measurement times."""
+        check_lengths(self.model.parameters, t + 1)
+        _, measurements, quantities = self.model.components
+        y = np.zeros((1, t + 1 - self.t, measurements))
+        for at, values in seen:
+            y[0, at - self.t] = values
+        z = np.zeros((*y.shape[:2], quantities))
+        system = range(self.draw, self.draw + 1)
+        times = chain.from_iterable(made(self.model, *each) for each in seen)
+        return Draws(self.model, system, np.empty((1, 0, 0)), y, z, self.t), tuple(times)
 
     def _unexplained(self, t: int, y: Array) -> str:
         """Why no particle explains a measurement, by the log-likelihoods of predicted particles."""

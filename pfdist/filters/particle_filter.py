@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Times, first_smoothed
 from pfdist.errors import PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
@@ -55,6 +55,7 @@ def filter_checked_draws(
             "estimate": draws.z.shape,
             "variance": draws.z.shape,
             "sizes": draws.z.shape[:2],
+            "lines": draws.z.shape[:2],
             "ranks": (2, *draws.z.shape),
             "cloud": (count, model.components[0], particles),
         }
@@ -134,6 +135,7 @@ def _filter(
         means=len(truth.is_angle) + 2 * sum(truth.is_angle),
         components_of_state=np.array(components, np.int64),
         is_state=bool(components) and not results.ranks.size,
+        is_angle=np.array(truth.is_angle, np.uint8),
         sensors=len(model.parts),
         streams=streams,
         first_draw=draws.index.start,
@@ -159,7 +161,8 @@ def _filter(
         instant_weights=_array(draws.instant_weights),
         components=kinds.shape[1],
         kinds=kinds,
-        lag=settings.lag,
+        lag=int(np.max(settings.lag)),
+        first_smoothed=first_smoothed(settings.lag, draws.instants),
     )
     filter_all(blocks, request, planned, results, scheme.name)
     callbacks.raise_callback_error()

@@ -7,12 +7,13 @@ programs, and functions of batched models are called directly.
 
 import math
 from functools import partial
+from itertools import pairwise
 from typing import Any, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times, first_smoothed, last_used
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite, noise_of
 from pfdist.filters.interface import checking, one_by_one, weighed
@@ -73,13 +74,17 @@ def filter_checked_draws(
     stream: int,
     settings: Estimation,
     trajectories: bool = False,
+    lines: bool = False,
 ) -> FilterArrays:
-    """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
+    """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`.
+
+    With a lag, `lines` says whether z along the lines of all particles is wanted, too.
+    """
     count = max(1, _AT_ONCE // settings.particles)
     model = twin_of(model, draws.instants)
     with np.errstate(all="ignore"):
         blocks = [
-            _filter(model, draws[first : first + count], measurement_times, stream, settings)
+            _filter(model, draws[first : first + count], measurement_times, stream, settings, lines)
             for first in range(0, len(draws.index), count)
         ]
     return FilterArrays(
@@ -96,16 +101,22 @@ def _filter(
     times: Times,
     stream: int,
     settings: Estimation,
+    keeps_lines: bool,
 ) -> FilterArrays:
     particles, scheme = settings.particles, ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     ranks = np.full((2, *draws.z.shape), np.nan)
-    sizes = np.full((count, instants), np.nan)
+    sizes, lines = np.full((2, count, instants), np.nan)
     fails = np.zeros((count, instants), np.bool_)
+    first_kept = first_smoothed(settings.lag, draws.instants)
+    estimated = _estimated(model, draws.instants, times, settings.lag)
     x, carried = _first(model, draws, stream, settings)
-    past = list[tuple[Array, ...]]()  # z at the last instants, along the particles' lines
+    kept = particles if keeps_lines else 0
+    line_weight, line_z = np.ones((count, instants, kept)), np.empty((*draws.z.shape, kept))
+    # z at the last instants, along the particles' lines, and which particles these go through
+    past = list[tuple[NDArray[Any], ...]]()
     for k, t in enumerate(draws.instants):
         if k > 0:
             x = _states(step(model, _flat(x), t - 1, particles, stream, draws.index), cloud)
@@ -118,17 +129,25 @@ def _filter(
         share = weight / weight.sum(axis=1, keepdims=True)
         measured = t in model.points.instants(times)
         quantities = model.quantity_of_interest(_flat(x), t, model.p)
-        past.append(tuple(_of_cloud(values, cloud) for values in quantities))
-        del past[: -1 - settings.lag]
+        each = np.tile(np.arange(particles), (count, 1))
+        past.append((*(_of_cloud(values, cloud) for values in quantities), each))
+        del past[: first_kept[k] - k - 1]
         if scheme.holds_truth and measured:
-            ranks[:, :, k] = np.stack([_shares_below(z, share) for z in past[-1]], axis=-1)
+            ranks[:, :, k] = np.stack([_shares_below(z, share) for z in past[-1][:-1]], axis=-1)
         # The lines of a measurement give a better estimate of the instants before it.
-        for back, components in enumerate(past[::-1] if measured else past[-1:]):
+        for at in estimated[k]:
+            *components, through = past[at - k - 1]
+            if settings.lag:
+                of_lines, z_of_lines = _by_particle(through, weight, components)
+                lines[:, at] = np.sum(of_lines > 0, axis=1) if measured else np.nan
+                line_weight[:, at], line_z[:, at] = of_lines[:, :kept], z_of_lines[..., :kept]
             for c, z in enumerate(components):
                 counted, is_angle = np.where(weight > 0, z, 0.0), draws.model.is_angle[c]
-                mean[:, k - back, c], variance[:, k - back, c] = _moments(counted, share, is_angle)
-        if ESTIMATORS[settings.estimator].by_error:
-            variance[:, k] = _mean_error(draws, k, quantities, mean[:, k], share)
+                mean[:, at, c], variance[:, at, c] = _moments(counted, share, is_angle)
+            if ESTIMATORS[settings.estimator].by_error:
+                variance[:, at] = _mean_error(
+                    draws, at, _flat(tuple(components)), mean[:, at], share
+                )
         sizes[weighs, k] = _effective_sizes(weight)[weighs]
         key = model.points.at(t)[-1]
         x, carried = _resampled(x, past, weight, settings, stream, draws.index, key, weighs)
@@ -138,10 +157,11 @@ def _filter(
     degenerate = np.any(fails & before, axis=1)
     last = np.stack(x, axis=1)
     last[ends < instants] = np.nan
-    if scheme.holds_truth:
-        mse[degenerate] = np.nan
-    errors = np.empty((0, 0))
-    return FilterArrays(mse, degenerate, mean, variance, sizes, errors, ranks, last, carried)
+    mse[degenerate & scheme.holds_truth] = np.nan
+    return FilterArrays(
+        mse, degenerate, mean, variance, sizes, np.empty((0, 0)), ranks, last, carried, lines,
+        line_z, line_weight,
+    )  # fmt: skip
 
 
 def _mse(draws: Draws, mean: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -155,6 +175,31 @@ def _mse(draws: Draws, mean: Array) -> tuple[Array, NDArray[np.int64]]:
         infinite = ~(total < np.inf)
         total[infinite], ends[infinite] = np.inf, np.minimum(ends[infinite], k)
     return total / instants, ends
+
+
+def _estimated(model: StateSpaceModel, instants: range, times: Times, lag: Lag) -> list[range]:
+    """The instants that each instant estimates, unless a later measurement estimates them again.
+
+    All count from the first. An instant without a measurement estimates itself.
+    """
+    final, own = last_used(lag, instants), {*model.points.instants(times)}
+    measured = [k for k, t in enumerate(instants) if t in own]
+    found = [range(k, k + 1) for k in range(len(instants))]
+    for k, following in pairwise([*measured, len(instants)]):
+        first, ready = np.searchsorted(final, [k, following]).tolist()
+        found[k] = range(first, min(k + 1, ready))
+    return found
+
+
+def _by_particle(
+    through: NDArray[np.intp], weight: Array, components: list[Array]
+) -> tuple[Array, Array]:
+    """Weights of the lines through each particle of an instant, and its z; NaN without a line."""
+    particles, z = weight.shape[1], np.stack(components, axis=1)
+    of_particles = np.full(z.shape, np.nan)
+    np.put_along_axis(of_particles, through[:, None], z, axis=2)
+    pairs = zip(through, weight, strict=True)
+    return np.stack([np.bincount(*pair, particles) for pair in pairs]), of_particles
 
 
 def _shares_below(z: Array, share: Array) -> Array:
@@ -198,7 +243,7 @@ def _weighed(
     draws: Draws,
     k: int,
     x: tuple[Array, ...],
-    past: list[tuple[Array, ...]],
+    past: list[tuple[NDArray[Any], ...]],
     weight: Array,
     times: Times,
     stream: int,
@@ -232,7 +277,7 @@ def _weighed(
 
 def _resampled(
     x: tuple[Array, ...],
-    past: list[tuple[Array, ...]],
+    past: list[tuple[NDArray[Any], ...]],
     weight: Array,
     settings: Estimation,
     stream: int,
@@ -254,7 +299,7 @@ def _resampled(
 
 
 def _taken(
-    x: tuple[Array, ...], past: list[tuple[Array, ...]], ancestors: NDArray[np.intp]
+    x: tuple[Array, ...], past: list[tuple[NDArray[Any], ...]], ancestors: NDArray[np.intp]
 ) -> tuple[Array, ...]:
     """The states of ancestors; their past is taken in place."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.section import Whole
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
@@ -40,8 +40,9 @@ class Estimation:
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
     proposal: str = PLAIN  # see `pfdist.filters.guiding`
-    # instants: the estimate of z(t) uses measurements until t + lag; see `pfdist.kernels.lines`
-    lag: Annotated[Whole, Field(ge=0)] = 0
+    # instants: the estimate of z(t) uses measurements until t + lag; see `pfdist.kernels.lines`. A
+    # tuple, (T+1,), has the lag of each instant
+    lag: Lag = 0
 
     @property
     def carries(self) -> bool:
@@ -103,6 +104,7 @@ class FilterWork:
     since: tuple[int, ...] = ()
     # whether the filter uses the true model, whatever the evaluator's filter model is
     knows_truth: bool = False
+    other_estimate: bool = False  # whether the errors are those of `Evaluator.other_estimate`
     sensors: int = 1  # a time is the number of a possible measurement, t * sensors + sensor
     # whether the control variate of each error is wanted, too; the filter must know the truth
     controlled: bool = False
@@ -194,6 +196,8 @@ class Result:
     estimates: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (S, D, T+1), with trajectories of particles; else empty. See `pfdist.filters.interface`.
     sizes: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (S, D, T+1), the same, with a lag; see `FilterArrays`
+    lines: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (E,): Sums of the errors over the draws, set by set, if they are wanted; then everything else
     # is empty. NaN for each set with which a draw is infinite, or degenerate beside the truth.
     sums: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
@@ -254,7 +258,7 @@ def joined(results: Sequence[Result]) -> Result:
 
     def all_of(name: str) -> Any:
         arrays = [getattr(result, name) for result in results]
-        axis = 1 if name in ("estimates", "sizes") and arrays[0].ndim > 1 else 0
+        axis = 1 if name in ("estimates", "sizes", "lines") and arrays[0].ndim > 1 else 0
         return np.concatenate(arrays, axis)
 
     names = {each.name for each in fields(Result)} - {"measurement_times", "sums"}

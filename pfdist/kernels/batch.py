@@ -59,6 +59,7 @@ class FilterRequest(NamedTuple):
     # and `is_state` is False
     components_of_state: NDArray[np.int64]
     is_state: bool
+    is_angle: NDArray[np.uint8]  # (q,): whether each component of z is an angle
     sensors: int
     streams: NDArray[np.uint64]  # (F,): the key of each filter's noise
     first_draw: int  # index of the first draw in its stream
@@ -89,8 +90,10 @@ class FilterRequest(NamedTuple):
     components: int  # of the longest process
     # (2, components): kinds of INITIAL_NOISE and PROCESS_NOISE; -1 for none
     kinds: NDArray[np.int64]
-    # the estimate of z(t) uses measurements until t + lag; 0 for the filter's
+    # the estimate of z(t) uses measurements until t + lag, at most; 0 for the filter's
     lag: int
+    # (T+1,): the first instant whose estimate uses the measurement at each instant
+    first_smoothed: NDArray[np.int64]
 
 
 INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
@@ -111,7 +114,7 @@ class FilterArrays(NamedTuple):
     # log-likelihood: the filter leaves this measurement out. Bytes in the kernel, at first 0.
     degenerate: NDArray[np.uint8] | NDArray[np.bool_]
     # (D, T+1, q): of a single set, weighted mean and variance of the particles' z(t); NaN after the
-    # instant at which a draw became infinite. With a lag the compiled filter gives no variance: NaN
+    # instant at which a draw became infinite. With a lag they are those over the lines
     estimate: NDArray[np.float64] = np.empty((0, 0, 0))
     variance: NDArray[np.float64] = np.empty((0, 0, 0))
     # (D, T+1): of a single set, the effective sample size after the last measurement of an instant;
@@ -130,6 +133,13 @@ class FilterArrays(NamedTuple):
     # (D, n, 1 + n)
     cloud: NDArray[np.float64] = np.empty((0, 0, 0))
     weight: NDArray[np.float64] = np.empty((0, 0))  # (D, P): their weights; 1 if none is carried
+    # (D, T+1): of a single set, with a lag: the number of lines behind each estimate, see
+    # `pfdist.kernels.lines`. NaN where the estimate uses no later measurement: all particles
+    lines: NDArray[np.float64] = np.empty((0, 0))
+    # (D, T+1, q, P) and (D, T+1, P), of the plain twin: z of particles, and the weights with which
+    # they estimate z(t)
+    line_z: NDArray[np.float64] = np.empty((0, 0, 0, 0))
+    line_weight: NDArray[np.float64] = np.empty((0, 0, 0))
 
 
 class Wanted(NamedTuple):
@@ -229,9 +239,11 @@ class Lines(NamedTuple):
     listed: NDArray[np.int32]  # (stride,): first in each draw, the particles with such a weight
     # of draws
     number: NDArray[np.int64]  # (row,): of these particles
-    means: NDArray[np.float64]  # (T+1, means, row): weighted means of `quantity`: the filter's,
+    # (T+1, rows, row): weighted means of `quantity`, then variances: the filter's,
+    means: NDArray[np.float64]
     smoothed: NDArray[np.float64]  # and those over the lines
     total: NDArray[np.float64]  # (row,): sum of the weights
+    rows: int  # of means, and of variances if they are needed
     # addresses of the filter's own steps
     resample: int
     leave_out: int
@@ -430,6 +442,54 @@ def record_sizes(at, t):
             squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
             place = (at.first + d) * request.instants + t
             results.sizes[place] = batch.total[d] * batch.total[d] / squares
+
+
+@compiled
+def add_variances(at, s, t, mean, variance):
+    """Record mean and variance, and add the part of the error that they estimate.
+
+    Each filter contributes its variance, by the estimator's weights. The first of two filters
+    stores its mean, and the second adds the distance to it, as `pfdist.filters.interface` does.
+    """
+    request, batch = request_of(at.work), batch_of(at.work)
+    if wanted_of(at.work).moments:
+        _record(at, t, mean, variance)
+    has_distance = request.filters > 1
+    if has_distance:
+        _measure_distance(at, t, s, mean)
+    for d in range(at.draws):
+        error = 0.0
+        if request.weights.variance != 0.0:  # else an infinite variance would make a NaN
+            for c in range(request.quantities):
+                error += variance[c * batch.row + d]
+            error *= request.weights.variance
+        if has_distance and at.number > 0:
+            error += request.weights.distance * batch.distance[d]
+        add_error(at, s, t, d, error, request.instant_weights[t])
+
+
+@compiled
+def _record(at, t, mean, variance):
+    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
+    for d in range(at.draws):
+        if batch.error[d] < np.inf:
+            first = ((at.first + d) * request.instants + t) * request.quantities
+            for c in range(request.quantities):
+                results.estimate[first + c] = mean[c * batch.row + d]
+                results.variance[first + c] = variance[c * batch.row + d]
+
+
+@compiled
+def _measure_distance(at, t, s, mean):
+    """Keep the means of the first filter; the second measures the distance of its own to these."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    count = request.quantities * batch.row
+    first_means = ahead(batch.first_means, (s * request.instants + t) * count)
+    if at.number == 0:
+        copy_numbers(mean, first_means, count)
+    else:
+        copy_numbers(first_means, ahead(mean, 2 * count), count)
+        of_draws(at, DISTANCE, t, mean, batch.distance)
 
 
 @compiled

@@ -41,6 +41,13 @@ It is an error only if the filter has the true model, and the error is the squar
 FILTER_NOISE = Estimator("filter_noise", ErrorWeights(distance=0.5))
 """Half the squared distance of the estimates of two filters: the part of particles alone."""
 
+TWO_CLOUDS = Estimator("two_clouds", ErrorWeights(variance=0.5, distance=0.5))
+"""The mean variance of two clouds, and half the squared distance of their estimates.
+
+What the variance lacks, because few ancestral lines are left, the distance has: the sum is nearly
+the error of the exact smoother, even with few particles. The conditions are those of the variance.
+"""
+
 CONTROL = Estimator("control", ErrorWeights(squared_error=1.0, variance=-1.0), by_error=True)
 """The control variate of the comparison: the error less the particles' mean error against it.
 
@@ -51,4 +58,6 @@ y and the cloud as a set, the truth is distributed as the weights, see
 Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.9 (control variates).
 """
 
-ESTIMATORS = {each.name: each for each in (SQUARED_ERROR, FILTER_VARIANCE, FILTER_NOISE, CONTROL)}
+ESTIMATORS = {
+    each.name: each for each in (SQUARED_ERROR, FILTER_VARIANCE, FILTER_NOISE, TWO_CLOUDS, CONTROL)
+}

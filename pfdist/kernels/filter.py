@@ -23,7 +23,6 @@ from pfdist.kernels.ancestors import (
 )
 from pfdist.kernels.batch import (
     DEVIATIONS,
-    DISTANCE,
     ESTIMATE,
     INITIAL,
     INITIAL_NOISE,
@@ -43,8 +42,8 @@ from pfdist.kernels.batch import (
     Slot,
     Steps,
     Wanted,
-    add_error,
     add_squared_errors,
+    add_variances,
     batch_of,
     blocks_of,
     copy_numbers,
@@ -415,58 +414,17 @@ def _fill_means(at, means, rows):
 
 @entry(Instant)
 def _estimate_variance(instant):
-    """Record mean and variance, and add the part of the error that they estimate.
-
-    Each filter contributes its variance, by the estimator's weights. The first of two filters
-    stores its mean, and the second adds the distance to it, as `pfdist.filters.interface` does.
-    """
+    """Compute the variance of z, and what follows from it."""
     at, s, t, sensors, _ = read(instant)
-    request, wanted, batch = request_of(at.work), wanted_of(at.work), batch_of(at.work)
+    request, batch = request_of(at.work), batch_of(at.work)
     quantities, row = request.quantities, batch.row
     mean = ahead(batch.moments, quantities * row)
     variance = ahead(mean, quantities * row)
     with_given(at, DEVIATIONS, t, present(at), batch.quantity, mean, 1, row)
     _fill_means(at, variance, quantities)
-    if wanted.moments:
-        _record(at, t, mean, variance)
-        if sensors != 0:
-            record_sizes(at, t)
-    has_distance = request.filters > 1
-    if has_distance:
-        _measure_distance(at, t, s, mean)
-    for d in range(at.draws):
-        error = 0.0
-        if request.weights.variance != 0.0:  # else an infinite variance would make a NaN
-            for c in range(quantities):
-                error += variance[c * row + d]
-            error *= request.weights.variance
-        if has_distance and at.number > 0:
-            error += request.weights.distance * batch.distance[d]
-        add_error(at, s, t, d, error, request.instant_weights[t])
-
-
-@compiled
-def _record(at, t, mean, variance):
-    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
-    for d in range(at.draws):
-        if batch.error[d] < np.inf:
-            first = ((at.first + d) * request.instants + t) * request.quantities
-            for c in range(request.quantities):
-                results.estimate[first + c] = mean[c * batch.row + d]
-                results.variance[first + c] = variance[c * batch.row + d]
-
-
-@compiled
-def _measure_distance(at, t, s, mean):
-    """Keep the means of the first filter; the second measures the distance of its own to these."""
-    request, batch = request_of(at.work), batch_of(at.work)
-    count = request.quantities * batch.row
-    first_means = ahead(batch.first_means, (s * request.instants + t) * count)
-    if at.number == 0:
-        copy_numbers(mean, first_means, count)
-    else:
-        copy_numbers(first_means, ahead(mean, 2 * count), count)
-        of_draws(at, DISTANCE, t, mean, batch.distance)
+    if wanted_of(at.work).moments and sensors != 0:
+        record_sizes(at, t)
+    add_variances(at, s, t, mean, variance)
 
 
 @entry(Instant)
@@ -548,7 +506,9 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    batch, saved, kept, _memory = _arrays(request, plan, width, draws)
+    batch, saved, kept, _memory = _arrays(
+        request, plan, width, draws, _has_variance(request, results)
+    )
     apart = results.errors[:1].size if results.errors.ndim == 3 else 0
     wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, apart)
     scratch = resampling_scratch(draws, width)
@@ -559,10 +519,13 @@ def filter_all(
     )
 
 
+def _has_variance(request: FilterRequest, results: FilterArrays) -> bool:
+    weights = request.weights
+    return weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
+
+
 def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: str) -> Steps:
-    weights, saves = request.weights, bool((plan.slots >= 0).any())
-    draws_again = request.rows.size > 0
-    has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
+    saves, draws_again = bool((plan.slots >= 0).any()), request.rows.size > 0
 
     def address(function: Entry, is_needed: bool = True) -> int:
         return function.address if is_needed else 0
@@ -582,7 +545,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         resample=address(_resample),
         scheme=ENTRIES[scheme].address,
         estimate=address(_estimate),
-        estimate_variance=address(_estimate_variance, has_variance),
+        estimate_variance=address(_estimate_variance, _has_variance(request, results)),
         rank=address(_rank_truth, results.ranks.size > 0),
         finish=address(_finish),
         keep=address(_keep, results.cloud.size > 0),
@@ -600,7 +563,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
 
 
 def _arrays(
-    request: FilterRequest, plan: Plan, width: int, draws: int
+    request: FilterRequest, plan: Plan, width: int, draws: int, has_variance: bool
 ) -> tuple[CloudBatch, SavedBatches, Lines, list[NDArray[np.uint8]]]:
     """The arrays of a batch of draws, and their memory."""
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
@@ -644,6 +607,7 @@ def _arrays(
         flags=slots * 2 * row,
     )
     instants, events = (request.instants if request.lag else 0), 2 * request.sensors + 1
+    moments = request.means + quantities * has_variance
     of_lines, rows = zeros(
         Lines,
         quantity=instants * request.means * stride * (2 if steps else 1),
@@ -653,11 +617,12 @@ def _arrays(
         flow=2 * stride if instants else 0,
         listed=stride if instants else 0,
         number=row if instants else 0,
-        means=instants * request.means * row,
-        smoothed=instants * request.means * row,
+        means=instants * moments * row,
+        smoothed=instants * moments * row,
         total=row if instants else 0,
     )
     batch = CloudBatch(draws, width, stride, spacious, row, **arrays)
     own = {"resample": _resample, "leave_out": guided.leave_out, "finish": _finish}
     rows |= {name: step.address if instants else 0 for name, step in own.items()}
+    rows["rows"] = moments
     return batch, SavedBatches(**places), Lines(**rows), [memory, kept, of_lines]

@@ -23,6 +23,7 @@ from pfdist.kernels.batch import (
     QUANTITY,
     Instant,
     add_squared_errors,
+    add_variances,
     batch_of,
     copy_numbers,
     fill_mean,
@@ -53,10 +54,11 @@ def estimate(instant):
     """Keep z and its mean, and at a measurement also the weights."""
     at, _, t, sensors, _ = read(instant)
     request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
-    z, means = _quantity(at, t), ahead(lines.means, t * request.means * batch.row)
+    z, means = _quantity(at, t), ahead(lines.means, t * lines.rows * batch.row)
     of_particles(at, QUANTITY, t, present(at), z)
-    for r in range(request.means):
-        fill_mean(at, ahead(z, r * batch.stride), ahead(means, r * batch.row))
+    for r in range(lines.rows):
+        values = _values(at, z, means, r)
+        fill_mean(at, values, ahead(means, r * batch.row))
     if sensors == 0:
         return
     for d in range(at.draws):
@@ -132,31 +134,54 @@ def finish(instant):
     instant = read(instant)
     at, s, _, _, _ = instant
     request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
-    end, size = plan_of(at.work).ends[s], request.means * batch.row
+    end, size = plan_of(at.work).ends[s], lines.rows * batch.row
     copy_numbers(lines.means, lines.smoothed, end * size)
     behind = end  # the estimates from here on are known
     for m in range(end - 1, -1, -1):
-        first = max(m - request.lag, 0)
+        first = request.first_smoothed[m]
         if first < behind and measuring(at, s, m) != 0:
             _trace(at, s, m, first, min(m + 1, behind))
             behind = first
     mean = ahead(batch.moments, request.quantities * batch.row)
     for t in range(end):
-        of_draws(at, ESTIMATE, t, ahead(lines.smoothed, t * size), mean)
-        if wanted_of(at.work).moments:
-            _record(at, t, mean)
+        means = ahead(lines.smoothed, t * size)
+        of_draws(at, ESTIMATE, t, means, mean)
+        if lines.rows > request.means:
+            variance = ahead(mean, request.quantities * batch.row)
+            _fill_variances(at, means, variance)
+            add_variances(at, s, t, mean, variance)
         add_squared_errors(at, s, t)
     call(lines.finish, instant)
 
 
 @compiled
-def _record(at, t, mean):
-    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
+def _fill_variances(at, means, variance):
+    """Fill the variances of z from the moments of an instant: 1 - R of an angle."""
+    request, row = request_of(at.work), batch_of(at.work).row
+    cosine = ahead(means, request.quantities * row)
+    for c in range(request.quantities):
+        of_component = ahead(variance, c * row)
+        copy_numbers(ahead(means, (request.means + c) * row), of_component, row)
+        if request.is_angle[c]:
+            for d in range(at.draws):
+                squares = cosine[d] * cosine[d] + cosine[row + d] * cosine[row + d]
+                of_component[d] = max(0.0, 1.0 - np.sqrt(squares))
+            cosine = ahead(cosine, 2 * row)
+
+
+@compiled
+def _values(at, z, means, row):
+    """The numbers of particles whose mean a row has: those of z, or its squared deviations."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    c = row - request.means
+    if c < 0:
+        return ahead(z, row * batch.stride)
     for d in range(at.draws):
-        if batch.error[d] < np.inf:
-            first = ((at.first + d) * request.instants + t) * request.quantities
-            for c in range(request.quantities):
-                results.estimate[first + c] = mean[c * batch.row + d]
+        mean = means[c * batch.row + d]
+        for i in range(d * batch.width, (d + 1) * batch.width):
+            apart = z[c * batch.stride + i] - mean
+            batch.quantity[i] = apart * apart
+    return batch.quantity
 
 
 @compiled
@@ -186,9 +211,11 @@ def _trace(at, s, m, first, behind):
             half = _back(at, weight, _event(at, t, 2 * request.sensors), half)
         if t < behind:
             z = _quantity(at, request.instants + t if redrawn and sensors == 0 else t)
-            for r in range(request.means):
-                mean = ahead(lines.smoothed, (t * request.means + r) * batch.row)
-                _fill_mean(at, weight, half, ahead(z, r * batch.stride), mean)
+            means = ahead(lines.smoothed, t * lines.rows * batch.row)
+            for r in range(lines.rows):
+                values = _values(at, z, means, r)
+                _fill_mean(at, weight, half, values, ahead(means, r * batch.row))
+            _record_lines(at, t, weight, half)
         for sensor in range(request.sensors - 1, -1, -1):
             if (sensors >> sensor) & 1:
                 redrawn = is_drawn_again(Instant(at, s, t, sensors, sensor))
@@ -196,6 +223,17 @@ def _trace(at, s, m, first, behind):
                     half = _back(at, weight, _event(at, t, 2 * sensor + 1), half)
                 half = _back(at, weight, _event(at, t, 2 * sensor), half)
     _clear(at, half)
+
+
+@compiled
+def _record_lines(at, t, weights, half):
+    """Record the number of lines of each draw, if moments are wanted."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    for d in range(at.draws if wanted_of(at.work).moments else 0):
+        weight, flow, lines = ahead(weights, d * batch.width), _flow(at, half, d), 0
+        for i in range(request.particles):
+            lines += (weight[i] if half < 0 else flow[i]) > 0.0
+        results_of(at.work).lines[(at.first + d) * request.instants + t] = lines
 
 
 @compiled

@@ -23,9 +23,9 @@ from pfdist.pages.panel import (
     thin,
     verbatim,
 )
-from pfdist.pages.style import BLUE, GREY, OCHRE, RED
+from pfdist.pages.style import BLUE, GREEN, GREY, OCHRE, RED
 from pfdist.store.files import begins_with, check_replaceable
-from pfdist.store.schema import components_in
+from pfdist.store.schema import SMOOTHED_START, components_in
 
 _TITLE = "pfdist: filtered measurements"
 _START = 4096  # number of bytes at the start of a file that contain its title
@@ -38,7 +38,7 @@ Times = tuple[Sequence[float | str], ...]
 planned times after the last measurement. With sensors each is written with its sensor."""
 
 
-def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
+def filtered_plot(table: pd.DataFrame, times: Times, smoothed: bool = False) -> Plot:
     """The plot of each component of z: mean, bands, and the times of measurements.
 
     Parameters
@@ -48,6 +48,8 @@ def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
     times : tuple of four sequences of int, float or str
         Measured times, planned times that were not measured, measured times that were not planned,
         and planned times after the last measurement.
+    smoothed : bool
+        As for `belief`.
     """
     quantities = components_in(table, "mean_")
     number = min(len(quantities), MOST_COMPONENTS)
@@ -57,7 +59,7 @@ def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
 
     def draw(panels: Sequence[Axes]) -> None:
         for component, ax in enumerate(panels):
-            belief(table, component=component, times=times, ax=ax)
+            belief(table, component=component, times=times, smoothed=smoothed, ax=ax)
         stack(panels, len(quantities))
 
     title = f"The last estimate of {first.name or 'z'} is {mean}{unit} (90 % band {low} to {high})."
@@ -94,7 +96,12 @@ def check_figure_replaceable(path: Path) -> None:
 
 
 def belief(
-    source: object, *, component: int = 0, times: Times | None = None, ax: Axes | None = None
+    source: object,
+    *,
+    component: int = 0,
+    times: Times | None = None,
+    smoothed: bool | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """Draw the mean of a component of z with its 50 and 90 % bands, and the measurement times.
 
@@ -109,6 +116,9 @@ def belief(
         Measured times, planned times that were not measured, measured times that were not planned,
         and planned times after the last measurement; by default the object's ``measured``,
         ``missing``, ``extra`` and ``to_come``. With sensors, which have a row each, `12 x-ray`.
+    smoothed : bool, optional
+        Whether the smoothed mean and its 90 % band are drawn, too; by default the object's
+        ``is_smoothed``.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -132,6 +142,12 @@ def belief(
         below, above = (table[f"q{percent:02d}_{suffix}"].to_numpy() for percent in (low, high))
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0)
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean; bands: 50 and 90 %")
+    if getattr(source, "is_smoothed", False) if smoothed is None else smoothed:
+        mean, below, above = (
+            table[f"{SMOOTHED_START}{name}_{suffix}"].to_numpy() for name in ("mean", "q05", "q95")
+        )
+        ax.fill_between(t, below, above, color=GREEN, alpha=0.3, lw=0)
+        ax.plot(t, mean, "--", color=GREEN, label="smoothed; band: 90 %")
     label_quantity(ax, quantities, component)
     clock = clock_of_table(table)
     sensors = [*clock.by_sensor([*measured, *missing, *to_come])]

@@ -24,12 +24,11 @@ from pfdist.problem.covariates import with_columns
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online, Search
-from pfdist.problem.problem_section import FILTERED, SMOOTHED, ProblemSection
+from pfdist.problem.problem_section import FILTERED, ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import (
     DEFAULT_METHOD,
     EVENLY_SPACED,
-    OF_WHOLE_SETS,
     RESERVED,
     Budget,
     Comparison,
@@ -155,14 +154,6 @@ class Origin(NamedTuple):
 _NO_FILE = Origin()
 
 
-def usual_searches(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The searches of a job that names none: relaxation, or exchanges if errors do not add up."""
-    problem = data.get("problem")
-    problem = problem if isinstance(problem, Mapping) else {}
-    uses_later = problem.get("lag") is not None or problem.get("estimate") == SMOOTHED
-    return [{"method": OF_WHOLE_SETS if uses_later else DEFAULT_METHOD}]
-
-
 class Job(JobSection):
     """A validated job: everything that identifies a run, and where it is computed.
 
@@ -202,8 +193,6 @@ class Job(JobSection):
 
     def __init__(self, origin: Origin = _NO_FILE, /, **data: Any) -> None:
         data = with_texts(data)
-        if data.get("search") is None:
-            data = {**data, "search": usual_searches(data)}
         if "model" in data:
             data["model"] = with_columns(data["model"], origin.path.parent)
         try:
@@ -268,15 +257,15 @@ class Job(JobSection):
     @model_validator(mode="after")
     def _can_use_later_measurements(self) -> Self:
         if self.problem.instants_of_lag:
-            additive = [each.name for each in self.search if METHODS[each.method].additive]
-            others = ", ".join(name for name, each in METHODS.items() if not each.additive)
+            adding = {name for name, each in METHODS.items() if each.additive > each.takes_lag}
+            additive = [each.name for each in self.search if each.method in adding]
+            others = ", ".join(name for name in METHODS if name not in adding)
             filtered = f"problem.estimate = {FILTERED!r}"
             _needs(
                 self.problem.estimate_written,
-                (self.budget is None, f"a job without a section budget, which needs {filtered}"),
                 (self.online is None, f"a job without a section online, which needs {filtered}"),
-                (not additive, f"searches that compare whole sets ({others}), got "
-                               f"{', '.join(additive)}: errors of instants do not add up"),
+                (not additive, f"a search of method {others}, got {', '.join(additive)}: errors of "
+                               "prefixes do not add up"),
             )  # fmt: skip
         return self
 
@@ -330,8 +319,6 @@ class Job(JobSection):
     def _without_control(self) -> str:
         """Why the comparison cannot have a control; empty if it can."""
         model, scenarios = self.model.filter, self.scenarios
-        if self.problem.instants_of_lag:
-            return f"problem.estimate = {FILTERED!r}, got {self.problem.estimate_written}"
         if is_exact(self.filter.engine):
             return f"an engine with particles, got filter.engine = {self.filter.engine!r}"
         if model.name or model.parameters:
@@ -421,9 +408,6 @@ class Job(JobSection):
     ) -> "Job":
         """The job with some keys changed; parameters and errors as in `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True, by_alias=True)
-        (usual,) = usual_searches(data)
-        if not self._origin.names_searches and self.search == (METHODS[usual["method"]].section(),):
-            data["search"] = None  # the changes may have another usual search
         return _validated(data, self._origin, overrides, sections, settings)
 
     def identity(self) -> dict[str, Any]:
@@ -513,10 +497,7 @@ def _validated(
 ) -> Job:
     changes_as_text = texts_argument("changes", overrides)
     data = deepcopy({**data, **sections})
-    # Those of searches come last, because other changes may change which search is the usual one.
-    for change in sorted(changes_as_text, key=lambda text: text.lstrip().startswith("search.")):
-        if change.lstrip().startswith("search.") and data.get("search", ()) is None:
-            data["search"] = usual_searches(data)
+    for change in changes_as_text:
         override(data, change)
     changes_as_text += set_values(data, settings)
     try:

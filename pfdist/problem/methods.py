@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 from pydantic import Field, create_model
 from pydantic.fields import FieldInfo
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.registry import Registry
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.search_section import (
@@ -43,23 +43,31 @@ class Method:
         """The method in one line."""
         return (self.optimiser.__doc__ or "").partition("\n")[0]
 
+    @property
+    def takes_lag(self) -> bool:
+        """Whether the method adds errors of estimates that use later measurements, too."""
+        return "lag" in self.optimiser.__annotations__
+
     def make(
         self,
         feasible: Feasible,
         draws: int,
         settings: dict[str, Any],
         start: Times | None = None,
+        lag: Lag = 0,
     ) -> Any:
         """An optimiser with these settings: a `pfdist.search.Optimiser`.
 
         `draws` is the number of simulated systems on which a set is evaluated. Methods that search
-        around a set begin at `start`, a good feasible set. Raises `JobError` if the method cannot
-        search this problem.
+        around a set begin at `start`, a good feasible set. The estimate of z(t) uses measurements
+        until t + lag, in instants. Raises `JobError` if the method cannot search this problem.
         """
         if "draws" in self.optimiser.__annotations__:
             settings = {"draws": draws, **settings}
         if "start" in self.optimiser.__annotations__:
             settings = {"start": start, **settings}
+        if self.takes_lag:
+            settings = {"lag": lag, **settings}
         return self.optimiser(feasible, **settings)
 
 

@@ -392,23 +392,26 @@ class ProblemSection(JobSection):
         return tuple((weights / weights.mean()).tolist())
 
     @cached_property
-    def instants_of_lag(self) -> int:
+    def instants_of_lag(self) -> int | tuple[int, ...]:
         """The estimate of z(t) uses measurements until so many instants after t.
 
-        It is T for the smoothed estimate, and 0 for the filtered one. Raises
-        `MeasurementTimesError` if the lag is no number of instants.
+        It is T for the smoothed estimate, and 0 for the filtered one. With uneven steps each
+        instant has its own number. Raises `MeasurementTimesError` if the lag is no number of
+        instants, or shorter than all steps.
         """
         clock, lag = self.clock, self.lag
         if lag is None:
             return clock.horizon if self.estimate == SMOOTHED else 0
         if not self.has_clock:
             return min(self._whole("lag", lag), clock.horizon)
-        if not clock.is_even:
-            raise MeasurementTimesError(f"lag needs times with equal steps, got lag = {lag:g}")
-        step = clock.times[1] - clock.times[0]
+        times = np.array(clock.times)
+        step = np.diff(times).min()
         if not step - clock.slack <= lag < np.inf:
             raise MeasurementTimesError(f"lag must be at least a step, {step:g}, got {lag:g}")
-        return min(int((lag + clock.slack) / step), clock.horizon)
+        if clock.is_even:
+            return min(int((lag + clock.slack) / step), clock.horizon)
+        last = np.searchsorted(times, times + lag + clock.slack, "right") - 1
+        return tuple((last - np.arange(times.size)).tolist())
 
     @property
     def estimate_written(self) -> str:
@@ -416,6 +419,18 @@ class ProblemSection(JobSection):
         if self.lag is not None:
             return f"problem.lag = {self.lag:g}"
         return f"problem.estimate = {self.estimate or FILTERED!r}"
+
+    @property
+    def other_estimate(self) -> str:
+        """The estimate whose error answers show, too: smoothed; if this is asked for, filtered."""
+        return FILTERED if self.instants_of_lag else SMOOTHED
+
+    @property
+    def of_the_estimate(self) -> str:
+        """Which estimate has the expected MSE, in an answer; empty for the filter's."""
+        if self.lag is None:
+            return " of the smoothed estimate" * (self.estimate == SMOOTHED)
+        return f" of the estimate with a lag of {self.lag:g} {self.clock.unit}".rstrip()
 
     @property
     def is_constrained(self) -> bool:

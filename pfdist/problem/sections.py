@@ -17,7 +17,6 @@ from pfdist.problem.clock import Time, plain_time
 from pfdist.problem.search_section import Degenerate, is_name
 
 DEFAULT_METHOD: Final = "relaxation"  # of a search; the name of its set, too
-OF_WHOLE_SETS: Final = "exchange"  # the default if errors of instants do not add up
 EVENLY_SPACED: Final = "evenly spaced"  # a reference: the best evenly spaced times
 REFERENCE: Final = "reference"  # name of a reference that the job gives, in tables and figures
 MOST_SETS: Final = 100

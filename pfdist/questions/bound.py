@@ -127,14 +127,17 @@ def bound(
         until it is `draws`, by default 30,720. The gaps of references do not count. If there are
         searches, only the gaps of found sets count.
     particles : int, optional
-        Number of particles of the bound's filter; by default that of the job's filter.
+        Number of particles of the bound's filter; by default that of the job's filter, and at least
+        1,000 if estimates use later measurements.
     window : int
-        Largest number of measurements of the first windows, before windows grow.
+        Largest number of measurements of the first windows, before windows grow. Estimates that use
+        later measurements have gaps between two measurements instead.
     work : float, optional
         Particle-steps after which no window grows; 0 to keep the first windows. By default twice
-        those that the first windows take on 480 draws; exact engines have no limit. Windows also
-        stop growing when no set of the relaxation is better than the run's sets by more than 0.1 %,
-        on the draws that choose the windows; with an exact engine, when none is better at all.
+        those that the first windows take on 480 draws, or once for gaps; exact engines have no
+        limit. Windows also stop growing when no set of the relaxation is better than the run's sets
+        by more than 0.1 %, on the draws that choose the windows; with an exact engine, when none is
+        better at all.
     memory : int
         Memory that the relaxation may take, in MiB. Windows stop growing before they need more.
     results : str or Path, optional

@@ -15,7 +15,7 @@ from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED
 from pfdist.questions.options import Chosen, ComparedDraws, Options, with_options
 from pfdist.questions.report import try_report
 from pfdist.questions.run import run
-from pfdist.questions.run_of_job import folder_of, searched_by
+from pfdist.questions.run_of_job import folder_of
 from pfdist.results import Run
 from pfdist.runner.bound_settings import LEAST_DRAWS, DrawsOrNone
 
@@ -85,12 +85,6 @@ def budget(
         As `pfdist.run` raises.
     """
     numbers = _section(measurements)
-    alone = searched_by() | {"online": None, "budget": None}
-    if (problem := as_job(job, changes, sections=alone).problem).instants_of_lag:
-        raise JobError(
-            f"budget needs problem.estimate = 'filtered', got {problem.estimate_written}: its "
-            "search adds errors of instants"
-        )
     own = {"search": [{"method": DEFAULT_METHOD, "polish": False}], "online": None}
     is_even = as_job(job, changes, sections=own).comparison.reference != REGULAR
     comparison = {"draws": draws, "reference": EVENLY_SPACED if is_even else REGULAR}

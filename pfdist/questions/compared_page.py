@@ -23,7 +23,7 @@ from pfdist.questions.subject import ERROR_HEAD, Subject, change_of, effect, num
 from pfdist.results.columns import COLUMNS, Row, interval_cell, rows_of
 from pfdist.results.stored_run import named_sets
 
-_OF_A_SET = ("label", "measurements", "price", "expected_mse")
+_OF_A_SET = ("label", "measurements", "price", "expected_mse", "smoothed_mse", "filtered_mse")
 _PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
 _SETS_MEANING = (
     "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
@@ -45,9 +45,10 @@ def compared(subject: Subject) -> Section | None:
     last = f"lower than {subject.reference_row.label} by, %"
     head = [*(COLUMNS[name].head for name in _OF_A_SET), "above the best by, %", last]
     cells = [_set_row(subject, row, pairs, ranks[0].name) for row in ranks]
-    sets = Table(
-        f"Best first, on {number_of(run.draws_compared, 'draw')}", head, cells, optional=[last]
-    )
+    caption = f"Best first, on {number_of(run.draws_compared, 'draw')}"
+    if subject.of_the_estimate:
+        caption += f", by {subject.error}"
+    sets = Table(caption, head, cells, optional=[last])
     sets = without_column(sets, *([last] if best_is_reference else []))
     rows = [_pair_row(subject, pair) for pair in pairs]
     is_answer = subject.criterion.additive and not subject.found_rows
@@ -202,7 +203,7 @@ def worst_effect(subject: Subject, name: str) -> str | None:
         errors = (each.standard_error / each.value for each in (mse, of_reference))
         apart = Estimate(math.log(mse.value / of_reference.value), math.hypot(*errors))
         ends = [1 - math.exp(end) for end in reversed(apart.interval())]
-    gain, what = 1 - mse.value / of_reference.value, f"the {subject.criterion.label}"
+    gain, what = 1 - mse.value / of_reference.value, subject.error
     said = effect(gain, ends, subject.reference, what)
     return f"{said}: {mse.text} instead of {of_reference.text}."
 

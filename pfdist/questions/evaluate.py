@@ -13,7 +13,7 @@ import numpy as np
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
-from pfdist.common.rounding import rounded, unrounded, with_error
+from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.estimate import Evaluation
@@ -22,13 +22,17 @@ from pfdist.models import squared_error
 from pfdist.problem.clock import Time
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import following
-from pfdist.questions.subject import change_of, is_clear, mse_cell, number_of
+from pfdist.questions.subject import WHEN, change_of, is_clear, mse_cell, number_of
 from pfdist.results import Gain
+from pfdist.results.columns import COLUMNS
 from pfdist.results.over_time import Range, profile_of
 from pfdist.runner.build import Built, build
+from pfdist.runner.comparison_phase import OTHERS
 from pfdist.runner.pace import MOST_SECONDS
+from pfdist.runner.particles import fewest_lines
 from pfdist.runner.progress import Progress, silent
 from pfdist.runner.searches import Settings
 
@@ -118,8 +122,11 @@ def prepare_evaluation(
     seed: int | None = None,
     *,
     profile: bool = False,
-) -> tuple[Built, Callable[[], dict[str, Evaluation]]]:
-    """The compiled job, and a function that evaluates the sets; a set without a name has ``""``."""
+) -> tuple[Built, Callable[..., dict[str, Evaluation]]]:
+    """The compiled job, and a function that evaluates the sets; a set without a name has ``""``.
+
+    With ``other=True`` the function evaluates the other estimate, on fewer draws.
+    """
     settings = {"evaluation": {"draws": draws}, "filter": {"particles": particles}, "seed": seed}
     job = as_job(job, settings=settings)
     written, are_named = {UNNAMED: measurement_times}, False
@@ -148,9 +155,11 @@ def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str)
 
 
 def _evaluated(
-    built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool
+    built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool, other: bool = False
 ) -> dict[str, Evaluation]:
     evaluator, times, criterion = built.evaluator, tuple(sets.values()), built.job.criterion
+    if other:
+        evaluator, profile = evaluator.other_estimate, False
     written = [tuple(built.job.problem.points.written_of(each)) for each in times]
     exact = evaluator.expected_mse(times, criterion=criterion)
     if exact is not None:
@@ -158,7 +167,7 @@ def _evaluated(
         found = {n: replace(e, purpose="evaluate") for n, e in zip(sets, known, strict=True)}
         return _with_profiles(built, sets, found, np.empty(0)) if profile else found
     evaluation = Settings.from_job(built.job)
-    draws, pieces = evaluation.draws, list[Result]()
+    draws, pieces = -(-evaluation.draws // (OTHERS if other else 1)), list[Result]()
     work = evaluator.work(
         times,
         stream,
@@ -174,6 +183,9 @@ def _evaluated(
             show(Progress("evaluate", piece.draws[1], draws, evaluations=piece.draws[1]))
     result = joined(pieces)
     scenarios = evaluator.scenarios_of(stream, range(draws))
+    formatted = built.job.problem.clock.formatted
+    each_set = (work.part((0, draws), [place]) for place in range(len(sets)))
+    lines = [fewest_lines(evaluator, each, formatted) for each in each_set]
     found = {
         name: Evaluation(
             written_of_set,
@@ -182,9 +194,10 @@ def _evaluated(
             scenarios=scenarios,
             criterion=criterion,
             degenerate=degenerate,
+            few_lines=text * is_few,
         )
-        for name, written_of_set, mse, degenerate in zip(
-            sets, written, result.mse.T.copy(), result.degenerate.T, strict=True
+        for name, written_of_set, mse, degenerate, (text, is_few) in zip(
+            sets, written, result.mse.T.copy(), result.degenerate.T, lines, strict=True
         )
     }
     return _with_profiles(built, sets, found, result.errors) if profile else found
@@ -225,6 +238,8 @@ class Evaluated:
     """The answer of ``pfdist evaluate``: sets of times, which may break constraints, by name."""
 
     evaluations: Mapping[str, Evaluation]
+    others: Mapping[str, Evaluation]  # of the estimate that the job did not ask for
+    problem: ProblemSection
     broken: Mapping[str, Sequence[str]]
     parameters: Sequence[Mapping[str, Any]]  # of each scenario
     seconds: float
@@ -234,7 +249,11 @@ class Evaluated:
         """The estimates of each set, or of the one that has no name."""
         sets = {
             name: {key: getattr(evaluation, key) for key in _ANSWERED}
-            | {"broken_constraints": self.broken[name]}
+            | {
+                f"{self.problem.other_estimate}_mse": self.others[name].expected_mse,
+                f"{self.problem.other_estimate}_error": self.others[name].standard_error,
+                "broken_constraints": self.broken[name],
+            }
             | _columns_of(evaluation)
             for name, evaluation in self.evaluations.items()
         }
@@ -242,16 +261,21 @@ class Evaluated:
         return answer | {"seconds": round(self.seconds, 3)}
 
     def _page(self) -> Page:
-        rows = [_row(name, evaluation) for name, evaluation in self.evaluations.items()]
+        rows = [self._row(name) for name in self.evaluations]
+        of_the_estimate, other = self.problem.of_the_estimate, self.problem.other_estimate
         if list(self.evaluations) == [UNNAMED]:
             number = len(self.evaluations[UNNAMED].measurement_times)
-            draws = rows.pop()[-1].text
+            *_, draws, of_other = (cell.text for cell in rows.pop())
             about = [number_of(number, "measurement"), *([f"{draws} draws"] if draws else [])]
-            typical = self._typical(UNNAMED, ";")
-            said = f"Expected MSE {self._mse(UNNAMED)} ({', '.join(about)}){typical}"
+            said = f"Expected MSE{of_the_estimate} {self._mse(UNNAMED)} ({', '.join(about)})"
+            said += self._typical(UNNAMED, ";")
+            if math.isfinite(self.others[UNNAMED].expected_mse):
+                said += f". {WHEN[other]}: {of_other}"
         else:
             said = self._lowest()
-        tables = [Table("", _HEAD, rows)] if rows else []
+        caption = f"Expected MSE{of_the_estimate}" * bool(of_the_estimate)
+        head = (*_HEAD, COLUMNS[f"{other}_mse"].head)
+        tables = [Table(caption, head, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
         section = Section("", [Text(f"{said}.", prominent=True), *tables])
@@ -283,7 +307,14 @@ class Evaluated:
 
     def _mse(self, name: str) -> str:
         is_finite = math.isfinite(self.evaluations[name].expected_mse)
-        return _row(name, self.evaluations[name])[2].text if is_finite else "not finite"
+        return self._row(name)[2].text if is_finite else "not finite"
+
+    def _row(self, name: str) -> list[Cell]:
+        each, other = self.evaluations[name], self.others[name]
+        number, is_exact = len(each.measurement_times), not each.draws
+        texts = [e.estimate.text + " (exact)" * is_exact for e in (each, other)]
+        draws = Cell("" if is_exact else f"{each.draws:,}", each.draws)
+        return [Cell(name), Cell(str(number), number), Cell(texts[0]), draws, Cell(texts[1])]
 
     def _typical(self, name: str, mark: str) -> str:
         mse = self.evaluations[name].expected_mse
@@ -297,7 +328,7 @@ class Evaluated:
             for constraint in self.broken[name]:
                 yield f"{these} a constraint: {constraint}"
             degenerate = evaluation.degenerate_text * (not evaluation.alarm)
-            for text in filter(None, (degenerate, evaluation.heavy_tail)):
+            for text in filter(None, (degenerate, evaluation.heavy_tail, evaluation.few_lines)):
                 yield f"{name}: " * bool(name) + text
 
 
@@ -314,7 +345,8 @@ def evaluated(
     """Estimate the expected MSE of a set of measurement times, or of several.
 
     With filter.proposal = "auto", the folder of a run has the proposal of the run. A job file has
-    the plain filter, unless many draws are asked for.
+    the plain filter, unless many draws are asked for. A fifth of the draws also gives the error of
+    an analysis afterwards, with all measurements (if the job asks for this, of the moment).
 
     Parameters
     ----------
@@ -341,13 +373,15 @@ def evaluated(
     start = time.perf_counter()  # after the compilation
     evaluations = compute()
     seconds = time.perf_counter() - start
+    others = compute(other=True)
     broken = {
         name: loaded.problem.broken(evaluation.measurement_times)
         for name, evaluation in evaluations.items()
     }
     scenarios = loaded.scenarios.of_draws if loaded.scenarios else ()
     parameters = [each.parameters for each in scenarios]
-    return Evaluated(evaluations, broken, parameters, seconds, _quantity(built))
+    problem, quantity = loaded.problem, _quantity(built)
+    return Evaluated(evaluations, others, problem, broken, parameters, seconds, quantity)
 
 
 def _quantity(built: Built) -> Component | None:
@@ -415,16 +449,3 @@ def _over_time(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     ]
     head.insert(0, f"t [{unit}]" if unit and time == "t" else time)
     return [Table(caption, head, rows)]
-
-
-def _row(name: str, evaluation: Evaluation) -> list[Cell]:
-    number = len(evaluation.measurement_times)
-    cells = [Cell(name), Cell(str(number), number)]
-    if not evaluation.draws:
-        return [*cells, Cell(f"{rounded(evaluation.expected_mse)} (exact)"), Cell("")]
-    mse = with_error(evaluation.expected_mse, evaluation.standard_error)
-    return [
-        *cells,
-        Cell(mse),
-        Cell(f"{evaluation.draws:,}", evaluation.draws),
-    ]

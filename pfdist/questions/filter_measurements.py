@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from pfdist.common.shown import Shown
 from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import LEAST, SUSPICIOUS, Filter
-from pfdist.filters.filter_estimate import FilterEstimate, few_particles
+from pfdist.filters.filter_estimate import FEW, FilterEstimate, few_particles
 from pfdist.models.base import within_half_turn
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, read_measurements
@@ -45,7 +46,7 @@ from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.identity import time_columns
 from pfdist.runner.progress import Say, silent
-from pfdist.store import FILTERED_PERCENTS, filtered_schema, frame_of
+from pfdist.store import FILTERED_PERCENTS, SMOOTHED_START, filtered_schema, frame_of
 from pfdist.store.folder import check_page_replaceable
 from pfdist.store.schema import components_in
 from pfdist.store.user_tables import check_table_replaceable, write_user_table
@@ -85,6 +86,8 @@ class FilteredMeasurements(Shown):
     collapsed : int or float, optional
         The first time at which the effective sample size falls below 5, if it does. From it on, the
         estimate is that of a few particles, not the model's.
+    is_smoothed : bool
+        Whether the estimate of the job uses later measurements: `problem.estimate`, `problem.lag`.
     """
 
     run: Path
@@ -100,6 +103,7 @@ class FilteredMeasurements(Shown):
     files: tuple[Path, ...]
     clock: Clock
     collapsed: Time | None = None
+    is_smoothed: bool = False
 
     @property
     def time_unit(self) -> str:
@@ -180,6 +184,10 @@ def filter_measurements(
 ) -> FilteredMeasurements:
     """Filter real measurements of one system, with the filter of a job.
 
+    The estimate of z(t) uses the measurements up to t. Beside it stand smoothed estimates, from all
+    measurements, or with problem.lag from those until a lag after t. They are left out if particles
+    times squared instants are more than a billion.
+
     It writes a table, ``NAME.filtered.csv`` or ``.parquet`` like the measurements, a figure,
     ``NAME.filtered.png``, and a report, ``NAME.filtered.html``. They replace those of an earlier
     call, and no other file.
@@ -249,7 +257,11 @@ def filter_measurements(
     rows = read_measurements(table, believed, clock, filtering.now.t)
     made = rows.made_with(believed)
     wanted = [t for t in plan.times if t >= points.first(filtering.now.t)]
-    estimates = _table(_estimates(filtering, rows), quantities, believed.is_angle, schema)
+    filtered_estimates, lag = [*_estimates(filtering, rows)], plan.built.evaluator.lag
+    smoothed = list[FilterEstimate]()
+    if len(filtered_estimates) <= filtering.unmeasured.most_smoothed:
+        smoothed = filtering.smoothed(filtering.horizon, lag or None)
+    estimates = _table(filtered_estimates, smoothed, quantities, believed.is_angle, schema)
     estimates = columns.table(estimates)
     collapsed = filtering.now.collapsed
     after = points.first(max((*rows.t, *rows.missed), default=-1) + 1)
@@ -267,10 +279,13 @@ def filter_measurements(
         files,
         clock,
         None if collapsed is None else clock.time(collapsed),
+        lag != 0,
     )
     if files:
         write_user_table(files[0], estimates)
-        filtered.draw_filtered(files[1], filtered.filtered_plot(result.table, result.marked))
+        filtered.draw_filtered(
+            files[1], filtered.filtered_plot(result.table, result.marked, result.is_smoothed)
+        )
     for file in files[2:]:
         write_page(_report_of(result), file)
     for line in _alarms(result) if say is silent else ():
@@ -287,29 +302,40 @@ def _estimates(filtering: Filter, rows: Measurements) -> Iterable[FilterEstimate
 
 def _table(
     estimates: Iterable[FilterEstimate],
+    smoothed: Sequence[FilterEstimate],
     quantities: Sequence[Component],
     is_angle: Sequence[bool],
     schema: pa.Schema,
 ) -> pa.Table:
     """The table of estimates; an angle is written at most half a turn from its last mean."""
-    levels = [percent / 100 for percent in FILTERED_PERCENTS]
     rows, mean = list[dict[str, Any]](), np.zeros(len(quantities))
-    for estimate in estimates:
+    for estimate, later in zip_longest(estimates, smoothed):
         row: dict[str, Any] = {"t": estimate.t, "measured": estimate.measured}
+        row["surprise"] = estimate.surprise
         mean = within_half_turn(estimate.mean, mean, is_angle)
-        quantiles = within_half_turn(estimate.quantiles(levels), mean, is_angle)
-        for k, component in enumerate(quantities):
-            end = component.suffix
-            row[f"mean_{end}"] = float(mean[k])
-            row[f"sd_{end}"] = float(estimate.standard_deviation[k])
-            for percent, values in zip(FILTERED_PERCENTS, quantiles, strict=True):
-                row[f"q{percent:02d}_{end}"] = float(values[k])
-        row |= {
-            "effective_sample_size": estimate.effective_sample_size,
-            "surprise": estimate.surprise,
-        }
+        row |= _moments(estimate, mean, quantities, is_angle)
+        if later is not None:
+            around = within_half_turn(later.mean, mean, is_angle)
+            moments = _moments(later, around, quantities, is_angle)
+            row |= {f"{SMOOTHED_START}{name}": value for name, value in moments.items()}
         rows.append(row)
     return pa.Table.from_pylist(rows, schema=schema)
+
+
+def _moments(
+    estimate: FilterEstimate, mean: Any, quantities: Sequence[Component], is_angle: Sequence[bool]
+) -> dict[str, float | None]:
+    """The columns of an estimate, with angles around this mean."""
+    levels = [percent / 100 for percent in FILTERED_PERCENTS]
+    quantiles = within_half_turn(estimate.quantiles(levels), mean, is_angle)
+    row: dict[str, float | None] = {"effective_sample_size": estimate.effective_sample_size}
+    for k, component in enumerate(quantities):
+        end = component.suffix
+        row[f"mean_{end}"] = float(mean[k])
+        row[f"sd_{end}"] = float(estimate.standard_deviation[k])
+        for percent, values in zip(FILTERED_PERCENTS, quantiles, strict=True):
+            row[f"q{percent:02d}_{end}"] = float(values[k])
+    return row
 
 
 # --- the pages ------------------------------------------------------------------------------------
@@ -376,7 +402,10 @@ def _alarms(answer: FilteredMeasurements) -> list[str]:
     at, p, among = _surprise(answer) or ("", "", "")
     what = f"The measurement at t = {at} is improbable, p {p} ({among} among all)"
     improbable = f"{what}: the model may be wrong about this system."
-    few = few_at(answer.collapsed, answer.clock)
+    few, sizes = few_at(answer.collapsed, answer.clock), f"{SMOOTHED_START}effective_sample_size"
+    if answer.is_smoothed and answer.table[sizes].min() < FEW:
+        least = answer.clock.listed([answer.table["t"][answer.table[sizes].argmin()]])
+        few.append(few_particles(f"for the smoothed estimate at t = {least}"))
     return [*few, *[improbable] * answer.is_improbable]
 
 
@@ -385,7 +414,7 @@ def _belief(answer: FilteredMeasurements) -> Section:
     from pfdist.pages.filtered import filtered_plot  # noqa: PLC0415
     from pfdist.questions.pictures import picture  # noqa: PLC0415
 
-    plot = filtered_plot(answer.table, answer.marked)
+    plot = filtered_plot(answer.table, answer.marked, answer.is_smoothed)
     said = Text(_estimate(answer), prominent=True)
     return Section("The estimate", [said, picture(plot, "belief", _BELIEF), Facts(_facts(answer))])
 

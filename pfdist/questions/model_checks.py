@@ -38,6 +38,7 @@ from pfdist.runner.likelihood import Within, likelihood
 from pfdist.runner.particles import (
     NUMBERS,
     enough_particles,
+    fewest_lines,
     mean_effective_sizes,
     measured_loss,
     why_plain,
@@ -357,14 +358,16 @@ def _filtered(
         "expected MSE", "ok" if is_finite else "wrong", f"{got}{mean.text} with these times"
     )
     yield from substeps(evaluator, work, result.mse[:, 0])
-    believed = evaluator.self_consistent
+    believed, model = evaluator.self_consistent, evaluator.model
     if evaluator.has_particles:
         yield Check("effective sample size", *_effective_sizes(believed, work))
+    text, is_few = fewest_lines(believed, work, partial(formatted_instant, model))
+    if text:
+        yield Check("ancestral lines", "note" if is_few else "ok", text)
     if believed.has_particle_loss:
         yield Check("particles", *_particles(believed, work, seconds_of_a_step))
         yield from _guided(believed, work)
     yield Check("an evaluation", "ok", an_evaluation)
-    model = evaluator.model
     if isinstance(model, BatchedModel) and evaluator.believed == model:
         found = _engines(evaluator, model.as_formulas, times, estimation, seconds_of_a_step)
         yield Check("engines", *found)

@@ -41,7 +41,7 @@ def particle_losses(
 ) -> pd.DataFrame:
     """The particle loss with each of some numbers of particles, on the same draws.
 
-    It is that of the filtered estimate, computed in this process. If the filter's model is not the
+    It is that of the job's estimate, computed in this process. If the filter's model is not the
     truth, the draws are those of the filter's model. If the job has the proposal "guided" where
     "auto" takes "plain" with one of the numbers, a `PfdistWarning` says so.
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Unpack
 
 from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.options import Options, with_options
 from pfdist.questions.run import run
 from pfdist.questions.run_of_job import PLANNED, folder_of, searched_by
@@ -17,7 +18,7 @@ from pfdist.runner.bound_settings import LEAST_DRAWS
 def plan(
     job: JobSource,
     results: str | Path | None = None,
-    search: str | None = None,
+    search: str = DEFAULT_METHOD,
     changes: Iterable[str] = (),
     bound_draws: int | None = None,
     reuse: str | Path | Iterable[str | Path] = (),
@@ -28,7 +29,8 @@ def plan(
 
     One search finds them. They are compared with regular times on fresh draws. A lower bound proves
     how much better any other times can be, and a quick estimate shows how many evenly spaced
-    measurements do as well. The same call resumes where it was stopped.
+    measurements do as well. The answer also has the error of an analysis afterwards, with all
+    measurements. The same call resumes where it was stopped.
 
     Parameters
     ----------
@@ -38,9 +40,8 @@ def plan(
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if the job lists searches: the other folder belongs to their run.
-    search : str, optional
-        Method of the search, with its default settings. By default relaxation, or exchange if the
-        estimate uses later measurements.
+    search : str
+        Method of the search, with its default settings.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3``. The name of the search is its method, as in
         ``search.relaxation.paths=16``.

@@ -18,8 +18,10 @@ from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.report import try_report
 from pfdist.questions.run_of_job import folder_of
 from pfdist.questions.run_page import answer_in_a_line
+from pfdist.questions.subject import Subject
 from pfdist.results import Run, open_run
 from pfdist.results.sets import publish_sets
+from pfdist.results.stored_run import measured_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
@@ -171,7 +173,7 @@ def compute(
     settings: BoundSettings | None,
     compared: Callable[[], object] = lambda: None,
 ) -> Generator[WorkBatch, None, None]:
-    """Compute what a run lacks, with its lower bound.
+    """Compute what a run lacks, with its lower bound and its numbers of evenly spaced times.
 
     Figures and the report of fewer draws stay until new ones replace them, but are not listed.
 
@@ -187,7 +189,10 @@ def compute(
     """
     built, say, path = session.built, session.say, run.path
     prover, unfinished = _prover(session, settings), run.state != "finished"
-    if not unfinished and (
+    # A plan has evenly spaced times beside its bound, or alone where no bound is known.
+    is_alone = settings is not None and prover is None
+    is_scanned = not is_known(built) or "evenly_spaced" in run.tables
+    if not (unfinished or (is_alone and not is_scanned)) and (
         prover is None or prover.has_proved(run) or _is_long(session, run, prover)
     ):
         return
@@ -197,10 +202,13 @@ def compute(
         session.reporter.foresee(prover.steps, prover.steps)
     with noted(session):
         yield from drive(session)
-        if prover is not None and not _is_long(session, run, prover):
+        _note_few_lines(built, run)
+        proves = prover is not None and not _is_long(session, run, prover)
+        if proves or is_alone:
             session.reporter.note(optional=0.0)
-            if is_known(built) and "evenly_spaced" not in run.tables:
+            if not is_scanned:
                 yield from compare_evenly_spaced(session, run)
+        if prover is not None and proves:
             publish_sets(run)
             if line := answer_in_a_line(run):
                 say(line)  # first, because the proof takes longer than the search
@@ -232,6 +240,20 @@ def _is_long(session: RunSession, run: Run, prover: Prover) -> bool:
         command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
         _unproved(session, f"{command} takes about {minutes:,.0f} minutes of one core")
     return minutes > _PATIENCE
+
+
+def _note_few_lines(built: Built, run: Run) -> None:
+    """Keep the sentence about few lines of the best set for every answer of the run."""
+    evaluator = built.evaluator
+    if not (evaluator.lag and evaluator.has_particles):
+        return
+    from pfdist.runner.particles import fewest_lines, work_of_loss  # noqa: PLC0415  needs pandas
+
+    times = measured_of(run)[Subject(run).by_error[0]]
+    work = work_of_loss(evaluator, times, built.job.seed, built.comparing, 24)
+    text, is_few = fewest_lines(evaluator, work, built.job.problem.clock.formatted)
+    if text:
+        add_to_provenance(run.path, {"few_lines": text * is_few})
 
 
 def _unproved(session: RunSession, reason: str) -> None:

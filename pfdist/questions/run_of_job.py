@@ -11,6 +11,7 @@ from pfdist.common.arguments import path_argument
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.results import Run, open_run
 from pfdist.results.stored_run import job_of
 from pfdist.runner.build import Built, build, say_model_files
@@ -41,9 +42,9 @@ def folder_of(job: Job, results: str | Path | None, ending: str = "") -> Path:
     return own.with_name(f"{own.name}{ending}")
 
 
-def searched_by(method: str | None = None) -> dict[str, Any]:
-    """The sections of a job with one search, by default the usual one, instead of its own."""
-    return {"search": None if method is None else [{"method": method}]}
+def searched_by(method: str) -> dict[str, Any]:
+    """The sections of a job with one search instead of those that it lists."""
+    return {"search": [{"method": method}]}
 
 
 def finished_run(run: Run | str | Path) -> Run:
@@ -107,7 +108,7 @@ def run_and_job(
         planned = folder_of(job, results, PLANNED)
         if not (job.origin.names_searches and holds_run(planned)):
             raise _no_run(job, results)
-        path, sections = planned, searched_by()
+        path, sections = planned, searched_by(DEFAULT_METHOD)
     job = as_job(source, changes, sections, {"execution": execution})
     run = finished_run(path)
     check_same_job(path, run.job, job)

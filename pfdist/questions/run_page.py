@@ -24,6 +24,7 @@ from pfdist.common.percent import (
 )
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
+from pfdist.problem.problem_section import SMOOTHED
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.about_run import (
     by_hand,
@@ -44,6 +45,7 @@ from pfdist.questions.compared_page import (
     worst_effect,
 )
 from pfdist.questions.subject import (
+    WHEN,
     Subject,
     all_sets,
     as_good_text,
@@ -71,7 +73,7 @@ _LOOKS_BETTER = (
     "on the same draws. Picking the best of several sets makes it look slightly better than it is."
 )
 _BY_EXACT_ERRORS = "by their expected MSEs, which are exact."
-_GAINS_SHOWN = ("label", "expected_mse", "gain_of_means")
+_GAINS_SHOWN = ("label", "expected_mse", "gain_of_means", "smoothed_mse", "filtered_mse")
 _GAINS = (
     "The expected MSE is the mean over all draws, with its standard error. The next column is how "
     "much lower it is than that of the first row. Intervals in brackets are 95 % CIs."
@@ -171,7 +173,8 @@ def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
 def _warnings(subject: Subject) -> list[str]:
     warnings = [f"{row.label}: {text}" for row in subject.rows.values() for text in row.warnings]
     # The last line in a terminal is the warning that nothing is proved.
-    last = [subject.heavy_tail, unproved(subject.run)]
+    few_lines = provenance_of(subject.run).get("few_lines", "")
+    last = [few_lines, subject.heavy_tail, unproved(subject.run)]
     return [*warnings, *(text for text in last if text and text not in subject.alarms)]
 
 
@@ -199,6 +202,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
         _gain(subject, row), _as_good(subject, row), _proof(subject, row), online_sentence(subject),
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)
+    yield from _other_estimate(subject, row)
     if others := len(subject.found_rows) - 1:
         best = f"These are the times of the search {row.name}, the best of {others + 1} sets"
         # The errors of worst scenarios are those of draws, whatever the engine.
@@ -219,8 +223,22 @@ def _gain(subject: Subject, row: Row) -> str:
         mean = change_of(row.gain_of_means, interval)
         return f"{worst} The mean over the scenarios is {mean}."
     typical = subject.typical_errors(row, reference)
-    said = effect(row.gain_of_means, interval, subject.reference)
+    said = effect(row.gain_of_means, interval, subject.reference, subject.error)
     return f"{said}.{typical and f' Its root, the typical error, is {typical}.'}"
+
+
+def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
+    """The error of the estimate that the job did not ask for, with a set and the reference."""
+    other, reference = problem_of(subject.run).other_estimate, subject.reference_row
+    mse = COLUMNS[f"{other}_mse"]
+    own, of_reference = (getattr(each, mse.name) for each in (row, reference))
+    if not all(each is not None and math.isfinite(each) for each in (own, of_reference)):
+        return
+    hint = ' If you analyse afterwards, `problem.estimate = "smoothed"` finds other times.'
+    yield Text(
+        f"{WHEN[other]}, the {subject.criterion.label} is {mse.cell(row).text} "
+        f"({reference.label}: {mse.cell(reference).text}).{hint * (other == SMOOTHED)}"
+    )
 
 
 def _as_good(subject: Subject, row: Row) -> str:
@@ -255,7 +273,8 @@ def gains(subject: Subject) -> Section | None:
         return None
     draws = number_of(subject.run.draws_compared, "draw")
     fresh = " that took no part in the search" if found_sets(subject.run) else ""
-    table = sets_table(f"Expected MSE on {draws}{fresh}", subject.rows.values(), _GAINS_SHOWN)
+    caption = f"Expected MSE{subject.of_the_estimate} on {draws}{fresh}"
+    table = sets_table(caption, subject.rows.values(), _GAINS_SHOWN)
     said: list[Block] = [table, *_papers_gains(subject), Text(_GAINS, detail=True)]
     blocks: list[Block] = [
         *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it

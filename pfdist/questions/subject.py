@@ -15,6 +15,7 @@ from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.clock import Clock
+from pfdist.problem.problem_section import FILTERED, SMOOTHED
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
@@ -35,6 +36,11 @@ if TYPE_CHECKING:
 _LISTED = 5  # times that a sentence lists one and all
 
 ERROR_HEAD = COLUMNS["expected_mse"].head
+WHEN = {
+    SMOOTHED: "Analysed afterwards, with all measurements",
+    FILTERED: "At the moment, with the measurements until then",
+}
+"""How answers call the estimate that the job did not ask for."""
 MOST_SETS = 4
 """Sets that have figures in a report; each has about 60 kB of them."""
 
@@ -126,6 +132,16 @@ class Subject:
     def criterion(self) -> Criterion:
         """The number that the job minimises."""
         return criterion_of(self.run)
+
+    @property
+    def error(self) -> str:
+        """The number that the job minimises, as a sentence calls it, with the estimate."""
+        return f"the {self.criterion.label}{self.of_the_estimate}"
+
+    @property
+    def of_the_estimate(self) -> str:
+        """Which estimate has the expected MSE; empty for the filter's."""
+        return problem_of(self.run).of_the_estimate
 
     @property
     def about_others(self) -> list[Text]:

@@ -66,7 +66,7 @@ def _extremes(subject: Subject, frames: Frames) -> str:
     )
     return (
         f"Most important measurement of {phrase_of(subject.rows[plan].label)}: {most} (without it, "
-        f"the expected MSE rises by {most_rise} %)."
+        f"the expected MSE{subject.of_the_estimate} rises by {most_rise} %)."
     ) + f" Least important: {least} ({least_rise} %)." * (len(order) > 1)
 
 

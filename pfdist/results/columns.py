@@ -151,6 +151,21 @@ _DECLARED = [
         "where the engine is exact",
     ),
     Column(name="standard_error", meaning="of expected_mse; 0 where it is exact"),
+    *(
+        column
+        for name, head, which in (
+            ("smoothed", "afterwards", "if the job's own estimate is filtered"),
+            ("filtered", "at the moment", "if the job's own estimate uses later measurements"),
+        )
+        for column in (
+            Column(
+                name=f"{name}_mse", error=f"{name}_error", head=f"{head} ± standard error",
+                meaning=f"expected MSE of the {name} estimate, {which}; on a fifth of the draws, "
+                "or exact",
+            ),
+            Column(name=f"{name}_error", meaning=f"standard error of {name}_mse; 0: exact"),
+        )
+    ),
     Column(
         name="worst_mse",
         meaning="expected MSE on the draws of the set's worst scenario, where the job asks for it",

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pfdist.common.estimate import CLEAR_ERRORS
+from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR
+from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.clock import Time
 from pfdist.problem.problem_section import ProblemSection
@@ -26,6 +27,7 @@ from pfdist.results.stored_run import (
     angles_of,
     blocks_of,
     copies_of,
+    criterion_of,
     last_bounds,
     measured_of,
     on_common_draws,
@@ -121,6 +123,8 @@ def _given(run: StoredRun) -> Iterable[Row]:
             row.add(described(run.job, name, tuple(times), problem))
         if not math.isnan(exact := entry.get("exact_mse", math.nan)):
             row.add(_exact("expected_mse", exact) | {"standard_error": 0.0})
+        if not math.isnan(exact := entry.get("exact_other_mse", math.nan)):
+            row.add(_of_other_estimate(run, Estimate(exact)))
         yield row
 
 
@@ -168,6 +172,23 @@ def described(
     return {"description": phrase, "broken_constraints": problem.broken(times)}
 
 
+def _of_other_estimate(run: StoredRun, mse: Estimate) -> Results:
+    other = problem_of(run).other_estimate
+    return {f"{other}_mse": mse.value, f"{other}_error": mse.standard_error}
+
+
+def _add_other_estimates(run: StoredRun, rows: dict[str, Row]) -> None:
+    """Add the criterion's value of the estimate that the job did not ask for."""
+    if not run._store.has("other_estimate"):
+        return
+    draws, other = on_common_draws(run, "other_estimate"), problem_of(run).other_estimate
+    columns, form = {name: draws[name].to_numpy() for name in draws.column_names}, criterion_of(run)
+    for name, row in rows.items():
+        mse, scenarios = columns[f"{other}_{name}"], columns.get("scenario")
+        evaluation = Evaluation((), mse, scenarios=scenarios, criterion=form)
+        row.add(_of_other_estimate(run, evaluation.estimate))
+
+
 def _exact(name: str, value: float) -> Results:
     return {name: value, f"{name}_low": value, f"{name}_high": value}
 
@@ -192,6 +213,7 @@ def _add_results(run: StoredRun, rows: dict[str, Row], statistics: ComparisonSta
             gain = relative_gain(*(np.array(each.expected_mse) for each in (row, of_reference)))
             row.add(_exact("gain_of_means", float(gain)))
     rows[run.names[0]].add(_gain_over_itself(run))
+    _add_other_estimates(run, rows)
     found = {name: row.expected_mse for name, row in rows.items() if row.kind == FOUND}
     for name, columns in columns_of_even_times(run, found).items():
         rows[name].add(columns)

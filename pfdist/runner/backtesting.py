@@ -232,7 +232,10 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
         problem = {"times": [*clock.times], "measurement_budget": 1}
         problem |= {"time_unit": clock.unit or None}
         problem |= {"sensors": [*job.problem.points.sensors] or None}
-        problem |= {"lag": job.problem.lag, "estimate": job.problem.estimate}
+        lag, steps = job.problem.lag, np.diff(clock.times)
+        # If all steps are longer, no later measurement is used.
+        is_a_step = lag is not None and (lag >= steps - clock.slack).any()
+        problem |= {"lag": lag if is_a_step else None, "estimate": job.problem.estimate}
         given = {name: value for name, value in problem.items() if value is not None}
         compared = {"sets": {"regular": "regular"}}  # a job without a search compares a set
         others: dict[str, Any] = {"search": [], "budget": None, "online": None}

@@ -11,8 +11,7 @@ from pfdist.problem.search_section import SearchSection
 from pfdist.problem.set_key import SetKey
 from pfdist.runner.study import Study
 from pfdist.search import Optimiser, StateSpaceRelaxation
-from pfdist.search.relaxation import relaxation_within
-from pfdist.search.state_space_relaxation import MOST_CELLS
+from pfdist.search.state_space_relaxation import first_relaxation
 
 
 class BudgetStudy(Study):
@@ -66,9 +65,10 @@ class BudgetStudy(Study):
 
     def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """State-space relaxation, which finds a set for each number."""
-        start, sought = relaxation_within(self.widest, self.usual, MOST_CELLS), (*self._each,)
+        lag, sought = self.job.problem.instants_of_lag, (*self._each,)
+        start = first_relaxation(self.widest, self.usual, lag)
         return StateSpaceRelaxation(
-            self.widest, draws, sought=sought, start=start, **section.settings
+            self.widest, draws, sought=sought, start=start, lag=lag, **section.settings
         )
 
     def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:

@@ -48,6 +48,7 @@ from pfdist.store import (
     Store,
     comparison_schema,
     distance_schema,
+    other_schema,
     schema,
     trajectories_schema,
     variance_schema,
@@ -69,7 +70,7 @@ def run_comparison(
     shows_gains = len(study.references) == 1 and built.job.criterion.additive
     reporter.begin(COMPARISON)
     details = (trajectories, first_draws_again) if built.study.has_details else ()
-    for table in (*details, distances, variances):
+    for table in (*details, other_estimates, distances, variances):
         first_draws = table(built, work)
         if first_draws is not None:
             yield from first_draws.fill(COMPARISON, session)
@@ -272,6 +273,7 @@ class InterimGains:
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
 REPEATED = 2000  # draws that the reference filters twice
+OTHERS = 5  # one draw in so many is also filtered for the other estimate
 LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
 
 
@@ -326,6 +328,17 @@ def first_draws_again(built: Built, work: FilterWork) -> FirstDraws:
     reference = work.part((0, min(REPEATED, job.comparison.draws)), [0])
     again = replace(reference, filter_streams=(stream,))
     return FirstDraws("repeated", rows, again, partial(_columns_by_set, rows))
+
+
+def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
+    """MSE of the other estimate with each set: smoothed, or that of the filter; same noise."""
+    draws = built.job.comparison.draws // OTHERS
+    if built.evaluator.exact or not built.study.has_details or not draws:
+        return None
+    built.evaluator.other_estimate.compile(work.estimation)  # before the first task
+    rows = other_schema(built.job.problem.other_estimate, work.ids)
+    of_sets = replace(work, draws=(0, draws), other_estimate=True)
+    return FirstDraws("other_estimate", rows, of_sets, partial(_columns_by_set, rows))
 
 
 def distances(built: Built, work: FilterWork) -> FirstDraws | None:

@@ -104,12 +104,14 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
             )
     for position, row in enumerate(rows):
         row["position"] = position
-    optional = []
-    exact = built.evaluator.expected_mse([row["measurement_times"] for row in rows])
-    if exact is not None:
-        optional = ["exact_mse"]
-        for row, mse in zip(rows, exact.tolist(), strict=True):
-            row["exact_mse"] = mse
+    optional, times = list[str](), [row["measurement_times"] for row in rows]
+    exact = built.evaluator.expected_mse(times)
+    other = built.evaluator.other_estimate.expected_mse(times, criterion=built.job.criterion)
+    for column, errors in (("exact_mse", exact), ("exact_other_mse", other)):
+        if errors is not None:
+            optional.append(column)
+            for row, mse in zip(rows, errors.tolist(), strict=True):
+                row[column] = mse
     table = pa.Table.from_pylist(rows, schema=schema("compared", *optional))
     # Written after the tables of the searches: it marks the searches as done.
     session.later(partial(_publish_compared, session.store, table))

@@ -6,7 +6,7 @@ depend on the number of particles.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import GUIDED, PLAIN, Estimation, FilterWork, cut, with_truth
+from pfdist.filters.work import GUIDED, PLAIN, Estimation, FilterWork, Result, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.results import Moments
 from pfdist.results.particle_loss import SMALL, ParticleLoss, particle_loss
@@ -31,6 +31,8 @@ _SHARE = 0.05
 _FILTERS = 4  # of a draw behind a loss
 _SECONDS = 2.0  # of draws in memory at once
 _SIZE_DRAWS = 100  # behind a mean effective sample size
+_LINE_DRAWS = 24  # behind a mean number of lines
+_FEW_LINES = 20  # fewer make a smoothed estimate uncertain
 _PARTICLES = 1_000_000  # of draws whose last particles are in memory at once
 
 
@@ -120,15 +122,43 @@ def mean_effective_sizes(evaluator: Evaluator, work: FilterWork) -> "pd.Series[f
     It is a mean over the first draws, without those in which no particle explains the measurement;
     NaN if no draw is left.
     """
-    (times,), (first, last) = work.measurement_times, work.draws
-    at_once = max(1, _PARTICLES // work.estimation.particles)
-    pieces = [
-        replace(work, draws=draws, trajectories=True)
-        for draws in cut(range(first, min(last, first + _SIZE_DRAWS)), at_once)
-    ]
-    sizes = np.concatenate([evaluator.filtered(piece).sizes[0] for piece in pieces])
+    (times,) = work.measurement_times
+    sizes = np.concatenate([each.sizes[0] for each in _filtered(evaluator, work, _SIZE_DRAWS)])
     at = [t - evaluator.start for t in evaluator.points.instants(times)]
     return pd.DataFrame(sizes).mean()[at].rename(lambda k: k + evaluator.start)
+
+
+def fewest_lines(
+    evaluator: Evaluator, work: FilterWork, formatted: Callable[[int], str]
+) -> tuple[str, bool]:
+    """From how many particles a smoothed estimate comes at worst, and whether these are few.
+
+    They are the particles that have descendants at the last measurement that the estimate uses.
+    The number is a mean over the first draws, at the instant where this mean is lowest, without
+    those of weight 0. `formatted` gives the time of an instant as text.
+    """
+    if not (evaluator.lag and evaluator.has_particles):
+        return "", False
+    lines = np.concatenate([each.lines[0] for each in _filtered(evaluator, work, _LINE_DRAWS)])
+    numbers = np.where(np.isnan(lines), work.estimation.particles, lines).mean(axis=0)
+    if evaluator.instant_weights is not None:
+        numbers[evaluator.instant_weights == 0.0] = np.inf
+    t, number = formatted(int(numbers.argmin()) + evaluator.start), float(numbers.min())
+    is_few = number < _FEW_LINES
+    text = (
+        f"The smoothed estimate at t = {t} is that of {number:.1f} of "
+        f"{work.estimation.particles:,} particles, those with descendants at the last measurement "
+        "that it uses."
+    )
+    return text + " More particles help (filter.particles)." * is_few, is_few
+
+
+def _filtered(evaluator: Evaluator, work: FilterWork, most: int) -> Iterator[Result]:
+    """The first draws of a work, with trajectories, in parts that fit into memory."""
+    first, last = work.draws
+    at_once = max(1, _PARTICLES // work.estimation.particles)
+    for draws in cut(range(first, min(last, first + most)), at_once):
+        yield evaluator.filtered(replace(work, draws=draws, trajectories=True))
 
 
 def enough_particles(

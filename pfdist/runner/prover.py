@@ -35,13 +35,15 @@ from pfdist.runner.gap_parts import gap_parts, steps_of_sets
 from pfdist.runner.likelihood import likelihood
 from pfdist.runner.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
 from pfdist.runner.ranks import RankWork, wrong_likelihood
-from pfdist.search.relaxation import Relaxation, relaxation_for
+from pfdist.search.gaps import gaps_for
+from pfdist.search.relaxation import WINDOW, Relaxation, relaxation_for
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
 
 _CHECKED = 200  # draws whose states check the likelihood
 _ROUNDS = 1000  # of growing windows, at most
 _PATHS = 16  # whose windows grow in a round
+_LINES = 1000  # particles of a bound for estimates that use later measurements, at least
 _FEWER, _LEAST_GROWING = 4, 50  # particles while windows grow: a fourth of all, and at least
 # Windows grow until the relaxed errors lie below those of the sets by so small a share:
 _GROWN, _GROWN_EXACTLY = 1e-3, 1e-11
@@ -75,11 +77,11 @@ class Prover:
         self._built, self.settings = built, settings
         if built.job.criterion.bound == "none":
             raise JobError(f"no bound is known for the {built.job.criterion.label}")
-        if built.evaluator.lag:
-            raise JobError(f"no bound is known for {built.job.problem.estimate_written}")
         self.shares: tuple[float, ...] = ()
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
-        count = settings.particles or built.job.filter.particles
+        lag, count = built.evaluator.lag, settings.particles or built.job.filter.particles
+        if lag and not settings.particles:  # few lines are left after all measurements of a gap
+            count = max(count, _LINES)
         own = built.job.filter.proposal
         self._estimation = with_truth(count, own)
         # The windows to grow along are found with fewer particles; the bound does not trust them.
@@ -95,8 +97,12 @@ class Prover:
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
         looks = 1 if settings.within is None else len(self._blocks)
         self.confidence = 1 - (1 - CONFIDENCE) / looks
-        feasible, cells = built.study.widest, settings.most_cells
-        self.relaxation = relaxation_for(feasible, settings.window, built.study.usual, cells)
+        feasible, usual, cells = built.study.widest, built.study.usual, settings.most_cells
+        self.relaxation = (
+            gaps_for(feasible, usual, lag, cells)
+            if lag
+            else relaxation_for(feasible, settings.window, usual, cells)
+        )
 
     @property
     def steps(self) -> float:
@@ -281,6 +287,7 @@ class Prover:
             gap=_GROWN if self.particles else _GROWN_EXACTLY,
             start=self.relaxation,
             most_grown=self.settings.most_windows,
+            lag=self._built.evaluator.lag,
         )
         return (
             yield from grown(
@@ -290,10 +297,14 @@ class Prover:
 
     @cached_property
     def _most_steps(self) -> float:
-        """Particle-steps after which no window grows; by default twice those of the first."""
+        """Particle-steps after which no window grows; by default twice those of the first.
+
+        The errors of gaps gain less by growth.
+        """
         if self.settings.work is not None:
             return self.settings.work
-        return 2.0 * self._steps((), GROUPS) if self.particles else math.inf
+        times = 1.0 if self._built.evaluator.lag else 2.0
+        return times * self._steps((), GROUPS) if self.particles else math.inf
 
     def _gaps(
         self, sets: Mapping[str, Times], parts: Mapping[str, GapParts], sums: Sums
@@ -361,7 +372,7 @@ class Prover:
 
     def _columns(self, compared_draws: int) -> dict[str, Any]:
         return {
-            "window": self.settings.window,
+            "window": WINDOW if self._built.evaluator.lag else self.settings.window,
             "work": self._most_steps,
             "memory": self.settings.memory,
             "particles": self.particles,

@@ -2,8 +2,9 @@
 
 Each phase has separate draws. The set that the exchanges prefer is compared with the reference,
 unless the race contradicts; without exchanges it is the winner of the race. A search may estimate
-errors by the variance of the particles, which is tiny if these collapse onto a wrong state.
-Exchanges and the race judge by the squared error.
+errors by the variance of the particles, which is tiny if these collapse onto a wrong state. So
+exchanges judge by the squared error, or by two clouds, whose distance then grows. The race judges
+by the squared error.
 """
 
 import math

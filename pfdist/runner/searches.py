@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.work import BLOCK, Estimation
-from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.estimators import ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR, TWO_CLOUDS
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
@@ -44,7 +44,9 @@ class Settings:
 
         If the variance of the particles estimates the error, a search that prefers to do so does.
         """
-        estimator = FILTER_VARIANCE if own.by_variance and variance_is_error else SQUARED_ERROR
+        estimator = SQUARED_ERROR
+        if own.by_variance and variance_is_error:
+            estimator = TWO_CLOUDS if job.problem.instants_of_lag else FILTER_VARIANCE
         return cls(
             own.draws or job.evaluation.draws,
             (own.noise or job.evaluation.noise) == "common",
@@ -116,8 +118,14 @@ def named_search(
     optimiser = study.optimiser(section, settings.draws)
     # Only the method itself may kill sets, as the paper says.
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
-    squared = replace(settings.estimation, estimator=SQUARED_ERROR.name)
-    polishing = replace(counting, draws=_POLISH_DRAWS, estimation=squared)
+    estimator = ESTIMATORS[settings.estimation.estimator]
+    if estimator is not TWO_CLOUDS:  # whose distance grows if a cloud collapses
+        estimator = SQUARED_ERROR
+    polishing = replace(
+        counting,
+        draws=_POLISH_DRAWS // estimator.filters,
+        estimation=replace(settings.estimation, estimator=estimator.name),
+    )
     racing = racing_of(job, _RACE_DRAWS)
     additive = METHODS[section.method].additive
     polishing_or_none = polishing if section.polish else None

@@ -92,8 +92,11 @@ class Study:
 
         Raises `JobError` if the optimiser cannot search this problem.
         """
+        lag = self.job.problem.instants_of_lag
         try:
-            made: Optimiser = METHODS[section.method].make(self.feasible, draws, section.settings)
+            made: Optimiser = METHODS[section.method].make(
+                self.feasible, draws, section.settings, lag=lag
+            )
         except JobError as error:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
         return made

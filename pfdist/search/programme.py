@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 class Programme:
     """The programme for all sums that may be spent, up to `most`.
 
-    `errors` (E,) are expected errors of all windows at all instants at which they count, window by
+    `errors` (E,) are expected errors of all windows at all instants that are known, window by
     window; see `Relaxation.offsets`.
 
     If measurements are counted, a set makes exactly the number of the sum. Money may be left over.
@@ -63,9 +63,9 @@ class Programme:
 
     def of_set(self, times: Times) -> float:
         """The relaxed expected MSE of a set, without multipliers."""
-        until = np.array([*map(self._instant, times), self.relaxation.horizon + 1])
-        windows = np.array(self.relaxation.windows_of(times))
-        return float(self._between(windows, until).sum()) / (self.relaxation.horizon + 1)
+        following = np.array([*times, self.relaxation.end])
+        windows = np.array(self.relaxation.windows_of(times))[: following.size]
+        return float(self._between(windows, following).sum()) / (self.relaxation.horizon + 1)
 
     def through(self, spent: int) -> Array:
         """The least relaxed expected MSE of all sets of a sum through each window, (W,)."""
@@ -121,7 +121,7 @@ class Programme:
     def _at_the_end(self) -> Array:
         """The sum of errors from the last measurement of each window to T, (W,)."""
         every = np.arange(len(self.relaxation.windows))
-        rest = self._between(every, self.relaxation.horizon + 1)
+        rest = self._between(every, self.relaxation.end)
         last_required = max(self.relaxation.constraints.required, default=NOTHING)
         return np.where(self.relaxation.last >= last_required, rest, np.inf)
 
@@ -129,7 +129,7 @@ class Programme:
         """Sums of errors from the last measurement of each window up to and with a measurement."""
         way = self.relaxation.constraints.points.way(moves.time)
         multiplier = self.multipliers[way] if self.multipliers else 0.0
-        return self._between(moves.before, self._instant(moves.time)) + multiplier
+        return self._between(moves.before, moves.time) + multiplier
 
     def _mean(self, sums: Array) -> Array:
         """Expected MSEs, or their bounds, from sums of errors and multipliers."""
@@ -137,42 +137,13 @@ class Programme:
         left: Array = sums - sum(self.multipliers[way] * most[way] for way in most)
         return left / (self.relaxation.horizon + 1)
 
-    def _between(self, windows: Indices, until: Indices | int) -> Array:
-        """Sums of errors from the last measurement of each window to just before `until`.
-
-        After its end, a window's error is that of its last time alone.
-        """
-        relaxation, until = self.relaxation, np.broadcast_to(until, windows.shape)
-        own = np.minimum(until, relaxation.ends[windows] + 1)
-        total, beyond = self._before(windows, own), own < until
-        single = relaxation.single[windows]
-        counted = beyond & relaxation.passable[single]
-        rest = self._before(single[counted], until[counted])
-        total[counted] += rest - self._before(single[counted], own[counted])
-        total[beyond & ~counted] = np.inf
-        return total
-
-    def _before(self, windows: Indices, until: Indices | int) -> Array:
-        """Sums of the errors of each window from its last measurement to just before `until`."""
-        begin = self.relaxation.offsets[windows] + windows - self.relaxation.first[windows]
-        sums: Array = self._summed[begin + until]
-        return sums
+    def _between(self, windows: Indices, time: Indices | int) -> Array:
+        """Sums of errors from the last measurement of each window to just before the next."""
+        return self._sums(windows, np.broadcast_to(time, windows.shape))
 
     @cached_property
-    def _summed(self) -> Array:
-        """Cumulative sums of each window's errors, with a 0 before its first error."""
-        offsets = self.relaxation.offsets
-        sizes = np.diff(offsets)
-        summed = np.zeros(self.errors.size + sizes.size)
-        for size in np.unique(sizes).tolist():  # a sum over all windows would round too much
-            windows = np.flatnonzero(sizes == size)[:, None]
-            places = offsets[windows] + np.arange(size)
-            summed[places + windows + 1] = np.cumsum(self.errors[places], axis=1)
-        return summed
-
-    def _instant(self, time: int) -> int:
-        """The instant of a measurement, whose own error counts after it."""
-        return self.relaxation.constraints.points.instant(time)
+    def _sums(self) -> Callable[[Indices, Indices], Array]:
+        return self.relaxation.sums(self.errors)
 
     @cached_property
     def _moves_by_time(self) -> dict[int, Moves]:
@@ -185,7 +156,7 @@ class Programme:
             time = int(relaxation.last[window])
             spent -= self.relaxation.prices[time]
             before = self._moves_by_time[time].leading_to(window)
-            between = self._between(before, self._instant(time))
+            between = self._between(before, time)
             window = int(before[np.argmin(between + self._to[before, spent])])
             times.append(time)
         return tuple(reversed(times))
@@ -293,7 +264,7 @@ def longer(
     # round the windows of a best set therefore become longer, until the set has its own error.
     windows, far = set[Window](), set[Window]()
     for times in sets:
-        whole = (NOTHING, *times)
+        whole = (NOTHING, *times, relaxation.end)
         passed = [relaxation.windows[number] for number in relaxation.windows_of(times)]
         for number, window in enumerate(passed):
             if len(window) <= number:

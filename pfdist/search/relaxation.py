@@ -21,10 +21,10 @@ dynamic programs", Operations Research 58, 2010.
 
 import math
 from bisect import bisect_right
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +92,11 @@ class Relaxation:
         """T."""
         return self.constraints.horizon
 
+    @property
+    def end(self) -> int:
+        """The number after the last possible measurement: the end of the horizon."""
+        return self.constraints.possible
+
     @cached_property
     def prices(self) -> tuple[int, ...]:
         """Price of a measurement at each time, in units, (T+1,); 1 if measurements are counted."""
@@ -153,18 +158,24 @@ class Relaxation:
         """For each window, (W,), the index of the window with only its last time."""
         return np.array([self.index[window[-1:]] for window in self.windows])
 
+    def sums(self, errors: Array) -> Callable[[Indices, Indices], Array]:
+        """A function that adds up errors from the last measurement of windows to the next.
+
+        Its arguments are n windows and n times, of which `end` is the end of the horizon.
+        """
+        return WindowSums(self, errors)
+
     @cached_property
     def after(self) -> NDArray[np.int32]:
-        """Index of the window after a measurement at each time, (W, T+1); -1 if not allowed."""
+        """Index of the window after each time, and at the end, (W, T+2); -1 if not allowed."""
         # Short windows come first: a window takes the row of its longest known end, which is
         # shorter, and then the windows that continue it replace entries (Aho and Corasick).
-        possible = self.constraints.possible
-        after = np.full((len(self.windows), possible), -1, np.int32)
+        after = np.full((len(self.windows), self.end + 1), -1, np.int32)
         following = dict[int, list[int]]()
         for number, window in enumerate(self.windows):
             if len(window) > 1:
                 following.setdefault(self.index[window[:-1]], []).append(number)
-        single = [self.index.get((time,), -1) for time in range(possible)]
+        single = [self.index.get((time,), -1) for time in range(self.end + 1)]
         for number in sorted(range(len(after)), key=lambda number: len(self.windows[number])):
             window = self.windows[number]
             after[number] = single if len(window) == 1 else after[self._suffix(window)]
@@ -199,7 +210,7 @@ class Relaxation:
             numbers.append(number)
         return numbers
 
-    def grown(self, windows: Iterable[Window], far: Iterable[Window] = ()) -> "Relaxation":
+    def grown(self, windows: Iterable[Window], far: Iterable[Window] = ()) -> Self:
         """The relaxation with these windows and their beginnings added.
 
         Windows that break limits are left out. The errors of the known windows `far` count up to T.
@@ -218,7 +229,7 @@ class Relaxation:
             only=None if self.only is None else self.only | beginnings,
         )
 
-    def restricted(self, paths: Iterable[Times]) -> "Relaxation":
+    def restricted(self, paths: Iterable[Times]) -> Self:
         """The relaxation restricted to paths through the windows of these sets."""
         sets = list(paths)
         passed = {self.windows[number] for times in sets for number in self.windows_of(times)}
@@ -235,7 +246,7 @@ class Relaxation:
             if self.ends[number] + 1 < self.constraints.points.instant(until)
         ]
 
-    def without(self, windows: Collection[Window]) -> "Relaxation":
+    def without(self, windows: Collection[Window]) -> Self:
         """The relaxation without these windows, and without windows that begin with them."""
         if not windows:
             return self
@@ -249,20 +260,19 @@ class Relaxation:
 
     @cached_property
     def _follows(self) -> NDArray[np.bool_]:
-        """Whether a time may follow the last time, or none, (T+2, T+1): by last time + 1."""
-        constraints, possible = self.constraints, self.constraints.possible
-        follows = np.zeros((possible + 1, possible), np.bool_)
-        for last in (NOTHING, *range(possible)):
-            follows[last + 1, list(followers(constraints, last))] = True
+        """Whether a time, or the end, may follow the last time or none, (T+3, T+2)."""
+        follows = np.zeros((self.end + 2, self.end + 1), np.bool_)
+        for last in (NOTHING, *range(self.end)):
+            follows[last + 1, [*followers(self.constraints, last), self.end]] = True
         return follows
 
     @cached_property
     def _within_limits(self) -> NDArray[np.bool_]:
-        """Whether a time keeps the limits, after those of each window, (W, T+1)."""
-        within = np.ones((len(self.windows), self.constraints.possible), np.bool_)
+        """Whether a time keeps the limits, after those of each window, (W, T+2)."""
+        within = np.ones((len(self.windows), self.end + 1), np.bool_)
         if self.constraints.limits:
             for row, window in zip(within, self.windows, strict=True):
-                row[self.constraints.beyond_limits(_measured(window))] = False
+                row[self.constraints.beyond_limits(window[window[0] == NOTHING :])] = False
         return within
 
     def _suffix(self, window: Window) -> int:
@@ -280,11 +290,50 @@ def followers(constraints: Constraints, last: int) -> Iterator[int]:
 
 def keeps_limits(constraints: Constraints, window: Window) -> bool:
     """Whether the measurements of a window satisfy the limits."""
-    return constraints.is_within_limits(_measured(window))
+    return constraints.is_within_limits(
+        tuple(time for time in window if NOTHING < time < constraints.possible)
+    )
 
 
-def _measured(window: Window) -> Times:
-    return window[window[0] == NOTHING :]
+@dataclass(frozen=True)
+class WindowSums:
+    """Sums of the expected errors of windows, which have E errors in all."""
+
+    relaxation: Relaxation
+    errors: Array  # (E,)
+
+    def __call__(self, windows: Indices, times: Indices) -> Array:
+        """Sums of errors from the last measurement of each window to just before a time.
+
+        After its end, a window's error is that of its last time alone.
+        """
+        relaxation, until = self.relaxation, self.relaxation.constraints.points.instant(times)
+        own = np.minimum(until, relaxation.ends[windows] + 1)
+        total, beyond = self._before(windows, own), own < until
+        single = relaxation.single[windows]
+        counted = beyond & relaxation.passable[single]
+        rest = self._before(single[counted], until[counted])
+        total[counted] += rest - self._before(single[counted], own[counted])
+        total[beyond & ~counted] = np.inf
+        return total
+
+    def _before(self, windows: Indices, until: Indices) -> Array:
+        """Sums of the errors of each window from its last measurement to just before `until`."""
+        begin = self.relaxation.offsets[windows] + windows - self.relaxation.first[windows]
+        sums: Array = self._summed[begin + until]
+        return sums
+
+    @cached_property
+    def _summed(self) -> Array:
+        """Cumulative sums of each window's errors, with a 0 before its first error."""
+        offsets = self.relaxation.offsets
+        sizes = np.diff(offsets)
+        summed = np.zeros(self.errors.size + sizes.size)
+        for size in np.unique(sizes).tolist():  # a sum over all windows would round too much
+            windows = np.flatnonzero(sizes == size)[:, None]
+            places = offsets[windows] + np.arange(size)
+            summed[places + windows + 1] = np.cumsum(self.errors[places], axis=1)
+        return summed
 
 
 def in_order(windows: Iterable[Window]) -> tuple[Window, ...]:

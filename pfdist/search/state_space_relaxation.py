@@ -23,12 +23,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times
 from pfdist.filters.estimate import Evaluation
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import method
 from pfdist.problem.search_section import CommonNoiseSettings, Count
 from pfdist.search.base import Candidate, best_of
+from pfdist.search.gaps import LOOKAHEAD, gaps_for
 from pfdist.search.programme import Programme, longer, near_optimal, with_multipliers
 from pfdist.search.relaxation import Relaxation, Window, relaxation_within
 
@@ -75,8 +76,8 @@ class RelaxationState:
     def programmes(self, sums: Sequence[int]) -> dict[int, Programme]:
         """The programme for each sum; a single one if no limit has a largest number."""
         relaxation = self.relaxation
-        passable = (relaxation.windows[number] for number in np.flatnonzero(relaxation.passable))
-        errors = np.concatenate([self.errors[window] for window in passable])
+        counted = np.flatnonzero(np.diff(relaxation.offsets)).tolist()
+        errors = np.concatenate([self.errors[relaxation.windows[number]] for number in counted])
         if not relaxation.constraints.most:
             return dict.fromkeys(sums, Programme(relaxation, errors, max(sums)))
         return {s: with_multipliers(relaxation, errors, s, self.least(s)) for s in sums}
@@ -129,6 +130,8 @@ class StateSpaceRelaxation:
         The relaxation of the first round; by default that of `relaxation_within`.
     most_grown : int
         Largest number of windows that are added to those of the first round.
+    lag : int or tuple of int
+        Instants after t whose measurements the estimate of z(t) uses; see `pfdist.search.gaps`.
     """
 
     feasible: Feasible
@@ -141,6 +144,7 @@ class StateSpaceRelaxation:
     gap: float = _ROUNDING
     start: Relaxation | None = None
     most_grown: int = 20_000
+    lag: Lag = 0
 
     @property
     def generations(self) -> int:
@@ -188,7 +192,7 @@ class StateSpaceRelaxation:
         if any(len(window) == 1 for window in state.infinite):
             # No relaxed error is known. Exchanges may still improve the sets that were evaluated.
             return replace(state, done=True)
-        exact = any(not evaluation.draws for evaluation in state.whole)
+        exact = not self.lag and any(not evaluation.draws for evaluation in state.whole)
         relaxation = state.relaxation
         rounds = max(_ROUNDS_IF_EXACT, self.rounds) if exact else self.rounds
         if state.round > rounds:
@@ -270,7 +274,7 @@ class StateSpaceRelaxation:
     def _start(self) -> Relaxation:
         if self.start is not None:
             return self.start
-        return relaxation_within(self.feasible, self.feasible.measurements, MOST_CELLS)
+        return first_relaxation(self.feasible, self.feasible.measurements, self.lag)
 
 
 def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
@@ -281,3 +285,10 @@ def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation])
     whole = (*state.whole, *evaluations[len(lacking) :])
     updated = replace(state, errors=errors, whole=whole, sets=())
     return replace(updated, relaxation=relaxation.without(updated.infinite))
+
+
+def first_relaxation(feasible: Feasible, measurements: int, lag: Lag) -> Relaxation:
+    """The relaxation with which a search begins, for a usual number of measurements and a lag."""
+    if lag:
+        return gaps_for(feasible, measurements, lag, MOST_CELLS, LOOKAHEAD)
+    return relaxation_within(feasible, measurements, MOST_CELLS)

@@ -30,6 +30,9 @@ RUN_KEY = b"pfdist_run"
 FILTERED_PERCENTS = (5, 25, 50, 75, 95)
 """Quantiles, in per cent, in the table of a user's filtered measurements."""
 
+SMOOTHED_START = "smoothed_"
+"""The beginning of the columns in this table whose estimates use later measurements."""
+
 WINDOW_PERCENTS = (1, 5)
 """Limits of the regret, in per cent, that define the sampling windows of a measurement."""
 
@@ -47,6 +50,7 @@ KEYS: dict[str, list[str]] = {
     "comparison": ["draw"],
     "range_sums": ["position", "draw", "draws"],
     "repeated": ["draw"],
+    "other_estimate": ["draw"],
     "filter_distance": ["draw"],
     "filter_variance": ["draw"],
     "online": ["draw"],
@@ -258,6 +262,9 @@ _OPTIONAL = {
         "plan_mse", pa.float64(), _MSE, "expected MSE of the plan, on the same draws"
     ),
     "exact_mse": _column("exact_mse", pa.float64(), _MSE, "if the engine is exact"),
+    "exact_other_mse": _column(
+        "exact_other_mse", pa.float64(), _MSE, "of the other estimate, if the engine is exact"
+    ),
     "scenario": _column(
         "scenario",
         pa.int16(),
@@ -349,6 +356,11 @@ def comparison_schema(
     return comparison.append(_OPTIONAL["scenario"]) if with_scenarios else comparison
 
 
+def other_schema(kind: str, names: Sequence[str]) -> pa.Schema:
+    """Schema of the errors of the other estimate, "smoothed" or "filtered"."""
+    return _of_sets("other_estimate", kind, f"MSE of the {kind} estimate with this set", names)
+
+
 def distance_schema(names: Sequence[str]) -> pa.Schema:
     """Schema of the errors due to filter noise: a row for each draw, a column for each set."""
     text = "half the squared distance of two filters' estimates"
@@ -391,6 +403,17 @@ def trajectories_schema(
     return _schema("trajectories", columns)
 
 
+def _moments_of(start: str, component: Component, uses: str) -> list[pa.Field]:
+    return [
+        _of_component(f"{start}mean", component, "z", f"mean, {uses}"),
+        _of_component(f"{start}sd", component, "z", "standard deviation"),
+        *(
+            _of_component(f"{start}q{percent:02d}", component, "z", f"quantile of {percent} %")
+            for percent in FILTERED_PERCENTS
+        ),
+    ]
+
+
 def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
     """Schema of filtered measurements, by the components of z: a row for each instant."""
     columns = [
@@ -398,18 +421,16 @@ def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
         _column("measured", pa.bool_(), "", "whether t was measured"),
     ]
     for each in quantities:
-        columns += [
-            _of_component("mean", each, "z", "mean, by the measurements up to t"),
-            _of_component("sd", each, "z", "standard deviation"),
-        ]
-        columns += [
-            _of_component(f"q{percent:02d}", each, "z", f"quantile of {percent} %")
-            for percent in FILTERED_PERCENTS
-        ]
+        columns += _moments_of("", each, "by the measurements up to t")
     columns += [
         _column("effective_sample_size", pa.float64(), "", "of the particles; null: exact"),
         _column("surprise", pa.float64(), "", "p-value of the measurement; null: not measured"),
     ]
+    later = "by later measurements, too (`problem.lag`, else all); null: too many particles"
+    for each in quantities:
+        columns += _moments_of(SMOOTHED_START, each, later)
+    of_lines = "of the particles, by their descendants; null: exact"
+    columns.append(_column(f"{SMOOTHED_START}effective_sample_size", pa.float64(), "", of_lines))
     return _schema("filtered", columns)
 
 

@@ -74,12 +74,16 @@ def test_evaluate_prints_json(run: Path, call: Call) -> None:
     answer = json.loads(call(line).out)
     assert answer.pop("seconds") >= 0
     expected = pfdist.evaluate(job, (0, 4, 8), draws=50, particles=30, seed=9)
+    smoothed = pfdist.load_job(job, ["problem.estimate=smoothed"])
+    other = pfdist.evaluate(smoothed, (0, 4, 8), draws=10, particles=30, seed=9)
     assert answer == {
         "expected_mse": expected.expected_mse,
         "standard_error": expected.standard_error,
         "draws": 50,
         "degenerate_draws": 0,
         "largest_share": None,  # it takes more draws
+        "smoothed_mse": other.expected_mse,
+        "smoothed_error": other.standard_error,
         "broken_constraints": ["problem.measurement_budget is 4, got 3 times"],
     }
 

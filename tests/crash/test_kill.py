@@ -183,11 +183,11 @@ def _committed(run: Path) -> int:
     for table, key in (
         ("draws", ["evaluation", "draw"]), ("comparison", ["draw"]), ("trajectories", ["draw"]),
         ("repeated", ["draw"]), ("online", ["draw"]), ("filter_distance", ["draw"]),
-        ("filter_variance", ["draw"]),
+        ("filter_variance", ["draw"]), ("other_estimate", ["draw"]),
     ):  # fmt: skip
         files = list(run.glob(f"*/{table}/[!.]*.parquet"))
         rows = [pd.read_parquet(file) for file in files]
-        starts = ("mse_", "estimate_", "distance_", "variance_", "unmeasured")
+        starts = ("mse_", "estimate_", "distance_", "variance_", "unmeasured", "smoothed_")
         sets = sum(name.startswith(starts) for name in rows[0]) if rows else 0
         counts.append(len(pd.concat(rows).drop_duplicates(key)) * max(sets, 1) if rows else 0)
     return sum(counts)

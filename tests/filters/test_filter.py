@@ -11,12 +11,12 @@ from scipy import stats
 import oracles.kalman
 from oracles.in_turn import in_turn
 from pfdist import Cloud, Filter, StateSpaceModel, load_model
-from pfdist.errors import MeasurementsError, ModelError, PfdistWarning, PriorError
+from pfdist.errors import ArgumentError, MeasurementsError, ModelError, PfdistWarning, PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.filter import SUSPICIOUS
-from pfdist.filters.filter_estimate import FEW, PREDICTIVE
+from pfdist.filters.filter_estimate import FEW, PREDICTIVE, Particles
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
@@ -167,6 +167,72 @@ def test_it_is_the_exact_filter_within_monte_carlo_error() -> None:
         sizes = [estimate.effective_sample_size for estimate in estimates]
         assert all(size is not None and 1 < size < particles for size in sizes)
     assert known.effective_sample_size is None
+
+
+@in_turn("engine", ["compiled", "numpy"])
+@in_turn("lag", [None, 2])
+def test_smoothed_estimates_are_those_of_the_batch_filter_and_of_its_lines(
+    ungm: StateSpaceModel, engine: str, lag: int | None
+) -> None:
+    """Moments are those of the weighted lines; a filter in the middle gives them, too."""
+    draws = simulate(ungm, HORIZON, range(2), 7)
+    filtering = Filter(ungm, 100, 5, engine=engine, draw=1)
+    for t in TIMES[:-1]:
+        filtering.update(t, draws.y[1, t])
+    before = filtering.smoothed()
+    assert [each.t for each in before] == list(range(TIMES[-2] + 1))
+    filtering.update(TIMES[-1], draws.y[1, TIMES[-1]])
+    settings = Estimation(100, "systematic", lag=lag or HORIZON)
+    batch = ENGINES[engine].filters.filter_checked_draws(
+        ungm, draws, TIMES, filtering.stream, settings, True
+    )
+    found = filtering.smoothed(HORIZON, lag)
+    for t, each in enumerate(found):
+        assert (each.t, each.measured, each.surprise) == (t, t in TIMES, None)
+        np.testing.assert_allclose(each.mean, batch.estimate[1, t], rtol=1e-9)
+        belief = each._belief
+        assert isinstance(belief, Particles)
+        share = belief.weight / belief.weight.sum()
+        held = belief.z[0, share > 0]
+        assert each.mean == pytest.approx(held @ share[share > 0], rel=1e-12)
+        spread = np.average((held - each.mean) ** 2, weights=share[share > 0])
+        assert each.standard_deviation == pytest.approx(math.sqrt(spread), rel=1e-9)
+        if not np.isnan(batch.lines[1, t]):
+            assert held.size == batch.lines[1, t]
+    last = filtering.predict(HORIZON)
+    assert found[-1].mean == pytest.approx(last.mean, rel=1e-9)
+    assert found[-1].quantiles(0.05) == pytest.approx(last.quantiles(0.05), rel=1e-9)
+
+
+def test_a_smoothed_estimate_is_that_of_rauch_tung_and_striebel() -> None:
+    """Means, deviations and quantiles given all measurements, within Monte Carlo error."""
+    draws, times = simulate(SENSORS, 6, range(1), 3), (1, 2, 5)
+    exact, filters = Filter(SENSORS, engine="kalman"), [Filter(SENSORS, 2000, s) for s in range(25)]
+    for filtering in (exact, *filters):
+        for t in times:
+            filtering.update(t, draws.y[0, t])
+    instants = np.arange(7)
+    walk = 4 + 0.25 * np.minimum(*np.meshgrid(instants, instants))  # covariance of x
+    own = walk[:, times].repeat(2, axis=1)  # with y, which has two components
+    noise = np.diag([1.0, 4.0] * len(times))
+    gain = own @ np.linalg.inv(own[list(times)].repeat(2, axis=0) + noise)
+    mean, sd = gain @ draws.y[0, times].ravel(), np.sqrt(np.diag(walk - gain @ own.T))
+    quantiles = mean + sd * stats.norm.ppf(LEVELS)[:, None]
+    known, found = exact.smoothed(6), [each.smoothed(6) for each in filters]
+    for t in instants:
+        np.testing.assert_allclose(known[t].mean, mean[t], rtol=1e-9)
+        np.testing.assert_allclose(known[t].standard_deviation, sd[t], rtol=1e-9)
+        np.testing.assert_allclose(known[t].quantiles(LEVELS)[:, 0], quantiles[:, t], rtol=1e-9)
+        _within([each[t].mean[0] for each in found], mean[t])
+        _within([each[t].standard_deviation[0] for each in found], sd[t])
+        _within([each[t].quantiles(LEVELS)[:, 0] for each in found], quantiles[:, t])
+
+
+def test_what_cannot_be_smoothed_is_one_line(ungm: StateSpaceModel) -> None:
+    with pytest.raises(ArgumentError, match=r"^lag must be at least 1, got 0$"):
+        Filter(ungm).smoothed(lag=0)
+    with pytest.raises(ArgumentError, match=r"^the estimate of 100,000 particles .* 103 instants"):
+        Filter(ungm, 100_000).smoothed(300)
 
 
 def test_the_exact_evidence_is_the_density_of_all_measurements_together() -> None:

@@ -12,12 +12,13 @@ from oracles.grid import grid_smoother
 from oracles.guided import sharp_walk
 from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian
-from oracles.moments import assert_mean
+from oracles.moments import assert_mean, assert_positive
 from oracles.three_sensors import ThreeSensors
 from pfdist import StateSpaceModel, load_model, where
 from pfdist.common.measurement_times import regular
 from pfdist.filters import kalman, plain
 from pfdist.filters import particle_filter as _compiled
+from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW
 from pfdist.filters.particle_filter import (
@@ -27,7 +28,7 @@ from pfdist.filters.particle_filter import (
 )
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import GUIDED, Estimation
+from pfdist.filters.work import GUIDED, Estimation, control_of, with_truth
 
 Array = NDArray[np.float64]
 HORIZON, TIMES = 12, (0, 3, 4, 9)
@@ -63,6 +64,73 @@ def test_a_linear_gaussian_model_gives_the_kalman_smoother(
     distance = np.mean(np.sum((own.estimate - exact.estimate) ** 2, axis=2), axis=1)
     assert_mean(own.mse - exact.mse - distance)
     assert distance.mean() < 0.01 * exact.mse.mean()
+    # The variance lacks the part that the mean of the particles has.
+    missing = np.sum(exact.variance - own.variance, axis=2).mean(axis=1)
+    assert_mean(missing - distance)
+
+
+@in_turn("lag", [2, HORIZON])
+def test_beside_the_truth_the_variance_over_lines_is_the_error_and_a_lower_bound(lag: int) -> None:
+    """Given y and the cloud as a set, the truth's line is distributed as the weights."""
+    model = SCALAR.as_model()
+    draws = simulate(model, HORIZON, range(20_000), 1)
+    exact = kalman.expected_mse(model, HORIZON, [TIMES], lag=lag)[0]
+    given = replace(with_truth(4), lag=lag)
+    by_variance = filter_checked_sets(model, draws, [TIMES], [HORIZON], 2, given).mse[:, 0]
+    squared = filter_checked_draws(
+        model, draws, TIMES, 2, replace(given, estimator="squared_error")
+    ).mse
+    assert_mean(squared - by_variance)
+    assert_positive(exact - by_variance)
+
+
+@in_turn("lag", [2, HORIZON])
+def test_the_control_is_the_error_less_the_variance_over_lines_and_its_mean_is_zero(
+    lag: int,
+) -> None:
+    """It takes more than half of the variance away, and nothing from the mean."""
+    model, own = SCALAR.as_model(), Estimation(200, lag=lag)
+    draws, given = simulate(model, HORIZON, range(2000), 1), replace(control_of(own), lag=lag)
+    both = [model, draws, [TIMES], [HORIZON], 2]
+    control = filter_checked_sets(*both, given).mse[:, 0]
+    squared = filter_checked_sets(*both, own).mse[:, 0]
+    assert_mean(control)
+    assert np.var(squared - control) < 0.5 * np.var(squared)
+    (twin,) = plain.filter_checked_sets(model, draws[:50], [TIMES], [HORIZON], 2, given).mse.T
+    np.testing.assert_allclose(control[:50], twin, rtol=1e-9, atol=1e-12)
+
+
+def test_two_clouds_estimate_the_error_of_the_exact_smoother_with_few_particles() -> None:
+    """The squared error is too large by the distance, and the variance too small by nearly as much.
+
+    Less than a third of either is left, and the estimate varies less than the squared error.
+    """
+    model, settings = SCALAR.as_model(), Estimation(40, "systematic", lag=HORIZON)
+    draws = simulate(model, HORIZON, range(8000), 1)
+    exact = kalman.expected_mse(model, HORIZON, [TIMES], lag=HORIZON)[0]
+    squared, variance, clouds = (
+        filter_checked_sets(
+            model, draws, [TIMES], [HORIZON], 2, replace(settings, estimator=estimator)
+        ).mse[:, 0]
+        for estimator in ("squared_error", "filter_variance", "two_clouds")
+    )
+    assert_positive(squared - exact)
+    assert_positive(exact - variance)
+    assert abs(clouds.mean() - exact) < 0.3 * (exact - variance.mean())
+    assert np.var(clouds) < 0.5 * np.var(squared)
+
+
+def test_half_the_distance_of_two_filters_is_that_of_lines_from_the_exact_mean() -> None:
+    model, settings = SCALAR.as_model(), Estimation(50, estimator="filter_noise", lag=HORIZON)
+    draws = simulate(model, HORIZON, range(2000), 1)
+    half = filter_checked_sets(model, draws, [TIMES], [HORIZON], 2, settings, EACH_DRAW)
+    own, exact = (
+        engine(model, draws, TIMES, 50, 2, trajectories=True, lag=HORIZON).estimate
+        for engine in (filter_draws, kalman.filter_draws)
+    )
+    distance = (own - exact)[:, :, 0] ** 2
+    assert_mean(half.mse[:, 0] - distance.mean(axis=1))
+    np.testing.assert_allclose(half.errors.mean(axis=(1, 2)), half.mse[:, 0], rtol=1e-12)
 
 
 def test_guided_paths_give_the_kalman_smoother() -> None:
@@ -133,8 +201,8 @@ def test_the_plain_twin_agrees(particles: int, lag: int, threshold: float, resam
         engine.filter_draws(UNGM, draws, (0, 1, 4, 9, 11), particles, 23, resampling, **given)
         for engine in (_compiled, plain)
     )
-    for name in ("mse", "estimate", "sizes"):
-        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-9)
+    for name in ("mse", "estimate", "variance", "sizes", "lines"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-9, atol=1e-13)
 
 
 @in_turn(
@@ -177,6 +245,47 @@ def test_sets_together_and_draws_apart_give_the_same_bits(lag: int, proposal: st
     np.testing.assert_array_equal(few.mse, together.mse[7:9])
 
 
+def test_lines_have_the_moments_of_the_estimate() -> None:
+    """Whether lines come from one measurement, from several within a lag, or from none."""
+    settings, model = Estimation(70, lag=2), SCALAR.as_model()
+    draws = simulate(model, HORIZON, range(5), 3)
+    found = plain.filter_checked_draws(model, draws, TIMES, 9, settings, lines=True)
+    share = found.line_weight / found.line_weight.sum(axis=2, keepdims=True)
+    z = np.where(share > 0, found.line_z[:, :, 0], 0.0)
+    np.testing.assert_allclose(np.sum(share * z, axis=2), found.estimate[:, :, 0], rtol=1e-12)
+    squares = np.sum(share * (z - found.estimate) ** 2, axis=2)
+    np.testing.assert_allclose(squares, found.variance[:, :, 0], rtol=1e-9)
+
+
+@in_turn("engine", [_compiled, plain, kalman])
+def test_each_instant_may_have_a_lag_of_its_own(engine: Any) -> None:
+    """The estimate of an instant is that with its lag at all instants, also after a start at 2."""
+    model, lags = SCALAR.as_model(), (0, 3, 2, 1, 4, 3, 2, 1, 4, 3, 2, 1, 0)
+    draws = simulate(model, HORIZON, range(3), 5)
+    found, evaluated = (
+        {lag: function(lag) for lag in (lags, *{*lags})}
+        for function in (
+            lambda lag: engine.filter_draws(model, draws, TIMES, 30, 4, trajectories=True, lag=lag),
+            lambda lag: kalman.expected_errors(model, HORIZON, [TIMES], lag=lag),
+        )
+    )
+    for t, lag in enumerate(lags):
+        np.testing.assert_allclose(found[lags].estimate[:, t], found[lag].estimate[:, t], 1e-12)
+        np.testing.assert_allclose(found[lags].variance[:, t], found[lag].variance[:, t], 1e-12)
+        np.testing.assert_allclose(evaluated[lags][:, t], evaluated[lag][:, t], 1e-12)
+    prior = Gaussian(2, np.zeros(1), np.eye(1)) if engine is kalman else Cloud(2, np.zeros((1, 30)))
+    late = simulate(model, HORIZON, range(3), 5, Cloud(2, np.zeros((1, 30))))
+    started = {
+        lag: engine.filter_draws(
+            model, late, (3, 9), 30, 4, prior=prior, trajectories=True, lag=lag
+        )
+        for lag in (lags, *{*lags})
+    }
+    for t, lag in [*enumerate(lags)][2:]:
+        own, alike = (started[each].estimate[:, t - 2] for each in (lags, lag))
+        np.testing.assert_allclose(own, alike, 1e-12)
+
+
 def test_without_a_measurement_within_the_lag_it_is_the_filters_estimate() -> None:
     draws = simulate(UNGM, HORIZON, range(5), 3)
     now, later = (
@@ -187,18 +296,20 @@ def test_without_a_measurement_within_the_lag_it_is_the_filters_estimate() -> No
     assert np.flatnonzero(changes).tolist() == [4, 5, 9, 10]
 
 
-def test_an_evaluator_uses_later_measurements_for_squared_errors_only() -> None:
-    """Its identity has the lag; the variance of particles is that of its filter."""
+@in_turn("estimator", ["squared_error", "filter_variance", "filter_noise", "two_clouds"])
+def test_an_evaluator_uses_later_measurements(estimator: str) -> None:
+    """Its identity has the lag; the control variate of an own error is that of the filter."""
     filtered, smoothed = (Evaluator(UNGM, HORIZON, lag=lag) for lag in (0, HORIZON))
-    own, by_variance = Estimation(50), Estimation(50, estimator="filter_variance")
+    own = Estimation(50, estimator=estimator)
     assert filtered.id_of(own) != smoothed.id_of(own)
-    assert smoothed.settings(own).lag == HORIZON
-    assert smoothed.settings(by_variance).lag == 0
-    assert not smoothed.variance_is_error
-    assert smoothed.self_consistent == filtered
-    both = [each(each.work([TIMES], 1, 2, (0, 30), own)).mse for each in (filtered, smoothed)]
-    draws = simulate(UNGM, HORIZON, range(30), 2)
-    for mse, lag in zip(both, (0, HORIZON), strict=True):
-        np.testing.assert_array_equal(
-            mse[:, 0], filter_draws(UNGM, draws, TIMES, 50, 1, lag=lag).mse
-        )
+    assert smoothed.settings(control_of(own)).lag == HORIZON
+    other = replace(UNGM, error=lambda z, estimate, t, p: abs(z[0] - estimate[0]))
+    assert Evaluator(other, HORIZON, lag=HORIZON).settings(control_of(own)).lag == 0
+    assert smoothed.self_consistent == smoothed
+    draws, work = simulate(UNGM, HORIZON, range(30), 2), smoothed.work([TIMES], 1, 2, (0, 30), own)
+    for evaluator in (filtered, smoothed):
+        given = replace(own, lag=evaluator.lag)
+        expected = filter_checked_sets(UNGM, draws, [TIMES], [HORIZON], 1, given).mse
+        np.testing.assert_array_equal(evaluator(work).mse, expected)
+        plainly = plain.filter_checked_sets(UNGM, draws, [TIMES], [HORIZON], 1, given).mse
+        np.testing.assert_allclose(expected, plainly, rtol=1e-9)

@@ -34,7 +34,7 @@ def committed_draws(run: Path) -> int:
     searched = len(store.read("draws")) if store.has("draws") else 0
     compared = sum(
         sum(map(len, store.draws(table)))
-        for table in ("trajectories", "filter_distance", "filter_variance")
+        for table in ("trajectories", "other_estimate", "filter_distance", "filter_variance")
     )
     # A draw of the comparison counts if both its rows and its errors over time are there.
     rows, sums = (

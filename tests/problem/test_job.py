@@ -372,10 +372,12 @@ def test_a_lag_that_is_none_is_one_line(write, changes, message):
         load_job(write(), [f"problem.{change}" for change in changes])
 
 
-def test_a_lag_needs_equal_steps(write):
+def test_a_lag_on_uneven_steps_has_as_many_instants_as_its_duration(write):
     own = {"times": [0, 1, 3, 9], "measurement_budget": 2, "lag": 2}
-    with pytest.raises(JobError, match=r"^problem.lag needs times with equal steps, got lag = 2"):
-        load_job(write(), [], {"problem": own})
+    job = load_job(write(), [], {"problem": own})
+    assert job.problem.instants_of_lag == (1, 1, 0, 0)
+    with pytest.raises(JobError, match=r"^problem.lag must be at least a step, 1, got 0.5"):
+        load_job(write(), [], {"problem": own | {"lag": 0.5}})
 
 
 @in_turn(
@@ -383,31 +385,11 @@ def test_a_lag_needs_equal_steps(write):
     [
         (
             "search=[{method='corridor'}]",
-            r"whole sets \(exchange, .*\), got corridor: errors of inst",
+            r"a search of method exchange, .*, relaxation, got corridor: errors of prefixes do not",
         ),
         ("online={}", "a job without a section online"),
-        ("budget={least=2,most=3}", "a job without a section budget"),
     ],
 )
-def test_later_measurements_need_sets_that_are_compared_as_a_whole(write, change, message):
+def test_later_measurements_need_sets_or_gaps_that_are_compared(write, change, message):
     with pytest.raises(JobError, match=rf"^problem.estimate = 'smoothed' needs .*{message}"):
         load_job(write(), ["problem.estimate=smoothed", change])
-    with pytest.raises(
-        JobError, match=r"^comparison.control = true needs problem.estimate = 'filt"
-    ):
-        load_job(write(), ["problem.estimate=smoothed", "comparison.control=true"])
-
-
-def test_the_usual_search_compares_whole_sets_if_estimates_use_later_measurements(tmp_path):
-    (tmp_path / "a.toml").write_text("seed = 1\n[problem]\nhorizon = 6\nmeasurement_budget = 2\n")
-    job, later = load_job(tmp_path / "a.toml"), ["problem.lag=2"]
-    searches = [
-        [search.method for search in each.search]
-        for each in (job, job.with_changes(later), load_job(job.path, later))
-    ]
-    assert searches == [["relaxation"], ["exchange"], ["exchange"]]
-    back = job.with_changes(later).with_changes(settings={"seed": 3})
-    assert [search.method for search in back.search] == ["exchange"]
-    polished = ["search.exchange.polish=true", "problem.estimate=smoothed"]
-    assert job.with_changes(polished).search[0].polish
-    assert job.with_changes(settings={"problem": {"lag": 1}}).search[0].method == "exchange"

@@ -269,6 +269,35 @@ def test_replicates_have_clocks_of_their_own() -> None:
     assert (errors["0"] != errors["1"]).all()
 
 
+def test_a_lag_is_a_duration_on_the_uneven_clock_of_a_replicate(tmp_path: Path) -> None:
+    """The conditional mean of a walk given what is used until then; below all steps, the filter."""
+
+    def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
+        return (x[0] + np.sqrt(p.dt[t]) * w[0],)
+
+    model = replace(lake.lake(), name="walk", initial=lambda w, p: (w[0],), transition=transition)
+    problem = pfdist.Problem(
+        model, horizon=8, time_step=0.5, measurement_budget=2, engine="kalman", lag=0.5
+    )
+    run = pfdist.plan(problem, tmp_path / "run", bound_draws=0, figures=False, pool="serial")
+    clocks = {
+        "a": ([0.0, 0.4, 0.7, 1.0, 1.4, 1.8, 2.9, 3.3, 4.0, 5.1, 6.2, 7.5, 8.0], [0.4, 1.0, 2.9]),
+        "b": ([0.0, 0.6, 1.3, 2.0, 2.6, 3.3, 4.0, 4.7, 5.4, 6.0, 6.7, 7.4, 8.0], [0.6, 1.3, 3.3]),
+    }
+    for name, (times, used) in clocks.items():
+        y = np.random.default_rng(1).normal(size=len(times))
+        frame = pd.DataFrame({"system": name, "t": times, "y0": y})
+        found = judged(run, frame, times={"mine": [0.5, 1.0, 3.0]}, within=2.0)
+        (own,) = found.shown
+        place = [*found.sets].index("mine")
+        for k, t in enumerate(times):
+            seen = [times.index(s) for s in used if s <= t + 0.5]
+            covariance = 1 + np.minimum(*np.meshgrid(times, times))
+            noisy = covariance[np.ix_(seen, seen)] + 0.1**2 * np.eye(len(seen))
+            mean = covariance[k, seen] @ np.linalg.solve(noisy, y[seen])
+            assert own.errors.estimates[place, k, 0] == pytest.approx(mean, rel=1e-9)
+
+
 def test_wrong_options_and_tables_are_one_line(planned: Path, problem: pfdist.Problem) -> None:
     data = days(2)
     for options, error, said in (

@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from oracles.bytes_of import hashes
 from pfdist import Filter, Job
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError, MeasurementsError, PfdistWarning, PriorError, StoreError
+from pfdist.filters import one_filter
+from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.simulation import simulate
 from pfdist.questions.filter_measurements import IMPROBABLE, FilteredMeasurements
 from pfdist.store import filtered_schema
@@ -69,6 +72,40 @@ def test_the_table_is_the_filter_of_the_run_at_every_instant(
         assert row["effective_sample_size"] == estimate.effective_sample_size
         surprise = None if math.isnan(row["surprise"]) else row["surprise"]
         assert surprise == estimate.surprise
+    smoothed = filtering.smoothed(HORIZON)
+    for row, estimate in zip(rows, smoothed, strict=True):
+        _check_smoothed(row, estimate)
+    is_later = np.abs(found.table["smoothed_mean_0"] - found.table["mean_0"]) > 1e-9
+    assert is_later.tolist() == [True] * 8 + [False] * 5
+
+
+def _check_smoothed(row: Any, estimate: FilterEstimate) -> None:
+    assert row["smoothed_mean_0"] == estimate.mean[0]
+    assert row["smoothed_sd_0"] == estimate.standard_deviation[0]
+    for percent, level in QUANTILES.items():
+        assert row[f"smoothed_q{percent:02d}_0"] == estimate.quantiles(level)[0, 0]
+    assert row["smoothed_effective_sample_size"] == estimate.effective_sample_size
+
+
+def test_a_job_with_a_lag_smooths_until_then_and_shows_it(
+    finished: Callable[..., Path], y: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job, path = finished(*FEW, "problem.lag=2") / "job.toml", tmp_path / "mine.csv"
+    found = pfdist.filter_measurements(job, _written(path, (1, 4, 8), y))
+    filtering = Filter("ungm", 40, 1, resampling="multinomial", horizon=HORIZON)
+    for t in (1, 4, 8):
+        filtering.update(t, y[t])
+    for row, estimate in zip(
+        found.table.to_dict("records"), filtering.smoothed(HORIZON, 2), strict=True
+    ):
+        _check_smoothed(row, estimate)
+    axes = pfdist.pages.plots.belief(found)
+    assert "smoothed; band: 90 %" in axes.get_legend_handles_labels()[1]
+    monkeypatch.setattr(one_filter, "_MOST_STEPS", 40 * HORIZON**2)
+    assert pfdist.filter_measurements(job, path).table["smoothed_mean_0"].isna().all()
+    monkeypatch.undo()
+    table = found.table.assign(smoothed_effective_sample_size=4.9)
+    assert "falls below 5 for the smoothed estimate at t = 0." in str(replace(found, table=table))
 
 
 def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(

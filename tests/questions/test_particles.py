@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.systems import scalar
 from pfdist import Job, StateSpaceModel, linear_gaussian
 from pfdist.common.estimate import Estimate
@@ -19,7 +20,13 @@ from pfdist.questions.model_checks import check_loaded
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.runner import particles
 from pfdist.runner.build import build
-from pfdist.runner.particles import NUMBERS, enough_particles, measured_loss, work_of_loss
+from pfdist.runner.particles import (
+    NUMBERS,
+    enough_particles,
+    fewest_lines,
+    measured_loss,
+    work_of_loss,
+)
 
 HORIZON, TIMES = 12, (2, 5, 6, 10)
 WALK = ("model.name=random_walk", "filter.particles=auto")
@@ -29,12 +36,13 @@ def walk(small_job: Job, *changes: str) -> Job:
     return small_job.with_changes([*WALK, *changes])
 
 
-def test_the_number_is_enough_against_the_kalman_filter_and_fewer_are_not() -> None:
+@pytest.mark.parametrize("lag", [0, pytest.param(HORIZON, marks=pytest.mark.slow)])
+def test_the_number_is_enough_against_the_kalman_filter_and_fewer_are_not(lag: int) -> None:
     """On other draws, and within 4 standard errors; the first figure is right to order 1/P."""
     model = scalar("scalar", 0.95, 0.5, 1.0)
-    evaluator = Evaluator(model, HORIZON)
+    evaluator = Evaluator(model, HORIZON, lag=lag)
     enough = enough_particles(evaluator, TIMES, 1, Estimation(1))
-    exact = expected_mse(model, HORIZON, [TIMES])[0]
+    exact = expected_mse(model, HORIZON, [TIMES], lag=lag)[0]
 
     def loss(number: int) -> Estimate:
         work = FilterWork((TIMES,), (HORIZON,), (7,), 3, (0, 16_000), Estimation(number))
@@ -47,12 +55,14 @@ def test_the_number_is_enough_against_the_kalman_filter_and_fewer_are_not() -> N
     assert fewer.value > 0.01 - 4 * fewer.standard_error - fewer.value**2
 
 
+@in_turn(("estimate", "lag"), [("filtered", 0), ("smoothed", HORIZON)])
 def test_two_filters_on_the_same_draws_lose_what_the_kalman_filter_does_not(
-    small_job: Job,
+    small_job: Job, estimate: str, lag: int
 ) -> None:
     """The loss falls as 1/P, and the effective sample size grows as P."""
-    losses = pfdist.particle_losses(walk(small_job), (50, 200), TIMES, draws=4000)
-    exact = expected_mse(pfdist.load_model("random_walk"), HORIZON, [TIMES])[0]
+    job = walk(small_job, f"problem.estimate={estimate}")
+    losses = pfdist.particle_losses(job, (50, 200), TIMES, draws=4000)
+    exact = expected_mse(pfdist.load_model("random_walk"), HORIZON, [TIMES], lag=lag)[0]
     true = 1 - exact / losses["expected_mse"]
     error = np.hypot(losses["particle_loss_error"], losses["standard_error"] / exact)
     assert (abs(losses["particle_loss"] - true) < 4 * error + true**2).all()
@@ -61,6 +71,30 @@ def test_two_filters_on_the_same_draws_lose_what_the_kalman_filter_does_not(
     assert many == pytest.approx(few / 4, abs=0.1 * few)
     few, many = losses["effective_sample_size"]
     assert many == pytest.approx(4 * few, rel=0.1)
+
+
+def test_the_fewest_lines_are_counted_where_the_error_counts_and_said(small_job: Job) -> None:
+    """One line is left where hundreds of measurements follow; with many particles there are more.
+
+    Before the first measurement all instants have the same lines, or more.
+    """
+    evaluator = Evaluator(pfdist.load_model("random_walk"), 300, lag=300)
+    few, many, times = Estimation(10), Estimation(2000), regular(300, 301)
+    work = work_of_loss(evaluator, times, 1, few, 24)
+    said, is_few = fewest_lines(evaluator, work, str)
+    assert is_few
+    assert said.startswith("The smoothed estimate at t = 0 is that of 1.0 of 10 particles, ")
+    late = replace(evaluator, weights=(0.0,) * 300 + (1.0,))
+    assert "at t = 300 is that of 10.0 of 10 " in fewest_lines(late, work, str)[0]
+    said, is_few = fewest_lines(evaluator, work_of_loss(evaluator, TIMES, 1, many, 24), str)
+    assert not is_few
+    assert said.endswith(" that it uses.")
+    assert fewest_lines(replace(evaluator, lag=0), work, str) == ("", False)
+    job = small_job.with_changes(["problem.estimate=smoothed", "filter.particles=15"])
+    found = pfdist.evaluate(job, TIMES, draws=50)
+    assert found.few_lines.endswith("More particles help (filter.particles).")
+    checks = pfdist.check_model(job).set_index("check")
+    assert "of 15 particles" in checks["text"]["ancestral lines"]
 
 
 def test_a_filter_that_believes_another_model_loses_what_it_loses_in_its_own_world(

@@ -392,6 +392,7 @@ def test_the_answer_for_the_worst_names_its_error_and_its_gain(
     subject = SimpleNamespace(
         scenarios=[Row(**row) for row in rows],
         criterion=WorstScenario(),
+        error="the expected MSE in the worst scenario",
         reference_row=Row(name="regular"),
         reference="evenly spaced times",
     )

@@ -1,21 +1,33 @@
 """Runs of jobs whose estimates use later measurements."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pfdist
+from oracles.bytes_of import hashes
+from oracles.systems import SYSTEMS
+from pfdist import Job
+from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, ModelError
+from pfdist.filters.kalman import expected_mse
+from pfdist.pages.terminal import lines_of
 from pfdist.problem.job import load_job
 from pfdist.questions.about_run import problem
+from pfdist.questions.evaluate import evaluated
+from pfdist.questions.run_page import answer_in_a_line, answer_of
 from pfdist.questions.subject import Subject
 from pfdist.results.stored_run import measured_of
 from pfdist.runner.build import build
 
 SMOOTHED = "problem.estimate=smoothed"
+CHANGES = ["comparison.draws=500", "search.relaxation.polish=false"]
+HINT = 'If you analyse afterwards, `problem.estimate = "smoothed"` finds other times.'
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +54,25 @@ def test_the_report_says_which_measurements_an_estimate_uses(run: pfdist.Run) ->
     assert "measurements that an estimate uses" in str(problem(Subject(run)))
 
 
+def test_every_answer_of_a_run_says_that_few_lines_are_left(run: pfdist.Run) -> None:
+    """The small job has 40 particles; the answer is about its best set. It has losses, too."""
+    said = str(answer_of(pfdist.open_run(run.path)))
+    assert "of 40 particles, those with descendants" in said
+    asked = evaluated(str(run.path), times={"": "regular"}, draws=30)
+    assert "of 40 particles, those with descendants" in str(asked._page())
+    assert {"filter_distance", "filter_variance"} <= {*run.tables}
+    rows, built = run.table("filter_distance"), build(load_job(run.path))
+    works = built.evaluator.work(
+        [measured_of(run)["random"]], stream_of("comparison", 1, "filter", "filter_distance"),
+        stream_of("comparison", 1, "draws"), (0, 5),
+        replace(built.comparing, estimator="filter_noise"),
+    )  # fmt: skip
+    np.testing.assert_array_equal(rows["distance_random"][:5], built.evaluator(works).mse[:, 0])
+
+
 def test_what_needs_the_filters_estimate_is_one_line(run: pfdist.Run) -> None:
-    with pytest.raises(JobError, match=r"^no bound is known for problem.estimate = 'smoothed'$"):
-        pfdist.bound(run, 480, pool="serial", figures=False)
-    with pytest.raises(JobError, match=r"^budget needs problem.estimate = 'filtered', got .*'smo"):
-        pfdist.budget(run.path, measurements=(2, 4))
+    with pytest.raises(JobError, match=r"^problem.estimate = 'smoothed' needs a search of method"):
+        load_job(run.path / "job.toml").with_changes(sections={"search": [{"method": "survivors"}]})
     with pytest.raises(ModelError, match=r"^online choice of times needs problem.estimate = 'filt"):
         pfdist.Planner(run.path)
 
@@ -59,3 +85,139 @@ def test_a_lag_above_the_horizon_is_the_smoothed_estimate(finished: Callable[...
     del data["estimate"]
     lagged = pfdist.evaluate(job.with_changes(sections={"problem": data}), times)["a"].mse
     np.testing.assert_array_equal(smoothed, lagged)
+
+
+def test_a_plan_and_its_bound_enclose_the_best_set_for_smoothed_estimates(tmp_path: Path) -> None:
+    """Exact errors of all 126 sets, by the Kalman smoother; with particles to 4 standard errors."""
+    horizon, budget = 8, 4
+    model, sets = SYSTEMS["forgetful"], list(combinations(range(horizon + 1), budget))
+    exact = dict(zip(sets, expected_mse(model, horizon, sets, lag=horizon).tolist(), strict=True))
+    for engine, proved in (("kalman", 0.01), ("compiled", 0.2)):
+        problem = pfdist.Problem(
+            model, horizon=horizon, measurement_budget=budget, estimate="smoothed", engine=engine,
+            particles=100,
+        )  # fmt: skip
+        run = pfdist.plan(problem, tmp_path / engine, changes=CHANGES, pool="serial", figures=False)
+        row = run.table("bound").iloc[-1]
+        best = tuple(row["measurement_times"])
+        assert exact[best] < min(exact.values()) * 1.01
+        assert row["bound"] - 4 * row["bound_error"] < min(exact.values())
+        assert row["gap_at_most"] < proved
+
+
+# --- both errors, and the name of the estimate ----------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "other", "when"),
+    [
+        ([], "smoothed", "Analysed afterwards, with all measurements"),
+        ([SMOOTHED], "filtered", "At the moment, with the measurements until then"),
+    ],
+)
+def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
+    changes: list[str], other: str, when: str, finished: Callable[..., Path]
+) -> None:
+    """A job of the other estimate has the same errors on a fifth of the draws."""
+    run, swapped = pfdist.open_run(finished(*changes)), finished(*([] if changes else [SMOOTHED]))
+    table, sets = run.table("other_estimate"), run.table("sets").set_index("name")
+    assert len(table) * 5 == len(run.table("comparison"))
+    built = build(load_job(swapped))
+    draws, measured = stream_of("comparison", 1, "draws"), measured_of(run)
+    for name, times in measured.items():
+        noise = stream_of("comparison", 1, "filter", name)
+        work = built.evaluator.work([times], noise, draws, (0, len(table)), built.comparing)
+        mse = built.evaluator(work).mse[:, 0]
+        np.testing.assert_array_equal(table[f"{other}_{name}"], mse)
+        error = mse.std(ddof=1) / np.sqrt(mse.size)
+        own = sets.loc[name, [f"{other}_mse", f"{other}_error"]].astype(float)
+        np.testing.assert_allclose(own, [mse.mean(), error], rtol=1e-12)
+    best, said = run.best, " ".join(" ".join(lines_of(answer_of(run))).split())
+    texts = [
+        with_error(sets[f"{other}_mse"][name], sets[f"{other}_error"][name])
+        for name in (best.name, "regular")
+    ]
+    assert f"{when}, the expected MSE is {texts[0]} (regular: {texts[1]})." in said
+    assert (HINT in said) == (other == "smoothed")
+    assert ("The expected MSE of the smoothed estimate is " in said) == bool(changes)
+
+
+def test_an_exact_engine_has_both_errors_exactly(finished: Callable[..., Path]) -> None:
+    exact = "filter.engine=kalman", "model.name=random_walk", "comparison.draws=2"
+    for lag, other in ((0, "smoothed"), (12, "filtered")):
+        run = pfdist.open_run(finished(*exact, *([SMOOTHED] if lag else [])))
+        sets, both = run.table("sets"), build(load_job(run.path)).evaluator
+        assert both.lag == lag
+        of_other = replace(both, lag=12 - lag).expected_mse([*measured_of(run).values()])
+        np.testing.assert_allclose(sets[f"{other}_mse"], of_other, rtol=1e-12)
+        assert (sets[f"{other}_error"] == 0.0).all()
+        assert "other_estimate" not in run.tables
+        # More measurements never hurt an exact estimate.
+        assert ((sets["expected_mse"] > of_other) == (other == "smoothed")).all()
+
+
+def test_the_worst_scenario_decides_both_errors(tmp_path: Path) -> None:
+    scenarios = {
+        "parameters": [{"step_sd": 0.5}, {"step_sd": 2.0}],
+        "criterion": "worst",
+        "filter": "told",
+    }
+    problem = pfdist.Problem(
+        "random_walk", horizon=8, measurement_budget=3, scenarios=scenarios, proposal="plain"
+    )
+    job = ["comparison.draws=600", "filter.particles=60"]
+    times, folder = {"a": [0, 3, 6], "b": [2, 5, 8]}, tmp_path / "run"
+    run = pfdist.compare(problem, times=times, results=folder, changes=job, figures=False)
+    rows = run.table("comparison", 120).merge(run.table("other_estimate"), on="draw")
+    means = rows.groupby("scenario")[["smoothed_a", "smoothed_b"]].mean()
+    np.testing.assert_allclose(run.table("sets")["smoothed_mse"], means.max(), rtol=1e-12)
+    assert "afterwards" in " ".join(lines_of(answer_of(run)))
+
+
+def test_the_plain_twin_has_nearly_the_same_errors(run: pfdist.Run) -> None:
+    """Particles of single precision now and then take another way."""
+    built = build(load_job(run.path))
+    work = built.evaluator.work([(0, 4, 8), ()], 1, 2, (0, 40), built.comparing)
+    work = replace(work, other_estimate=True)
+    plain = replace(built.evaluator, engine="numpy")
+    (compiled,), (twin,) = built.evaluator.results([work]), plain.results([work])
+    np.testing.assert_allclose(compiled.mse.mean(axis=0), twin.mse.mean(axis=0), rtol=0.01)
+
+
+def test_evaluate_names_the_estimate_and_evaluate_shows_both_errors(
+    run: pfdist.Run, finished: Callable[..., Path]
+) -> None:
+    job, times = str(run.path / "job.toml"), {"": "0:12:4", "b": "0:12:3"}
+    alone = evaluated(job, times={"": times[""]}, draws=100)
+    said = " ".join(" ".join(lines_of(alone._page())).split())
+    assert said.startswith("Expected MSE of the smoothed estimate ")
+    swapped = pfdist.evaluate(
+        load_job(job).with_changes(["problem.estimate=filtered"]), "0:12:4", draws=20
+    )
+    answer = alone.as_json()
+    assert answer["filtered_mse"] == swapped.expected_mse
+    assert f"At the moment, with the measurements until then: {swapped.estimate.text}." in said
+    several = evaluated(job, times={"a": times[""], "b": times["b"]}, draws=100)
+    assert "at the moment ± standard error" in str(several._page())
+    lagged = evaluated(
+        str(finished() / "job.toml"), times={"": "0:12:4"}, changes=["problem.lag=3"]
+    )
+    assert "Expected MSE of the estimate with a lag of 3 " in str(lagged._page())
+
+
+def test_a_smoothed_plan_says_how_many_evenly_spaced_measurements_do_as_well(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """A plan that lacks the table gets it."""
+    folder, changes = tmp_path / "run", [SMOOTHED, "comparison.draws=2000"]
+    run = pfdist.plan(small_job, folder, changes=changes, bound_draws=0, figures=False)
+    assert "evenly_spaced" not in run.tables
+    run = pfdist.plan(small_job, folder, changes=changes, figures=False)
+    table, plan = run.table("evenly_spaced").set_index("measurements"), run.best
+    assert f"{plan.evenly_spaced} evenly spaced measurements do as well" in answer_in_a_line(run)
+    row, evaluator = table.loc[plan.evenly_spaced], build(load_job(run.path)).evaluator
+    assert evaluator.lag == 12
+    assert row["difference"] + 1.96 * row["difference_error"] < 0.03 * row["plan_mse"]
+    before = hashes(folder)
+    pfdist.plan(small_job, folder, changes=changes, figures=False)
+    assert hashes(folder) == before

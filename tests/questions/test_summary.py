@@ -144,7 +144,9 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
         assert f"take at least {enough:,.0f} draws." in told
     evaluation = Evaluation((0,), mse)
     assert f"% of the MSE: {TOO_SHORT}" in evaluation._repr_html_()
-    assert TOO_SHORT in str(Evaluated({"a": evaluation}, {"a": []}, [], 0.0, None)._page())
+    alone, problem = {"a": evaluation}, pfdist.load_job(run.path).problem
+    evaluated = Evaluated(alone, alone, problem, {"a": []}, [], 0.0, None)
+    assert TOO_SHORT in str(evaluated._page())
 
 
 def test_a_table_with_standard_errors_says_so_in_its_heads_or_in_its_caption(

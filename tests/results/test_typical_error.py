@@ -10,6 +10,7 @@ import pytest
 import pfdist
 from pfdist import Job, Problem, StateSpaceModel
 from pfdist.common.component_names import named_component
+from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.evaluate import Evaluated, Evaluation, evaluated
 from pfdist.questions.subject import Subject
 from pfdist.results.columns import Row
@@ -66,7 +67,8 @@ def test_no_headline_says_infinite(others: dict[str, float]) -> None:
         name: Evaluation((0,), np.full(2, mse)) for name, mse in {"": math.inf, **others}.items()
     }
     quantity = named_component("place [m]")
-    page = Evaluated(sets, dict.fromkeys(sets, ()), (), 1.0, quantity)._page()
+    problem = ProblemSection(horizon=4, measurement_budget=1)
+    page = Evaluated(sets, sets, problem, dict.fromkeys(sets, ()), (), 1.0, quantity)._page()
     assert "not finite" in page.sections[0].blocks[0].text
     assert "infinite" not in page.sections[0].blocks[0].text
 

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from oracles.windows import counted_errors, longest_end, relaxed_errors
+from oracles.windows import counted, counted_errors, longest_end, relaxed_errors
 from pfdist import Sensor, StateSpaceModel
-from pfdist.common.measurement_times import Times
-from pfdist.filters.kalman import expected_mse
+from pfdist.common.measurement_times import Lag, Times
+from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.clock import Clock
 from pfdist.problem.constraints import Constraints, Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.spacing import Spacing
 from pfdist.runner.proof import Sums, prove
+from pfdist.search.gaps import gaps_with
 from pfdist.search.programme import Programme, highest, longer, near_optimal, with_multipliers
 from pfdist.search.relaxation import NOTHING, Relaxation, relaxation_with
 
@@ -228,12 +229,9 @@ def _sensor(row: tuple[float, float], sd: float) -> Sensor:
     )
 
 
-@pytest.mark.parametrize("name", ["1", *(pytest.param(k, marks=pytest.mark.slow) for k in "234")])
-def test_exact_gaps_of_the_manual(name: str) -> None:
-    """At most 1, 2 and 1 measurements; windows that grow leave no gap to the best set."""
-    rows, sds, prices, total, gaps = SYSTEMS[name]
-    horizon, most = 8, (1, 2, 1)
-    model = StateSpaceModel(
+def _model(name: str) -> StateSpaceModel:
+    rows, sds, *_ = SYSTEMS[name]
+    return StateSpaceModel(
         name=name,
         initial=lambda w, p: (2.0 * w[0], 0.7 * w[1]),
         transition=lambda x, t, w, p: (x[0] + x[1] + 0.2 * w[0], 0.9 * x[1] + 0.5 * w[1]),
@@ -243,6 +241,35 @@ def test_exact_gaps_of_the_manual(name: str) -> None:
         sensors=dict(zip(SENSORS, map(_sensor, rows, sds), strict=True)),
         linear_gaussian=True,
     )
+
+
+@pytest.mark.parametrize("lag", [HORIZON, (3, 2, 1, 1, 1, 0)], ids=["smoothed", "uneven"])
+@limits
+def test_gaps_between_sensors_are_at_most_the_errors_of_all_sets_within_the_limits(
+    name: str, money: bool, lag: Lag
+) -> None:
+    """Several sensors may measure at an instant; a lag may differ from instant to instant."""
+    constraints, model = _constraints(name, money=money), _model("2")
+    sets = [times for times in _every(constraints) if _within(name, times)]
+    own = expected_mse(model, HORIZON, sets, lag=lag)
+    bounds = list[float]()
+    for longest_gap in (1, HORIZON + 1):
+        relaxation = gaps_with(constraints, longest_gap, lag)
+        errors = counted(relaxation, expected_errors(model, HORIZON, relaxation.sets, lag=lag))
+        spent = relaxation.total
+        found = with_multipliers(relaxation, errors, spent, float(own.min()))
+        relaxed = [found.of_set(times) for times in sets]
+        assert (relaxed <= own * (1 + ROUNDING)).all()
+        bounds.append(found.mse[spent])
+    assert bounds[0] <= bounds[1] * (1 + 1e-4) <= own.min() * (1 + 2e-4)
+    assert bounds[0] > 0
+
+
+@pytest.mark.parametrize("name", ["1", *(pytest.param(k, marks=pytest.mark.slow) for k in "234")])
+def test_exact_gaps_of_the_manual(name: str) -> None:
+    """At most 1, 2 and 1 measurements; windows that grow leave no gap to the best set."""
+    *_, prices, total, gaps = SYSTEMS[name]
+    horizon, most, model = 8, (1, 2, 1), _model(name)
     points = Points(Clock.counting(horizon), SENSORS)
     free = Feasible(
         horizon, price=prices * (horizon + 1), total_price=total, points=points,

@@ -24,6 +24,7 @@ from pfdist.store import (
     Store,
     comparison_schema,
     distance_schema,
+    other_schema,
     parquet,
     schema,
     tables,
@@ -313,6 +314,7 @@ def test_cut_rows_keeps_all_rows_in_order(count: int) -> None:
 def test_every_column_says_its_unit_and_every_table_its_version(store: Store) -> None:
     variable = {
         "comparison": comparison_schema(["regular", "genetic"]),
+        "other_estimate": other_schema("smoothed", ["regular", "genetic"]),
         "filter_distance": distance_schema(["regular", "genetic"]),
         "filter_variance": variance_schema(["regular", "genetic"]),
         "trajectories": trajectories_schema(
