@@ -146,9 +146,9 @@ def fewest_lines(
     t, number = formatted(int(numbers.argmin()) + evaluator.start), float(numbers.min())
     is_few = number < _FEW_LINES
     text = (
-        f"The smoothed estimate at t = {t} is that of {number:.1f} of "
-        f"{work.estimation.particles:,} particles, those with descendants at the last measurement "
-        "that it uses."
+        f"Behind the smoothed estimate at t = {t} stand {number:.1f} of "
+        f"{work.estimation.particles:,} particles: only these have descendants at the last "
+        "measurement that it uses."
     )
     return text + " More particles help (filter.particles)." * is_few, is_few
 

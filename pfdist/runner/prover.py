@@ -43,6 +43,7 @@ from pfdist.store import BOUND_PHASE, schema
 _CHECKED = 200  # draws whose states check the likelihood
 _ROUNDS = 1000  # of growing windows, at most
 _PATHS = 16  # whose windows grow in a round
+_THRESHOLD = 0.5  # of its resampling
 _LINES = 1000  # particles of a bound for estimates that use later measurements, at least
 _FEWER, _LEAST_GROWING = 4, 50  # particles while windows grow: a fourth of all, and at least
 # Windows grow until the relaxed errors lie below those of the sets by so small a share:
@@ -84,6 +85,9 @@ class Prover:
             count = max(count, _LINES)
         own = built.job.filter.proposal
         self._estimation = with_truth(count, own)
+        if lag and not built.evaluator.model.sensors:
+            # Fewer resamplings after a gap leave more lines. The truth counts in the decision, too.
+            self._estimation = replace(self._estimation, threshold=_THRESHOLD)
         # The windows to grow along are found with fewer particles; the bound does not trust them.
         self._growing = with_truth(max(count // _FEWER, min(count, _LEAST_GROWING)), own)
         truth = built.evaluator.truth

@@ -83,9 +83,9 @@ def test_the_fewest_lines_are_counted_where_the_error_counts_and_said(small_job:
     work = work_of_loss(evaluator, times, 1, few, 24)
     said, is_few = fewest_lines(evaluator, work, str)
     assert is_few
-    assert said.startswith("The smoothed estimate at t = 0 is that of 1.0 of 10 particles, ")
+    assert said.startswith("Behind the smoothed estimate at t = 0 stand 1.0 of 10 particles: ")
     late = replace(evaluator, weights=(0.0,) * 300 + (1.0,))
-    assert "at t = 300 is that of 10.0 of 10 " in fewest_lines(late, work, str)[0]
+    assert "at t = 300 stand 10.0 of 10 " in fewest_lines(late, work, str)[0]
     said, is_few = fewest_lines(evaluator, work_of_loss(evaluator, TIMES, 1, many, 24), str)
     assert not is_few
     assert said.endswith(" that it uses.")

@@ -57,9 +57,9 @@ def test_the_report_says_which_measurements_an_estimate_uses(run: pfdist.Run) ->
 def test_every_answer_of_a_run_says_that_few_lines_are_left(run: pfdist.Run) -> None:
     """The small job has 40 particles; the answer is about its best set. It has losses, too."""
     said = str(answer_of(pfdist.open_run(run.path)))
-    assert "of 40 particles, those with descendants" in said
+    assert "of 40 particles: only these have descendants" in said
     asked = evaluated(str(run.path), times={"": "regular"}, draws=30)
-    assert "of 40 particles, those with descendants" in str(asked._page())
+    assert "of 40 particles: only these have descendants" in str(asked._page())
     assert {"filter_distance", "filter_variance"} <= {*run.tables}
     rows, built = run.table("filter_distance"), build(load_job(run.path))
     works = built.evaluator.work(
