@@ -209,7 +209,11 @@ def _alive(process: int) -> bool:
         return False
     except OSError:  # a process of another user
         return True
-    return True
+    try:
+        state = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(") ")[2][:1]
+    except OSError:  # another system
+        return True
+    return state != "Z"  # an ended process that nobody has waited for, as in many containers
 
 
 def _flush(path: Path, mode: int) -> None:

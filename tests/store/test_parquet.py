@@ -161,15 +161,18 @@ def test_nothing_but_whole_tables_lies_in_a_tables_folder(store: Store) -> None:
 
 def test_what_a_killed_process_left_half_written_is_swept_and_never_read(store: Store) -> None:
     store.publish("draws", "genetic", [_draws("a", 0, 5)])
-    dead = subprocess.Popen(["true"])
+    dead, unburied = subprocess.Popen(["true"]), subprocess.Popen(["true"])
     dead.wait()
+    os.waitid(os.P_PID, unburied.pid, os.WEXITED | os.WNOWAIT)  # it has ended, and stays as it is
     folder, host = store.path / "tables" / "draws", socket.gethostname().replace(".", "_")
-    names = {"dead": f"{host}-{dead.pid}", "alive": f"{host}-{os.getpid()}", "far": "elsewhere-1"}
+    names = {"alive": f"{host}-{os.getpid()}", "far": "elsewhere-1"}
+    names |= {"dead": f"{host}-{dead.pid}", "unburied": f"{host}-{unburied.pid}"}
     halves = {whose: folder / f".{name}.{'0' * 32}.tmp" for whose, name in names.items()}
     for half in halves.values():
         half.write_bytes(b"PAR1 torn")
     assert len(store.read("draws")) == len(pd.read_parquet(folder)) == 5
     store.recover()
+    unburied.wait()
     assert [whose for whose, half in halves.items() if half.exists()] == ["alive", "far"]
 
 
