@@ -78,7 +78,7 @@ class Evaluator:
     told: bool = False
     scale: float = 1.0  # the squared errors are divided by it; see `Scenario`
     # The estimate of z(t) uses measurements until t + lag, in instants: 0 for that of the filter, T
-    # for that from all measurements. See `Estimation`. Controls are those of the filter.
+    # for that from all measurements. See `Estimation`.
     lag: Lag = 0
 
     def __post_init__(self) -> None:

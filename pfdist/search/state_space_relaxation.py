@@ -127,7 +127,7 @@ class StateSpaceRelaxation:
         The search ends when the lowest relaxed errors are below the errors of the best sets by at
         most this share.
     start : Relaxation, optional
-        The relaxation of the first round; by default that of `relaxation_within`.
+        The relaxation of the first round; by default that of `first_relaxation`.
     most_grown : int
         Largest number of windows that are added to those of the first round.
     lag : int or tuple of int
