@@ -258,7 +258,7 @@ def test_a_point_that_another_process_computes_is_left_out_and_said(
 def test_the_work_is_foreseen_by_the_measured_speed_of_the_model(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """150 sines in a step take more than 200 ns; the guess for all models is 2 ns."""
+    """150 sines in a step take more than 20 ns on any processor; the guess for all models is 2 ns."""
     (small_job.path.parent / "slow.py").write_text(
         "from dataclasses import replace\n"
         "import numpy as np\n"
@@ -273,7 +273,7 @@ def test_the_work_is_foreseen_by_the_measured_speed_of_the_model(
     seen = list[Progress]()
     options: Any = {"results": tmp_path / "sweep", "changes": ["model.name=slow.py:model"]}
     points = foreseen(small_job, SEEDS, **options, progress=seen.append)
-    assert (points["seconds"] / points["steps"]).between(2e-7, 1e-4).all()
+    assert (points["seconds"] / points["steps"]).between(2e-8, 1e-3).all()
     assert [(each.done, each.total) for each in seen] == [(0, 2), (1, 2)]
     assert [each.doing for each in seen] == ["measuring seed=1", "measuring seed=2"]
     words = ["sweep", str(small_job.path), "--over", "seed=1:2", "--dry-run", "--results"]
