@@ -152,6 +152,7 @@ def _search() -> Word:
 _SWITCH = Word(bool, Parameter())
 WORDS: dict[str, Word | Callable[[], Word]] = {
     "address": _text("HOST:PORT"),
+    "also": _text("CRITERIA"),
     "block": _number("K"),
     "bound_draws": _number("K"),
     "browser": Word(bool, Parameter(negative="--no-browser")),

@@ -2,17 +2,27 @@
 
 A criterion also says which searches can find its least value, and which lower bound it has.
 Whatever computes, searches or answers asks the criterion, so a new one is a new form here.
+
+Searches compare `Evaluation`s. Answers have a `Sample` of each set, on fresh draws, and print its
+number with a 95 % interval.
+
+References
+----------
+David, Nagaraja, "Order statistics", 3rd edition, 2003, section 7.1 (intervals of quantiles).
+Grosse, Ancha, Roy, "Measuring the reliability of MCMC inference with bidirectional Monte Carlo",
+NeurIPS 2016 (both sides of an evidence).
 """
 
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.estimate import Estimate
+from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Estimate, student_quantile
 
 if TYPE_CHECKING:
     from pfdist.filters.estimate import Evaluation
@@ -21,29 +31,69 @@ Array = NDArray[np.float64]
 ChosenDraws = slice | NDArray[np.bool_]
 
 
+class Judged(NamedTuple):
+    """A number, and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Results of fresh draws with a set of times; those that no criterion wants are empty.
+
+    Parameters
+    ----------
+    mse : array of float64, (D,)
+    errors, standard_errors : array of float64, (T,)
+        Expected error at each instant that counts; 0 as standard error: exact.
+    degrees : float
+        Degrees of freedom of the standard errors.
+    information : array of float64, (D, 2)
+        Nats that the measurements of each draw give: two sides, whose means are at most and at
+        least the expected information. Exact: one row, of two equal numbers.
+    """
+
+    mse: Array
+    errors: Array = field(default_factory=lambda: np.empty(0))
+    standard_errors: Array = field(default_factory=lambda: np.empty(0))
+    degrees: float = math.inf
+    information: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+
 @dataclass(frozen=True)
 class Criterion:
     """The expected MSE, which is the mean over all draws; other forms overwrite what differs.
 
     Parameters
     ----------
+    name : str
+        As a job and columns of tables call it.
     label : str
         How answers call the number.
+    is_mean : bool
+        Whether it is the expected MSE, so that gains of means are gains of the criterion.
     additive : bool
         Whether it is a mean over draws of a sum over instants. Then searches may add errors of
-        instants, and gains of means are gains of the criterion. Else only searches that compare
-        whole sets can minimise it, and exchanges for the mean come first.
+        instants. Else only searches that compare whole sets can minimise it, and exchanges for the
+        mean come first.
     bound : {"mean", "mixture", "none"}
         Its lower bound: that of the mean; that of the mean with the shares of scenarios for which
         it is largest; or none.
     apart : int
         Number of scenarios that are each judged by separate draws.
+    sign : int
+        The number that is minimised is that of answers times this.
     """
 
+    name: str = "expected_mse"
     label: str = "expected MSE"
+    is_mean: bool = True
     additive: bool = True
     bound: Literal["mean", "mixture", "none"] = "mean"
     apart: int = 1
+    sign: int = 1
 
     def deciding(self, errors: "Evaluation") -> ChosenDraws:
         """The draws whose errors decide."""
@@ -86,7 +136,7 @@ class Criterion:
 
     def exactly(self, value: float) -> "Exact":
         """The criterion of a set whose value is known."""
-        return Exact(self.label, self.additive, self.bound, self.apart, value)
+        return Exact(**{each.name: getattr(self, each.name) for each in fields(MEAN)}, error=value)
 
 
 MEAN = Criterion()
@@ -96,7 +146,9 @@ MEAN = Criterion()
 class WorstScenario(Criterion):
     """The largest expected MSE of a scenario."""
 
+    name: str = "worst_scenario"
     label: str = "expected MSE in the worst scenario"
+    is_mean: bool = False
     additive: bool = False
     bound: Literal["mean", "mixture", "none"] = "mixture"
 
@@ -129,3 +181,165 @@ class Exact(Criterion):
     def value(self, errors: "Evaluation") -> Estimate:
         """The exact value."""
         return Estimate(self.error)
+
+
+@dataclass(frozen=True)
+class Judging(Criterion):
+    """A criterion other than a mean of errors."""
+
+    is_mean: bool = False
+    additive: bool = False
+    bound: Literal["mean", "mixture", "none"] = "none"
+
+    def judged(self, sample: Sample) -> Judged:
+        """The number of a set."""
+        raise NotImplementedError
+
+    def change(self, sample: Sample, other: Sample) -> Judged:
+        """The share by which a set's number is lower than another's."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Quantile(Judging):
+    """A quantile over the draws of the MSE: that of the bad draws."""
+
+    share: float = 0.9
+
+    def value(self, errors: "Evaluation") -> Estimate:
+        """The quantile; its standard error is that of a normal variate with the same interval."""
+        value, low, high = self.judged(Sample(errors.mse))
+        return Estimate(value, (high - low) / (2 * _NORMAL) if errors.mse.size else math.nan)
+
+    def difference(self, first: "Evaluation", second: "Evaluation") -> Estimate:
+        """The difference of two quantiles on the same draws, by a paired bootstrap."""
+        both = np.stack([first.mse, second.mse])
+        apart = -np.diff(self._again(both, _FEW_RESAMPLES), axis=0)[0]
+        value, other = self._values(both)
+        return Estimate(float(value - other), float(np.std(apart, ddof=1)))
+
+    def judged(self, sample: Sample) -> Judged:
+        """The quantile, and an interval from two order statistics for any distribution."""
+        from scipy.stats import binom  # noqa: PLC0415  workers need no intervals
+
+        count = sample.mse.size
+        if not count:
+            return Judged(math.nan, *UNKNOWN)
+        low, high = (int(binom.ppf(side, count, self.share)) for side in _SIDES)
+        ordered = np.concatenate([[0.0], np.sort(sample.mse), [math.inf]])
+        (value,) = self._values(sample.mse[None])
+        return Judged(float(value), float(ordered[low]), float(ordered[min(high, count) + 1]))
+
+    def change(self, sample: Sample, other: Sample) -> Judged:
+        """The share by which a set's quantile is lower than another's, by a paired bootstrap."""
+        both = np.stack([sample.mse, other.mse])
+        value, of_other = self._values(both)
+        again, of_other_again = self._again(both, _RESAMPLES)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            changes = 1 - again / of_other_again
+            return Judged(float(1 - value / of_other), *np.quantile(changes, _SIDES).tolist())
+
+    def _values(self, mse: Array) -> Array:
+        """The quantile of each set, (S,), of errors (S, D)."""
+        rank = max(0, math.ceil(self.share * mse.shape[1]) - 1)
+        values: Array = np.partition(mse, rank, axis=1)[:, rank]
+        return values
+
+    def _again(self, mse: Array, resamples: int) -> Array:
+        """The quantiles of resampled draws, the same for all sets, (S, resamples)."""
+        rng, count = np.random.default_rng(0), mse.shape[1]
+        resampled = (mse[:, rng.integers(0, count, count)] for _ in range(resamples))
+        return np.stack([self._values(each) for each in resampled], axis=1)
+
+
+_SIDES = (1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2
+_RESAMPLES, _FEW_RESAMPLES = 500, 100  # of a bootstrap, for an answer and in a search
+_NORMAL = 1.96  # half the width of a 95 % interval, in standard errors
+
+
+@dataclass(frozen=True)
+class WorstInstant(Judging):
+    """The largest expected error over the instants that count."""
+
+    name: str = "worst_instant"
+    label: str = "expected error at the worst instant"
+
+    def judged(self, sample: Sample) -> Judged:
+        """The largest error, between the largest lower and the largest upper limit."""
+        return self._between(sample, sample.errors.size)
+
+    def change(self, sample: Sample, other: Sample) -> Judged:
+        """The share by which a set's largest error is lower, from limits that hold together."""
+        limits = sample.errors.size + other.errors.size
+        value, low, high = self._between(sample, limits)
+        of_other, least, most = self._between(other, limits)
+        return Judged(1 - value / of_other, 1 - high / least, 1 - low / most)
+
+    def _between(self, sample: Sample, limits: int) -> Judged:
+        if not sample.errors.size:
+            return Judged(math.nan, *UNKNOWN)
+        apart = sample.standard_errors
+        if apart.any():
+            share = (1 - CONFIDENCE) / 2 / limits  # Bonferroni
+            apart = -student_quantile(share, sample.degrees) * apart
+        ends = sample.errors, sample.errors - apart, sample.errors + apart
+        return Judged(*(float(each.max()) for each in ends))
+
+
+@dataclass(frozen=True)
+class Information(Judging):
+    """The expected information of the measurements about the path, and what is learned, in nats.
+
+    The number that is minimised is its negative.
+    """
+
+    name: str = "information"
+    label: str = "information"
+    additive: bool = True
+    sign: int = -1
+
+    def judged(self, sample: Sample) -> Judged:
+        """The lower side, from the lower end of its interval to the upper end of the upper side."""
+        below, above = map(Estimate.of_mean, sample.information.T)
+        return self._between(below, below, above)
+
+    def change(self, sample: Sample, other: Sample) -> Judged:
+        """The nats that a set gives more than another."""
+        least, most = map(Estimate.of_mean, (sample.information - other.information[:, ::-1]).T)
+        more = Estimate.of_mean(sample.information[:, 0] - other.information[:, 0])
+        return self._between(more, least, most)
+
+    @staticmethod
+    def _between(value: Estimate, below: Estimate, above: Estimate) -> Judged:
+        if math.isnan(below.standard_error):  # exact, or a single draw
+            return Judged(value.value, below.value, above.value)
+        return Judged(value.value, below.interval()[0], above.interval()[1])
+
+
+_NAMED: dict[str, Criterion] = {e.name: e for e in (MEAN, WorstInstant(), Information())}
+_SHARE = re.compile(r"quantile ?(0?\.\d{1,6})")
+CRITERIA = f"{', '.join(map(repr, _NAMED))} or a quantile, as 'quantile 0.9'"
+"""What a job may ask for, in words."""
+
+
+def criterion_named(written: str) -> Criterion:
+    """The criterion of this name; raises ValueError if there is none."""
+    if written in _NAMED:
+        return _NAMED[written]
+    found = _SHARE.fullmatch(written)
+    if found and 0 < (share := float(found[1])) < 1:
+        return Quantile("quantile", f"{100 * share:g} % quantile of the MSE", share=share)
+    raise ValueError(f"a criterion must be {CRITERIA}, got {written!r}")
+
+
+def judging_of(criterion: str | None, also: Sequence[str] | None) -> dict[str, Judging]:
+    """The criteria of these written names but the expected MSE, by their own names.
+
+    Raises ValueError if two of them have one name.
+    """
+    written = [*([criterion] if criterion else []), *(also or ())]
+    named = {criterion_named(each) for each in written}
+    found = [each for each in named if isinstance(each, Judging)]
+    if len({each.name for each in found}) < len(found):
+        raise ValueError(f"one run has one quantile, got {', '.join(map(repr, written))}")
+    return {each.name: each for each in sorted(found, key=lambda each: each.name)}

@@ -18,7 +18,14 @@ from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text, with_texts
 from pfdist.common.section import JobSection, checked, explained
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
-from pfdist.filters.criterion import MEAN, Criterion
+from pfdist.filters.criterion import (
+    MEAN,
+    Criterion,
+    Information,
+    Judging,
+    criterion_named,
+    judging_of,
+)
 from pfdist.filters.engines import is_exact
 from pfdist.problem.covariates import with_columns
 from pfdist.problem.feasible import Feasible
@@ -255,6 +262,32 @@ class Job(JobSection):
         return self
 
     @model_validator(mode="after")
+    def _can_have_a_criterion(self) -> Self:
+        problem, scenarios = self.problem, self.scenarios
+        if problem.criterion is not None:
+            _needs(
+                f"problem.criterion = {problem.criterion!r}",
+                (self.budget is None, f"a job without a section budget, which needs {MEAN.name!r}"),
+                (self.online is None, f"a job without a section online, which needs {MEAN.name!r}"),
+                (scenarios is None or scenarios.criterion == "mean",
+                 "scenarios.criterion = 'mean', got 'worst'"),
+            )  # fmt: skip
+        if any(isinstance(each, Information) for each in self.judging.values()):
+            believed, is_blind = self.model.filter, scenarios and scenarios.filter == "nominal"
+            _needs(
+                "the criterion 'information'",
+                (not problem.instants_of_lag, f"problem.estimate = {FILTERED!r}, got "
+                 f"{problem.estimate_written}: what measurements tell of the path does not depend "
+                 "on the estimate"),
+                (problem.instant_weights is None, "no problem.instant_weights: every measurement "
+                                                  "counts"),
+                (not (believed.name or believed.parameters),
+                 "a filter with the true model, got a section model.filter"),
+                (not is_blind, "scenarios.filter = 'told' or 'learned', got 'nominal'"),
+            )  # fmt: skip
+        return self
+
+    @model_validator(mode="after")
     def _can_use_later_measurements(self) -> Self:
         if self.problem.instants_of_lag:
             adding = {name for name, each in METHODS.items() if each.additive > each.takes_lag}
@@ -398,7 +431,17 @@ class Job(JobSection):
     @cached_property
     def criterion(self) -> Criterion:
         """The number that is minimised."""
+        if self.problem.criterion is not None:
+            return criterion_named(self.problem.criterion)
         return MEAN if self.scenarios is None else self.scenarios.form
+
+    @cached_property
+    def judging(self) -> dict[str, Judging]:
+        """The criteria by which compared sets are judged besides the expected MSE, by their names.
+
+        One of scenarios is judged by their errors.
+        """
+        return judging_of(self.problem.criterion, self.comparison.also)
 
     def with_changes(
         self,

@@ -24,12 +24,13 @@ from pydantic import (
 from pfdist.common.measurement_times import Times
 from pfdist.common.section import JobSection, Listed
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import SECONDS, Calendar, calendar_of, groups
 from pfdist.problem.clock import Clock, Time, plain_time
 from pfdist.problem.constraints import Limit, Money, money
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
-from pfdist.problem.sections import Moment, MomentsAndRanges, is_list_of
+from pfdist.problem.sections import CriterionName, Moment, MomentsAndRanges, is_list_of
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.written import instants_written
 
@@ -168,6 +169,9 @@ class ProblemSection(JobSection):
     estimate : str
         "filtered": the estimate of z at a time uses measurements until then. "smoothed": it uses
         all measurements. By default "filtered", unless there is a lag.
+    criterion : str
+        The number that is minimised: "expected_mse"; "information" (its negative); "worst_instant", the
+        largest expected error; or a quantile of the MSE over draws, as "quantile 0.9".
     measurement_budget : int
         N, the exact number of measurements, at most the number of allowed instants.
     forbidden : list of times and ranges, clock
@@ -196,6 +200,7 @@ class ProblemSection(JobSection):
     lag: Moment | None = None
     # None stands for "filtered", which is not written into a job
     estimate: Literal["filtered", "smoothed"] | None = None
+    criterion: CriterionName | None = None  # None stands for "expected_mse"
     measurement_budget: _Budget | None = None
     forbidden: MomentsAndRanges | None = None
     allowed: MomentsAndRanges | None = None
@@ -233,6 +238,11 @@ class ProblemSection(JobSection):
                 "between 'filtered' and 'smoothed'"
             )
         return value if value == SMOOTHED else None
+
+    @field_validator("criterion")
+    @classmethod
+    def _is_no_mean(cls, value: str | None) -> str | None:
+        return None if value == MEAN.name else value
 
     @field_validator("sensors", mode="before")
     @classmethod

@@ -5,10 +5,12 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.section import JobSection, Listed
 from pfdist.errors import shown
+from pfdist.filters.criterion import CRITERIA, criterion_named
 from pfdist.filters.engines import AUTO, EngineName
 from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
@@ -56,6 +58,18 @@ Parameter = Annotated[
 ]
 """A number, or a number for each instant."""
 Text = Annotated[str, Field(max_length=_LONGEST_TEXT, pattern=r"^[^\x00]*$")]
+
+
+def _criterion_name(written: str) -> str:
+    try:
+        criterion_named(written)
+    except ValueError as error:
+        raise PydanticCustomError("criterion", CRITERIA) from error
+    return written
+
+
+CriterionName = Annotated[Text, AfterValidator(_criterion_name)]
+"""A name of `pfdist.filters.criterion.criterion_named`."""
 _SetName = Annotated[str, Field(max_length=LONGEST_SET_NAME), AfterValidator(is_name)]
 _SetTimes = Annotated[Literal["regular"] | MomentsAndRanges, BeforeValidator(_listed_times)]
 
@@ -192,6 +206,8 @@ class Comparison(JobSection):
         Whether a second filter, with the truth among its particles, reduces the variance of means
         for twice the work. By default, `compare`, `budget` and `why` use it where the filter's
         model is the truth.
+    also : list of str
+        Other criteria by which sets are judged, too, named as `problem.criterion`.
     """
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
@@ -199,6 +215,7 @@ class Comparison(JobSection):
     reference: str | MomentsAndRanges = EVENLY_SPACED
     sets: Annotated[dict[_SetName, _SetTimes], Field(max_length=MOST_SETS)] | None = None
     control: bool | None = None
+    also: Listed[CriterionName] | None = None
 
     @field_validator("reference")
     @classmethod

@@ -229,6 +229,7 @@ def compare(
     results: str | Path | None = None,
     draws: int | None = None,
     changes: Iterable[str] = (),
+    also: str | None = None,
     **options: Unpack[Options],
 ) -> Run:
     """Compare named sets of times, and the sets of runs, on the same fresh draws.
@@ -258,6 +259,9 @@ def compare(
         Replaces comparison.draws. A larger number resumes the comparison with more draws.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
+    also : str, optional
+        Other criteria by which the sets are judged, too, as ``information,worst_instant`` or
+        ``"quantile 0.9"``.
     options
         See `Options`.
 
@@ -273,7 +277,8 @@ def compare(
         As `pfdist.run` raises; or the folder compares other sets.
     """
     chosen = Chosen(**options)
-    settings = {"execution": chosen.execution, "comparison": {"draws": draws}}
+    comparing = {"draws": draws, "also": also and [each.strip() for each in also.split(",")]}
+    settings = {"execution": chosen.execution, "comparison": comparing}
     job = as_job(job, changes, settings=settings)
     sets, opened = SetsToCompare(job), [finished_run(run) for run in runs]
     sets.add_named()

@@ -16,14 +16,18 @@ from pfdist.common.parts import (
     without_column,
     without_empty_columns,
 )
-from pfdist.common.percent import percent
-from pfdist.common.rounding import with_error
+from pfdist.common.percent import percent, range_of
+from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import ERROR_HEAD, Subject, change_of, effect, number_of
-from pfdist.results.columns import COLUMNS, Row, interval_cell, rows_of
+from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, interval_cell, rows_of
 from pfdist.results.stored_run import named_sets
 
-_OF_A_SET = ("label", "measurements", "price", "expected_mse", "smoothed_mse", "filtered_mse")
+_OF_A_SET = (
+    "label", "measurements", "price", "expected_mse", "smoothed_mse", "filtered_mse",
+    *CRITERIA_SHOWN,
+)  # fmt: skip
+_WIDE = 0.1  # of an information: its two sides are far from each other
 _PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
 _SETS_MEANING = (
     "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
@@ -41,6 +45,9 @@ def compared(subject: Subject) -> Section | None:
     if not (subject.is_compared and named_sets(run)):
         return None
     ranks, pairs = (rows_of(run.table(name)) for name in ("ranks", "pairs"))
+    if not subject.criterion.is_mean:
+        order = [row.name for row in sorted(subject.rows.values(), key=_minimised)]
+        ranks.sort(key=lambda row: order.index(row.name))
     best_is_reference = ranks[0].name == subject.reference_row.name
     last = f"lower than {subject.reference_row.label} by, %"
     head = [*(COLUMNS[name].head for name in _OF_A_SET), "above the best by, %", last]
@@ -51,8 +58,10 @@ def compared(subject: Subject) -> Section | None:
     sets = Table(caption, head, cells, optional=[last])
     sets = without_column(sets, *([last] if best_is_reference else []))
     rows = [_pair_row(subject, pair) for pair in pairs]
-    is_answer = subject.criterion.additive and not subject.found_rows
-    best = _best(subject, ranks, pairs) if is_answer else ""
+    best = ""
+    if not subject.found_rows:
+        is_mean = subject.criterion.is_mean
+        best = _best(subject, ranks, pairs) if is_mean else _least(subject, ranks[0].name)
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),
         without_empty_columns(sets),
@@ -62,6 +71,18 @@ def compared(subject: Subject) -> Section | None:
         Text(_PAIRS_MEANING, detail=True),
     ]
     return Section("How the sets compare", blocks)
+
+
+def _minimised(row: Row) -> float:
+    value = row.criterion_value
+    return math.inf if value is None else float(value)
+
+
+def _least(subject: Subject, best: str) -> str:
+    """The best set by a criterion other than the expected MSE, in sentences."""
+    row = subject.rows[best]
+    said = f"Best by {subject.error}: {phrase_of(row.label)}"
+    return f"{said}. {criterion_effect(subject, row) or ''}".rstrip()
 
 
 def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:
@@ -183,13 +204,44 @@ def _sentences(subject: Subject, best: str) -> Iterator[str]:
     )
 
 
-def worst_effect(subject: Subject, name: str) -> str | None:
+def criterion_effect(subject: Subject, row: Row) -> str | None:
+    """The effect of a set on the job's criterion; None if that is the expected MSE, or unknown."""
+    if subject.criterion.is_mean:
+        return None
+    if row.criterion_gain is None:
+        return _worst_effect(subject, row.name)
+    reference, name = subject.reference_row, subject.criterion.name
+    gain, *ends = row.criterion_gain, row.criterion_gain_low, row.criterion_gain_high
+    own, other = (COLUMNS[name].cell(each).text for each in (row, reference))
+    if subject.criterion.sign > 0:
+        return f"{effect(gain, ends, subject.reference, subject.error)}: {own} instead of {other}."
+    value, low, high = map(float, (row.information, row.information_low, row.information_high))
+    bits, side = rounded(value / math.log(2), 3), "more" if gain >= 0 else "less"
+    wide = " The interval is wide because the particles are few: more of them narrow it."
+    return (
+        f"They give {_nats(value, low, high)} of information about the path ({bits} bits), "
+        f"{_nats(abs(gain), *_signed(gain, ends))} {side} than {subject.reference}."
+        f"{wide * (high - low > _WIDE * abs(value))}"
+    )
+
+
+def _nats(value: float, low: float, high: float) -> str:
+    text, *ends = with_interval(value, low, high)
+    about = "exact" if low == high else f"95 % CI {range_of(*ends)}"
+    return f"{text} nats ({about})"
+
+
+def _signed(gain: float, ends: Sequence[float]) -> Sequence[float]:
+    return ends if gain >= 0 else [-end for end in reversed(ends)]
+
+
+def _worst_effect(subject: Subject, name: str) -> str | None:
     """The effect of a set on the error of the worst scenario, if the job asks for the least.
 
     The worst scenarios of two sets may differ. Then their draws differ, too, so the logarithms of
     the two errors are independent.
     """
-    if subject.criterion.additive or not subject.scenarios:
+    if not subject.scenarios:
         return None
     names = name, subject.reference_row.name
     worst, reference = (_worst_scenario(subject, each) for each in names)

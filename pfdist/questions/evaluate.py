@@ -299,7 +299,7 @@ class Evaluated:
             interval = value, value
         said = f"{change_of(value, interval)} than {other}"
         typical = self._typical(best, ":")
-        if not each[best].criterion.additive:
+        if not each[best].criterion.is_mean:
             return f"{best} has the lowest {each[best].criterion.label}"
         if is_clear(interval):
             return f"{best} has the lowest expected MSE, {said}{typical}"
@@ -392,7 +392,7 @@ def _quantity(built: Built) -> Component | None:
     evaluator, quantities = built.evaluator, built.evaluator.model.named("z")
     is_squared = evaluator.model.error is squared_error and not any(evaluator.model.is_angle)
     is_scaled = any(each.scale != 1.0 for each in evaluator.scenarios)
-    is_plain = is_squared and not is_scaled and built.job.criterion.additive
+    is_plain = is_squared and not is_scaled and built.job.criterion.is_mean
     return quantities[0] if is_plain and len(quantities) == 1 else None
 
 

@@ -39,10 +39,10 @@ from pfdist.questions.bound_page import proof
 from pfdist.questions.budget_page import budget_section
 from pfdist.questions.compared_page import (
     compared,
+    criterion_effect,
     online_section,
     online_sentence,
     scenarios,
-    worst_effect,
 )
 from pfdist.questions.subject import (
     WHEN,
@@ -56,7 +56,7 @@ from pfdist.questions.subject import (
 )
 from pfdist.questions.why_page import worth_section
 from pfdist.results import Run
-from pfdist.results.columns import COLUMNS, Row, sets_table
+from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, sets_table
 from pfdist.results.stored_run import (
     copies_of,
     evaluations_of,
@@ -73,7 +73,9 @@ _LOOKS_BETTER = (
     "on the same draws. Picking the best of several sets makes it look slightly better than it is."
 )
 _BY_EXACT_ERRORS = "by their expected MSEs, which are exact."
-_GAINS_SHOWN = ("label", "expected_mse", "gain_of_means", "smoothed_mse", "filtered_mse")
+_GAINS_SHOWN = (
+    "label", "expected_mse", "gain_of_means", "smoothed_mse", "filtered_mse", *CRITERIA_SHOWN,
+)  # fmt: skip
 _GAINS = (
     "The expected MSE is the mean over all draws, with its standard error. The next column is how "
     "much lower it is than that of the first row. Intervals in brackets are 95 % CIs."
@@ -206,7 +208,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     if others := len(subject.found_rows) - 1:
         best = f"These are the times of the search {row.name}, the best of {others + 1} sets"
         # The errors of worst scenarios are those of draws, whatever the engine.
-        by_chance = row.standard_error or not subject.criterion.additive
+        by_chance = row.standard_error or not subject.criterion.is_mean
         yield Text(f"{best} {_LOOKS_BETTER if by_chance else _BY_EXACT_ERRORS}")
 
 
@@ -219,9 +221,9 @@ def _gain(subject: Subject, row: Row) -> str:
     if row.gain_of_means is None or math.isinf(row.gain_of_means) or not row.gain_draws:
         return "The gain is not known, because errors are 0, infinite or unknown."
     interval = row.gain_of_means_low, row.gain_of_means_high
-    if (worst := worst_effect(subject, row.name)) is not None:
-        mean = change_of(row.gain_of_means, interval)
-        return f"{worst} The mean over the scenarios is {mean}."
+    if (said := criterion_effect(subject, row)) is not None:
+        what = "mean over the scenarios" if subject.scenarios else "expected MSE"
+        return f"{said} The {what} is {change_of(row.gain_of_means, interval)}."
     typical = subject.typical_errors(row, reference)
     said = effect(row.gain_of_means, interval, subject.reference, subject.error)
     return f"{said}.{typical and f' Its root, the typical error, is {typical}.'}"

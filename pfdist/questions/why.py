@@ -168,9 +168,9 @@ def why(
         check_one_number(opened)
         if export is not None:
             checked_export(export, built.job.problem.clock)
-        if not built.job.criterion.additive:
+        if not built.job.criterion.is_mean:
             raise JobError(
-                "this question needs a criterion that is a mean (scenarios.criterion), got the "
+                "this question needs the expected MSE as criterion (problem, scenarios), got the "
                 f"{built.job.criterion.label} ({built.job.path})"
             )
         with own_store(opened, built, tell, must_be=False) as store:

@@ -24,6 +24,8 @@ from pfdist.results.moments import QUANTILES, quantile_name
 if TYPE_CHECKING:
     import pandas as pd
 
+CRITERIA_SHOWN = ("information", "worst_instant", "quantile")
+"""Columns with numbers of criteria, by the names of these."""
 T = TypeVar("T")
 Results = dict[str, Any]
 _MOST_LETTERS = 60  # of the times in the `repr` of a set
@@ -167,8 +169,28 @@ _DECLARED = [
         )
     ),
     Column(
-        name="worst_mse",
-        meaning="expected MSE on the draws of the set's worst scenario, where the job asks for it",
+        name="criterion_value",
+        meaning="number that the job minimises, unless that is expected_mse: of the worst scenario "
+        "the expected MSE; the negative information",
+    ),
+    Column(
+        name="criterion_gain", has_interval=True,
+        meaning="1 - criterion_value / that of the reference; of the information, how many nats "
+        "more the set gives",
+    ),
+    Column(
+        name="information", has_interval=True, head="information, nats",
+        meaning="expected information about the path, and about what is learned; a lower side of "
+        "particles, whose interval ends where that of the upper side does",
+    ),
+    Column(
+        name="worst_instant", has_interval=True, head="worst instant",
+        meaning="largest expected error at an instant; from limits that hold together at all "
+        "instants",
+    ),
+    Column(
+        name="quantile", has_interval=True, head="quantile of the MSE",
+        meaning="quantile of the MSE over draws; interval from order statistics",
     ),
     Column(name="draws", dtype="int64", meaning="compared draws"),
     Column(name="degenerate_draws", dtype="int64", meaning="draws that are degenerate"),

@@ -90,7 +90,7 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
-    ranges, problem, tables = _ranges_of(run), problem_of(run), list[pd.DataFrame]()
+    ranges, problem, tables = ranges_of(run), problem_of(run), list[pd.DataFrame]()
     for place, (name, times) in enumerate(measured_of(run).items()):
         tables.append(profile_of(problem, times, ranges, place))
         tables[-1].insert(0, "name", name)
@@ -101,10 +101,10 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
 
 def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Array, Array]:
     """The error of a set at each instant less that of another, and its standard error, (T+1,)."""
-    return errors_over_time_of(_ranges_of(run), run.names.index(name), run.names.index(reference))
+    return errors_over_time_of(ranges_of(run), run.names.index(name), run.names.index(reference))
 
 
-def _ranges_of(run: StoredRun) -> list[Range]:
+def ranges_of(run: StoredRun) -> list[Range]:
     """The ranges of a comparison; the sums in a run of schema version 3 are weighted."""
     ranges, weights = read_ranges(run._store.rows(RANGE_SUMS)), problem_of(run).weights
     if weights is None or schema_version_of(run) >= _UNWEIGHTED_SINCE:

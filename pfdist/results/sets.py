@@ -19,6 +19,7 @@ from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.set_key import set_key_of
 from pfdist.results.budget_curve import FOUND, GIVEN, add_bounds, worse_than
 from pfdist.results.columns import COLUMNS, Results, Row, frame_of_sets
+from pfdist.results.criteria import columns_of_criteria
 from pfdist.results.evenly_spaced import columns_of_even_times
 from pfdist.results.moments import ComparisonStatistics, gain_over_itself, relative_gain
 from pfdist.results.particle_loss import hardly_measured, particle_losses_of
@@ -214,6 +215,8 @@ def _add_results(run: StoredRun, rows: dict[str, Row], statistics: ComparisonSta
             row.add(_exact("gain_of_means", float(gain)))
     rows[run.names[0]].add(_gain_over_itself(run))
     _add_other_estimates(run, rows)
+    for name, columns in columns_of_criteria(run):
+        rows[name].add(columns)
     found = {name: row.expected_mse for name, row in rows.items() if row.kind == FOUND}
     for name, columns in columns_of_even_times(run, found).items():
         rows[name].add(columns)
@@ -264,7 +267,7 @@ def _add_search_errors(run: StoredRun, rows: dict[str, Row]) -> None:
     for name, row in rows.items():
         own: Results = {}
         if value := values.get(name):
-            row.worst_mse = value.value
+            row.criterion_value = value.value
             own = {"expected_mse": value.value, "standard_error": value.standard_error}
         if row.kind == FOUND:
             search = set_key_of(name, run.job).origin
@@ -366,13 +369,13 @@ def _gain_over_itself(run: StoredRun) -> Results:
 def best_first(sets: Sequence[Row]) -> list[str]:
     """Names of the found sets, or of all sets of a run without a search, the best first.
 
-    If the job asks for the least error in the worst scenario, sets are ordered by this error. Sets
-    whose error is unknown or infinite come last. The run has one number of measurements.
+    They are ordered by the number that the job minimises. Sets of which it is unknown or infinite
+    come last. The run has one number of measurements.
     """
     chosen = [row for row in sets if row.kind == FOUND] or sets
 
     def error(row: Row) -> float:
-        found = row.expected_mse if row.worst_mse is None else row.worst_mse
+        found = row.expected_mse if row.criterion_value is None else row.criterion_value
         return math.inf if found is None else found
 
     return [row.name for row in sorted(chosen, key=error)]

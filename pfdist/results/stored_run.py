@@ -19,7 +19,7 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.gone import without_gone
 from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError, PfdistWarning, StoreError
-from pfdist.filters.criterion import MEAN, Criterion
+from pfdist.filters.criterion import MEAN, Criterion, WorstScenario, criterion_named
 from pfdist.filters.engines import AUTO
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.job import Job
@@ -348,10 +348,19 @@ def last_bounds(run: StoredRun) -> dict[str, dict[str, Any]]:
 
 def exact_errors(run: StoredRun) -> dict[str, float]:
     """The expected MSE of each compared set by name if the engine is exact; otherwise empty."""
+    return _exact(run, "exact_mse")
+
+
+def exact_information(run: StoredRun) -> dict[str, float]:
+    """The expected information with each set, in nats, if the engine is exact and it is wanted."""
+    return _exact(run, "exact_information")
+
+
+def _exact(run: StoredRun, column: str) -> dict[str, float]:
     rows = run.table("compared")
-    if "exact_mse" not in rows:
+    if column not in rows:
         return {}
-    return dict(zip(rows["name"].astype(str), rows["exact_mse"].astype(float), strict=True))
+    return dict(zip(rows["name"].astype(str), rows[column].astype(float), strict=True))
 
 
 # --- tables that follow from others ---------------------------------------------------------------
@@ -413,13 +422,15 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
 
 def criterion_of(run: StoredRun) -> Criterion:
     """The number that the job of a run minimises."""
+    if written := run.job["problem"].get("criterion"):
+        return criterion_named(written)
     given = run.job.get("scenarios")
     return Scenarios.model_validate(given).form if given else MEAN
 
 
 def values_of(run: StoredRun) -> dict[str, Estimate]:
-    """The criterion's value for each set on the compared draws; empty for the expected MSE."""
-    if criterion_of(run).additive:
+    """The error in the worst scenario with each set, if that is what the job minimises."""
+    if not isinstance(criterion_of(run), WorstScenario):
         return {}
     rows = scenarios_of(run).sort_values("expected_mse").groupby("name").tail(1)
     columns = rows[["name", "expected_mse", "standard_error", "draws"]]

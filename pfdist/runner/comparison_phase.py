@@ -67,7 +67,7 @@ def run_comparison(
     names, half_width = list(sets), job.comparison.until.half_width
     references = references_of(names, job.identity())
     interim = InterimGains(names, references, draws, half_width)
-    shows_gains = len(study.references) == 1 and built.job.criterion.additive
+    shows_gains = len(study.references) == 1 and built.job.criterion.is_mean
     reporter.begin(COMPARISON)
     details = (trajectories, first_draws_again) if built.study.has_details else ()
     for table in (*details, other_estimates, distances, variances):

@@ -30,7 +30,7 @@ from pfdist.filters.scenarios import scenarios_of_draws
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, with_truth
 from pfdist.pages.terminal import lines_of
 from pfdist.problem.scenarios_section import Scenarios
-from pfdist.questions.compared_page import worst_effect
+from pfdist.questions.compared_page import criterion_effect
 from pfdist.questions.run_page import answer_of
 from pfdist.results.columns import Row
 from pfdist.runner import search_phase
@@ -286,7 +286,7 @@ def test_the_best_of_several_sets_for_the_worst_is_chosen_by_draws(tmp_path: Pat
     job = problem("worst", engine="kalman").job(search=searches, comparison={"draws": 96})
     run = pfdist.run(job, tmp_path / "run", figures=False)
     worst = run.table("scenarios").groupby("name")["expected_mse"].max()
-    assert results_of(run)["s0"].worst_mse == worst["s0"]
+    assert results_of(run)["s0"].criterion_value == worst["s0"]
     assert run.best.name == worst[["s0", "s1"]].idxmin()
     said = " ".join(lines_of(answer_of(run)))
     assert "Picking the best of several sets makes it look slightly better" in " ".join(
@@ -364,7 +364,7 @@ def test_other_questions_are_refused(tmp_path: Path) -> None:
     few = ["comparison.draws=48"]
     pfdist.plan(worst, tmp_path / "run", changes=few, bound_draws=0, figures=False)
     with pytest.raises(
-        JobError, match=r"a mean \(scenarios.criterion\), got the .* worst scenario"
+        JobError, match=r"the expected MSE as criterion .*, got the .* worst scenario"
     ):
         pfdist.why(worst, results=tmp_path / "run", changes=few, figures=False)
 
@@ -400,4 +400,4 @@ def test_the_answer_for_the_worst_names_its_error_and_its_gain(
         f"The expected MSE in the worst scenario is 50.0 % lower (95 % CI {interval} %) than "
         "with evenly spaced times: 2.000 ± 0.020 instead of 4.000 ± 0.040."
     )
-    assert worst_effect(subject, "found") == said
+    assert criterion_effect(subject, Row(name="found", criterion_gain=None)) == said

@@ -1,0 +1,61 @@
+"""The criteria by which a run judges its sets besides the expected MSE."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pfdist.filters.criterion import Judging, Sample, judging_of
+from pfdist.results.columns import Results
+from pfdist.results.over_time import RANGE_SUMS, errors_over_time_of, ranges_of
+from pfdist.results.stored_run import StoredRun, criterion_of, exact_information, problem_of
+
+
+def judging(run: StoredRun) -> dict[str, Judging]:
+    """The criteria by their names; empty if only the expected MSE counts."""
+    comparison = run.job["comparison"]
+    return judging_of(run.job["problem"].get("criterion"), comparison.get("also"))
+
+
+def samples_of(run: StoredRun) -> dict[str, Sample]:
+    """The results that the criteria judge, of each compared set by name."""
+    rows, exact = run._store.rows("comparison"), exact_information(run)
+    ranges = ranges_of(run) if run._store.has(RANGE_SUMS) else []
+    counts = np.array(problem_of(run).weights or (1.0,) * len(problem_of(run).clock.times)) > 0.0
+    samples = dict[str, Sample]()
+    for place, name in enumerate(run.names):
+        others = dict[str, object]()
+        if ranges:
+            errors, apart = errors_over_time_of(ranges, place)
+            others = {"errors": errors[counts], "standard_errors": apart[counts]}
+            others["degrees"] = len(ranges) - 1.0
+        sides = [f"information_{name}", f"information_at_most_{name}"]
+        if name in exact:
+            others["information"] = np.full((1, 2), exact[name])
+        elif sides[0] in rows.column_names:
+            others["information"] = np.stack([rows[side].to_numpy() for side in sides], axis=1)
+        samples[name] = Sample(rows[f"mse_{name}"].to_numpy(), **others)  # type: ignore[arg-type]
+    return samples
+
+
+def columns_of_criteria(run: StoredRun) -> Iterator[tuple[str, Results]]:
+    """The name of each set, and its columns by the criteria; that of the job also over time.
+
+    The last number of each set is its gain over its reference by the criterion of the job.
+    """
+    wanted, form = judging(run), criterion_of(run)
+    samples = samples_of(run) if wanted else {}
+    for name, sample in samples.items():
+        columns: Results = {}
+        for criterion in wanted.values():
+            value, low, high = criterion.judged(sample)
+            columns |= _with_ends(criterion.name, value, low, high)
+            if criterion == form:
+                columns["criterion_value"] = value * criterion.sign
+                if name in run.references:
+                    gain = criterion.change(sample, samples[run.references[name]])
+                    columns |= _with_ends("criterion_gain", *gain)
+        yield name, columns
+
+
+def _with_ends(name: str, value: float, low: float, high: float) -> Results:
+    return {name: value, f"{name}_low": low, f"{name}_high": high}
