@@ -170,8 +170,8 @@ class ProblemSection(JobSection):
         "filtered": the estimate of z at a time uses measurements until then. "smoothed": it uses
         all measurements. By default "filtered", unless there is a lag.
     criterion : str
-        The number that is minimised: "expected_mse"; "information" (its negative); "worst_instant", the
-        largest expected error; or a quantile of the MSE over draws, as "quantile 0.9".
+        The aim: the least "expected_mse", the most "information", the least expected error at the
+        worst instant ("worst_instant"), or the least quantile of the MSE ("quantile 0.9").
     measurement_budget : int
         N, the exact number of measurements, at most the number of allowed instants.
     forbidden : list of times and ranges, clock

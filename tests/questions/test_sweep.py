@@ -258,7 +258,7 @@ def test_a_point_that_another_process_computes_is_left_out_and_said(
 def test_the_work_is_foreseen_by_the_measured_speed_of_the_model(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """150 sines in a step take more than 20 ns on any processor; the guess for all models is 2 ns."""
+    """150 sines in a step take more than 20 ns anywhere; the guess for all models is 2 ns."""
     (small_job.path.parent / "slow.py").write_text(
         "from dataclasses import replace\n"
         "import numpy as np\n"
