@@ -50,16 +50,18 @@ class Sample:
         Expected error at each instant that counts; 0 as standard error: exact.
     degrees : float
         Degrees of freedom of the standard errors.
-    information : array of float64, (D, 2)
-        Nats that the measurements of each draw give: two sides, whose means are at most and at
-        least the expected information. Exact: one row, of two equal numbers.
+    information : array of float64, (D,)
+        Nats that the measurements of each draw give, whose mean is at most the true one.
+    gap : array of float64, (D',)
+        By how much more on other draws, for a mean that is at least the true one.
     """
 
     mse: Array
     errors: Array = field(default_factory=lambda: np.empty(0))
     standard_errors: Array = field(default_factory=lambda: np.empty(0))
     degrees: float = math.inf
-    information: Array = field(default_factory=lambda: np.empty((0, 2)))
+    information: Array = field(default_factory=lambda: np.empty(0))
+    gap: Array = field(default_factory=lambda: np.zeros(1))
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,11 @@ class Criterion:
     bound: Literal["mean", "mixture", "none"] = "mean"
     apart: int = 1
     sign: int = 1
+
+    @property
+    def of_errors(self) -> "Criterion":
+        """The criterion by which MSEs alone are judged, if the job has this one."""
+        return self
 
     def deciding(self, errors: "Evaluation") -> ChosenDraws:
         """The draws whose errors decide."""
@@ -190,6 +197,11 @@ class Judging(Criterion):
     is_mean: bool = False
     additive: bool = False
     bound: Literal["mean", "mixture", "none"] = "none"
+
+    @property
+    def of_errors(self) -> Criterion:
+        """The expected MSE."""
+        return MEAN
 
     def judged(self, sample: Sample) -> Judged:
         """The number of a set."""
@@ -300,19 +312,19 @@ class Information(Judging):
 
     def judged(self, sample: Sample) -> Judged:
         """The lower side, from the lower end of its interval to the upper end of the upper side."""
-        below, above = map(Estimate.of_mean, sample.information.T)
-        return self._between(below, below, above)
+        below = Estimate.of_mean(sample.information)
+        return self._between(below, below, below.plus(Estimate.of_mean(sample.gap)))
 
     def change(self, sample: Sample, other: Sample) -> Judged:
         """The nats that a set gives more than another."""
-        least, most = map(Estimate.of_mean, (sample.information - other.information[:, ::-1]).T)
-        more = Estimate.of_mean(sample.information[:, 0] - other.information[:, 0])
-        return self._between(more, least, most)
+        more = Estimate.of_mean(sample.information - other.information)
+        low, high = Estimate.of_mean(other.gap).times(-1.0), Estimate.of_mean(sample.gap)
+        return self._between(more, more.plus(low), more.plus(high))
 
     @staticmethod
     def _between(value: Estimate, below: Estimate, above: Estimate) -> Judged:
-        if math.isnan(below.standard_error):  # exact, or a single draw
-            return Judged(value.value, below.value, above.value)
+        if value.degrees == math.inf:  # exact: a single draw
+            return Judged(value.value, value.value, value.value)
         return Judged(value.value, below.interval()[0], above.interval()[1])
 
 

@@ -20,7 +20,7 @@ from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
-from pfdist.filters.criterion import MEAN, Criterion
+from pfdist.filters.criterion import MEAN, Criterion, Information
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, NUMPY, Engine
 from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from, weighed
@@ -42,6 +42,7 @@ from pfdist.filters.work import (
 )
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
 from pfdist.models.parameters import Parameter, check_lengths
@@ -80,6 +81,7 @@ class Evaluator:
     # The estimate of z(t) uses measurements until t + lag, in instants: 0 for that of the filter, T
     # for that from all measurements. See `Estimation`.
     lag: Lag = 0
+    informs: bool = False  # whether its error is minus the information, in nats; see `informing`
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
@@ -152,6 +154,20 @@ class Evaluator:
         return replace(self, lag=0 if self.lag else self.horizon, estimations=())
 
     @cached_property
+    def informing(self) -> "Evaluator":
+        """The evaluator of the information; its "MSE" is minus the nats of a draw.
+
+        The sum over all instants is a mean of errors that are scaled by their number.
+        """
+        instants = self.horizon + 1 - self.start
+        return replace(self, informs=True, lag=0, weights=None, scale=1 / instants, estimations=())
+
+    def estimating(self, estimation: Estimation) -> "Evaluator":
+        """The evaluator of what an estimation estimates: the error, or the information."""
+        informs = ESTIMATORS[estimation.estimator].weights.evidence and not self.informs
+        return self.informing if informs else self
+
+    @cached_property
     def of_scenarios(self) -> tuple["Evaluator", ...]:
         """The evaluator of each scenario; empty without scenarios.
 
@@ -169,7 +185,7 @@ class Evaluator:
                 filter_model=believed,
                 scenarios=(),
                 told=False,
-                scale=scenario.scale,
+                scale=self.scale if self.informs else scenario.scale,
             )
             evaluators.append(alone)
         return tuple(evaluators)
@@ -240,6 +256,8 @@ class Evaluator:
         """
         if not self.exact:
             return None
+        if isinstance(criterion, Information) and not self.informs:
+            return self.informing.expected_mse(sets, ends)
         errors = self._exact_mse(sets, ends)
         return _mean(errors, criterion.shares(errors, self._shares))
 
@@ -255,7 +273,8 @@ class Evaluator:
         return self._exact_errors_of(self._shares, sets, weighted)
 
     def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
-        errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior, self.lag)
+        given = self.model, self.horizon, sets, self.prior
+        errors = kalman.expected_errors(*given, self.lag, informs=self.informs)
         if weighted and self.instant_weights is not None:
             return weighed(errors, self.instant_weights)
         return errors / self.scale
@@ -283,7 +302,10 @@ class Evaluator:
         given = self.horizon, sets, ends, self.prior
         parts = self.of_scenarios or (self,)
         return np.array(
-            [kalman.expected_mse(p.model, *given, p.instant_weights, self.lag) for p in parts]
+            [
+                kalman.expected_mse(p.model, *given, p.instant_weights, self.lag, self.informs)
+                for p in parts
+            ]
         )
 
     def sum_errors(self, work: FilterWork) -> NDArray[np.float64]:
@@ -391,7 +413,7 @@ class Evaluator:
                 f"filter.proposal = {GUIDED!r} needs filter.engine = {COMPILED.name!r}, got "
                 f"{engine!r}: {PLAIN!r} is for every engine"
             )
-        if self.has_particles:
+        if self.has_particles and not ALL_SCHEMES[estimation.resampling].holds_truth:
             check_filter_settings(self.believed, self.model, estimation)
 
     @property
@@ -460,6 +482,7 @@ class Evaluator:
     def _for(self, work: FilterWork) -> "Evaluator":
         """The evaluator with the filter's model of a work, and the estimate that it wants."""
         known = self.truth if work.knows_truth else self
+        known = known.estimating(work.estimation)
         return known.other_estimate if work.other_estimate else known
 
     def pieces(self, work: FilterWork, seconds: float) -> list[FilterWork]:

@@ -181,6 +181,9 @@ def _errors(filters: Sequence[FilterArrays], draws: Draws, estimator: Estimator)
         np.array([getattr(each, name) for each in filters]) for name in ("estimate", "variance")
     )
     errors = errors_by_variance(estimates, variances, estimator.weights, model.is_angle)
+    if evidence := estimator.weights.evidence:
+        (of_filter,) = filters
+        errors = evidence * of_filter.told[0] + estimator.weights.explained * of_filter.told[1]
     if estimator.weights.squared_error:
         error, shape = twin_of(model, draws.instants).error, (len(draws.index), 1)
         for estimate in estimates:

@@ -145,6 +145,7 @@ def expected_mse(
     prior: Prior | None = None,
     weights: Array | None = None,
     lag: Lag = 0,
+    informs: bool = False,
 ) -> Array:
     """Exact expected MSE with each set of times, (S,): no draws are needed.
 
@@ -154,7 +155,7 @@ def expected_mse(
     instants have mean 1; by default all are 1. Raises MeasurementTimesError if a set lies outside
     these instants, and ModelError if the model is not linear-Gaussian.
     """
-    errors = expected_errors(model, horizon, sets, prior, lag)
+    errors = expected_errors(model, horizon, sets, prior, lag, informs=informs)
     start = horizon + 1 - errors.shape[1]
     last = [horizon - start] * len(sets) if ends is None else [end - start for end in ends]
     if weights is not None:
@@ -169,10 +170,14 @@ def expected_errors(
     sets: Sequence[Times],
     prior: Prior | None = None,
     lag: Lag = 0,
+    *,
+    informs: bool = False,
 ) -> Array:
     """Exact expected error of each instant with each set of times, (S, T+1).
 
-    With a prior of x(s), the instants are s..T. Raises as `expected_mse`.
+    With a prior of x(s), the instants are s..T. If it informs, the error is minus the information
+    of an instant's measurements, in nats: log det(H P H' + R) / 2 - log det(R) / 2. Raises as
+    `expected_mse`.
     """
     start = 0 if prior is None else prior.t
     matrices, points = cached_matrices(model, horizon), model.points
@@ -186,8 +191,11 @@ def expected_errors(
     for t in range(start, horizon + 1):
         check()
         through, information = _unmeasured(matrices, t, start, covariance)
+        told = np.zeros(len(sets))
         for place in points.at(t):
             here = measured[:, place]
+            if informs:
+                told[here] -= _information(covariance[here], matrices.measurement[place])
             gain, observation_matrix, weight = _gain(covariance[here], matrices.measurement[place])
             if lag:
                 seen = observation_matrix @ through[here]
@@ -197,6 +205,8 @@ def expected_errors(
         kept += [(covariance.copy(), through, information)] if lag else []
         h = matrices.quantity_of_interest[t].matrix
         errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
+        if informs:
+            errors[:, t - start] = told
         if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
     if lag:
@@ -386,6 +396,16 @@ def _gain(covariance: Array, measurement: Affine) -> tuple[Array, Array, Array]:
     inverse = np.linalg.pinv(innovation_covariance, hermitian=True)
     weight = observation_matrix.T @ inverse
     return covariance @ weight, observation_matrix, weight
+
+
+def _information(covariance: Array, measurement: Affine) -> Array:
+    """The information of a measurement, in nats, for many covariances; infinite without noise."""
+    states = covariance.shape[-1]
+    observation_matrix = measurement.matrix[:, :states]
+    noise = _square(measurement.matrix[:, states:])
+    spread = observation_matrix @ covariance @ observation_matrix.T + noise
+    told: Array = (np.linalg.slogdet(spread)[1] - np.linalg.slogdet(noise)[1]) / 2
+    return told
 
 
 def _propagated(covariance: Array, transition: Affine) -> Array:

@@ -89,7 +89,7 @@ def filter_checked_draws(
         ]
     return FilterArrays(
         *(
-            np.concatenate(parts, axis=1 if name == "ranks" else 0)
+            np.concatenate(parts, axis=1 if name in ("ranks", "told") else 0)
             for name, parts in zip(FilterArrays._fields, zip(*blocks, strict=True), strict=True)
         )
     )
@@ -109,6 +109,7 @@ def _filter(
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     ranks = np.full((2, *draws.z.shape), np.nan)
     sizes, lines = np.full((2, count, instants), np.nan)
+    told = np.zeros((2, count, instants))
     fails = np.zeros((count, instants), np.bool_)
     first_kept = first_smoothed(settings.lag, draws.instants)
     estimated = _estimated(model, draws.instants, times, settings.lag)
@@ -124,7 +125,7 @@ def _filter(
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
         x, weight, fails[:, k], weighs = _weighed(
-            model, draws, k, x, past, carried, times, stream, settings
+            model, draws, k, x, past, carried, times, stream, settings, told[:, :, k]
         )
         share = weight / weight.sum(axis=1, keepdims=True)
         measured = t in model.points.instants(times)
@@ -160,7 +161,7 @@ def _filter(
     mse[degenerate & scheme.holds_truth] = np.nan
     return FilterArrays(
         mse, degenerate, mean, variance, sizes, np.empty((0, 0)), ranks, last, carried, lines,
-        line_z, line_weight,
+        line_z, line_weight, told,
     )  # fmt: skip
 
 
@@ -248,13 +249,15 @@ def _weighed(
     times: Times,
     stream: int,
     settings: Estimation,
+    told: Array,
 ) -> tuple[tuple[Array, ...], Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Particles and weights after the measurements at an instant, and which draws degenerate.
 
     A measurement that no particle of a draw explains is left out there. The last array says which
     draws the last measurement has weighed. The sensors weigh in their order. The particles are
     resampled in between, but not propagated. `weight` has the carried weights, and `past` the
-    earlier z along the particles' lines.
+    earlier z along the particles' lines. The log evidence of each sensor's measurement, and the
+    particles' mean log-likelihood, are added to `told`, (2, D).
     """
     count, particles = cloud = x[0].shape
     degenerate, weighs = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
@@ -263,9 +266,12 @@ def _weighed(
             continue
         x, weight = _resampled(x, past, weight, settings, stream, draws.index, point - 1, weighs)
         y = tuple(np.repeat(values, particles) for values in draws.y[:, k, part.y].T)
-        log_weight = part.model.log_likelihood(y, _flat(x), draws.instants[k], model.p)
-        new = weights_of(_of_cloud(log_weight, cloud) + np.log(weight))
+        log_likelihood = part.model.log_likelihood(y, _flat(x), draws.instants[k], model.p)
+        log_likelihood = _of_cloud(log_likelihood, cloud)
+        new = weights_of(log_likelihood + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
+        if ESTIMATORS[settings.estimator].weights.evidence:
+            told += _told(log_likelihood, new)
         if ALL_SCHEMES[settings.resampling].sorts:
             order = np.where(weighs[:, None], _order_by_state(x[0], new), np.arange(particles))
             x = _taken(x, past, order)
@@ -273,6 +279,18 @@ def _weighed(
         weight = np.where(weighs[:, None], new, weight)
         degenerate |= ~weighs
     return x, weight, degenerate, weighs
+
+
+def _told(log_likelihood: Array, weight: Array) -> Array:
+    """The log evidence of a measurement, and the mean log-likelihood of weighted particles: (2, D).
+
+    The particles had equal weights before.
+    """
+    counted = np.where(weight > 0.0, log_likelihood, 0.0)
+    highest = np.where(np.isfinite(log_likelihood), log_likelihood, -np.inf).max(axis=1)
+    evidence = highest + np.log(np.mean(weight, axis=1))
+    mean = np.sum(weight * counted, axis=1) / weight.sum(axis=1)
+    return np.where(np.any(weight > 0.0, axis=1), np.stack([evidence, mean]), [[-np.inf], [0.0]])
 
 
 def _resampled(

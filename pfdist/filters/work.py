@@ -13,7 +13,14 @@ from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.section import Whole
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
-from pfdist.kernels.estimators import CONTROL, ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.estimators import (
+    CONTROL,
+    ESTIMATORS,
+    EVIDENCE,
+    FILTER_VARIANCE,
+    INFORMATION,
+    SQUARED_ERROR,
+)
 from pfdist.kernels.prefixes import plan_prefixes
 from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
 
@@ -79,9 +86,18 @@ def with_truth(particles: int, proposal: str = PLAIN) -> Estimation:
     return Estimation(particles, CONDITIONAL.name, FILTER_VARIANCE.name, proposal=proposal)
 
 
+def informing(particles: int) -> Estimation:
+    """The estimation of the information, with so many particles, one of which is the truth."""
+    return Estimation(particles, CONDITIONAL.name, INFORMATION.name)
+
+
 def control_of(own: Estimation) -> Estimation:
-    """The estimation of a filter's control variate, with as many particles beside the truth."""
-    return Estimation(own.particles, CONDITIONAL.name, CONTROL.name, proposal=own.proposal)
+    """The estimation of a filter's control variate, with as many particles beside the truth.
+
+    Beside a log evidence, which is a lower side, it is the upper side.
+    """
+    estimator = own.estimator if own.estimator == EVIDENCE.name else CONTROL.name
+    return Estimation(own.particles, CONDITIONAL.name, estimator, proposal=own.proposal)
 
 
 @dataclass(frozen=True)

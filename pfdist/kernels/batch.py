@@ -140,6 +140,9 @@ class FilterArrays(NamedTuple):
     # they estimate z(t)
     line_z: NDArray[np.float64] = np.empty((0, 0, 0, 0))
     line_weight: NDArray[np.float64] = np.empty((0, 0, 0))
+    # (2, D, T+1), of the plain twin: log evidence of an instant's measurements, and the particles'
+    # mean log-likelihood after them; 0 without a measurement
+    told: NDArray[np.float64] = np.empty((2, 0, 0))
 
 
 class Wanted(NamedTuple):

@@ -11,6 +11,10 @@ class ErrorWeights(NamedTuple):
     variance: float = 0.0  # of each filter's variance of z, summed over the components of z
     # of the squared distance between the estimates of two independent filters
     distance: float = 0.0
+    # of the log evidence of each measurement, and of the mean log-likelihood of the particles after
+    # it
+    evidence: float = 0.0
+    explained: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,27 @@ y and the cloud as a set, the truth is distributed as the weights, see
 Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.9 (control variates).
 """
 
+EVIDENCE = Estimator("evidence", ErrorWeights(evidence=1.0))
+"""The log evidence of the measurements.
+
+Its expectation is at most the true one. With the truth among the particles it is at least the true
+one, because 1 / evidence is unbiased then. So both are sides of the truth.
+"""
+
+INFORMATION = Estimator("information", ErrorWeights(evidence=1.0, explained=-1.0))
+"""Minus the information of the measurements of each instant, in nats.
+
+The truth must be among the particles. Given y and the cloud as a set, it is distributed as the
+weights, so the mean log-likelihood of the weighted particles takes the place of the truth's. The
+information is at most the true one, for any number P of particles, and at most log P a measurement.
+
+Source: Grosse, Ancha, Roy, "Measuring the reliability of MCMC inference with bidirectional Monte
+Carlo", NeurIPS 2016.
+"""
+
 ESTIMATORS = {
-    each.name: each for each in (SQUARED_ERROR, FILTER_VARIANCE, FILTER_NOISE, TWO_CLOUDS, CONTROL)
-}
+    each.name: each
+    for each in (
+        SQUARED_ERROR, FILTER_VARIANCE, FILTER_NOISE, TWO_CLOUDS, CONTROL, EVIDENCE, INFORMATION,
+    )
+}  # fmt: skip

@@ -20,6 +20,7 @@ from pfdist.kernels.ancestors import (
     sum_of_weights,
     take_ancestors,
     weigh,
+    weighted_sum,
 )
 from pfdist.kernels.batch import (
     DEVIATIONS,
@@ -42,6 +43,7 @@ from pfdist.kernels.batch import (
     Slot,
     Steps,
     Wanted,
+    add_error,
     add_squared_errors,
     add_variances,
     batch_of,
@@ -297,6 +299,42 @@ def _weigh(instant):
             batch.weighted[d], batch.total[d] = 1, total
         elif batch.error[d] < np.inf:
             batch.degenerate[d] = 1
+    if request.weights.evidence != 0.0:
+        _tell(read(instant))
+
+
+@compiled
+def _tell(instant):
+    """Add the log evidence of a sensor's measurement, and the particles' mean log-likelihood.
+
+    The filter is resampled before each measurement.
+    """
+    at, s, t, _, _ = instant
+    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    for d in range(at.draws):  # sums of weights, of which the largest is 1, to 7 digits
+        batch.noise[d] = np.float32(batch.total[d] / request.particles)
+    call_block(
+        blocks,
+        LOGARITHM * request.instants,
+        (batch.distance, batch.row),
+        (batch.cloud, 0),
+        (batch.noise, 0),
+        (batch.means, 0, 0),
+        (1, batch.row),
+    )
+    for d in range(at.draws):
+        origin = d * batch.width
+        highest = -np.inf
+        for i in range(origin, origin + request.particles):
+            if highest < batch.log_weight[i] < np.inf:
+                highest = batch.log_weight[i]
+        told = request.weights.evidence * (batch.distance[d] + highest)
+        if request.weights.explained != 0.0:
+            mean = weighted_sum(batch.weight, batch.log_weight, origin, batch.width)
+            told += request.weights.explained * mean / batch.total[d]
+        if batch.weighs[d] == 0:  # no particle explains the measurement
+            told = request.weights.evidence * -np.inf
+        add_error(at, s, t, d, told, request.instant_weights[t])
 
 
 @compiled

@@ -238,7 +238,7 @@ def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
         return
     hint = ' If you analyse afterwards, `problem.estimate = "smoothed"` finds other times.'
     yield Text(
-        f"{WHEN[other]}, the {subject.criterion.label} is {mse.cell(row).text} "
+        f"{WHEN[other]}, the {subject.criterion.of_errors.label} is {mse.cell(row).text} "
         f"({reference.label}: {mse.cell(reference).text}).{hint * (other == SMOOTHED)}"
     )
 

@@ -1,6 +1,7 @@
 """The criteria by which a run judges its sets besides the expected MSE."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,21 +20,23 @@ def judging(run: StoredRun) -> dict[str, Judging]:
 def samples_of(run: StoredRun) -> dict[str, Sample]:
     """The results that the criteria judge, of each compared set by name."""
     rows, exact = run._store.rows("comparison"), exact_information(run)
+    told = run._store.rows("information") if run._store.has("information") else {}
+    gaps = run._store.rows("information_gap") if told else {}
     ranges = ranges_of(run) if run._store.has(RANGE_SUMS) else []
     counts = np.array(problem_of(run).weights or (1.0,) * len(problem_of(run).clock.times)) > 0.0
     samples = dict[str, Sample]()
     for place, name in enumerate(run.names):
-        others = dict[str, object]()
+        sample = Sample(rows[f"mse_{name}"].to_numpy())
         if ranges:
             errors, apart = errors_over_time_of(ranges, place)
-            others = {"errors": errors[counts], "standard_errors": apart[counts]}
-            others["degrees"] = len(ranges) - 1.0
-        sides = [f"information_{name}", f"information_at_most_{name}"]
+            sample = replace(sample, errors=errors[counts], standard_errors=apart[counts])
+            sample = replace(sample, degrees=len(ranges) - 1.0)
         if name in exact:
-            others["information"] = np.full((1, 2), exact[name])
-        elif sides[0] in rows.column_names:
-            others["information"] = np.stack([rows[side].to_numpy() for side in sides], axis=1)
-        samples[name] = Sample(rows[f"mse_{name}"].to_numpy(), **others)  # type: ignore[arg-type]
+            sample = replace(sample, information=np.array([exact[name]]))
+        elif told:
+            own, gap = told[f"information_{name}"], gaps[f"gap_{name}"]
+            sample = replace(sample, information=own.to_numpy(), gap=gap.to_numpy())
+        samples[name] = sample
     return samples
 
 

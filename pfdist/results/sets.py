@@ -186,7 +186,7 @@ def _add_other_estimates(run: StoredRun, rows: dict[str, Row]) -> None:
     columns, form = {name: draws[name].to_numpy() for name in draws.column_names}, criterion_of(run)
     for name, row in rows.items():
         mse, scenarios = columns[f"{other}_{name}"], columns.get("scenario")
-        evaluation = Evaluation((), mse, scenarios=scenarios, criterion=form)
+        evaluation = Evaluation((), mse, scenarios=scenarios, criterion=form.of_errors)
         row.add(_of_other_estimate(run, evaluation.estimate))
 
 

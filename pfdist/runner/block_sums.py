@@ -89,7 +89,8 @@ class BlockSums:
         sets = counted.sets
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
         noise, draws = streams
-        evaluator = built.evaluator.truth if knows_truth else built.evaluator
+        known = built.evaluator.truth if knows_truth else built.evaluator
+        evaluator = known.estimating(estimation)
         instants = tuple(zip(since, ends, strict=True))
         # A hash of everything on which the sums depend but their draws.
         name = "sums" if kind is FilterWork else kind.__name__

@@ -24,10 +24,11 @@ from pfdist.filters.work import (
     Result,
     control_of,
     cut,
+    informing,
     ranges_of_draws,
     with_truth,
 )
-from pfdist.kernels.estimators import FILTER_NOISE
+from pfdist.kernels.estimators import EVIDENCE, FILTER_NOISE, INFORMATION
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
 from pfdist.problem.set_key import references_of
@@ -48,6 +49,8 @@ from pfdist.store import (
     Store,
     comparison_schema,
     distance_schema,
+    information_gap_schema,
+    information_schema,
     other_schema,
     schema,
     trajectories_schema,
@@ -70,7 +73,8 @@ def run_comparison(
     shows_gains = len(study.references) == 1 and built.job.criterion.is_mean
     reporter.begin(COMPARISON)
     details = (trajectories, first_draws_again) if built.study.has_details else ()
-    for table in (*details, other_estimates, distances, variances):
+    judged = (informations, information_gaps)
+    for table in (*details, other_estimates, *judged, distances, variances):
         first_draws = table(built, work)
         if first_draws is not None:
             yield from first_draws.fill(COMPARISON, session)
@@ -365,7 +369,33 @@ def variances(built: Built, work: FilterWork) -> FirstDraws | None:
     return _by_set("filter_variance", schema, built, work, estimation, knows_truth=True)
 
 
-def _by_set(
+def informations(built: Built, work: FilterWork) -> FirstDraws | None:
+    """Information of the measurements of each set, a lower side; None if it is not wanted."""
+    if built.evaluator.exact or INFORMATION.name not in built.job.judging:
+        return None
+    table = _of_draws(
+        "information", information_schema(work.ids), built, work,
+        informing(work.estimation.particles), knows_truth=True, draws=built.job.comparison.draws,
+    )  # fmt: skip
+    return replace(table, columns=partial(_columns_by_set, table.schema, sign=-1.0))
+
+
+def information_gaps(built: Built, work: FilterWork) -> FirstDraws | None:
+    """Distance of an upper side of the information from the lower side, on the first draws."""
+    if built.evaluator.exact or INFORMATION.name not in built.job.judging:
+        return None
+    estimation = Estimation(work.estimation.particles, estimator=EVIDENCE.name)
+    work, rows = replace(work, controlled=True), information_gap_schema(work.ids)
+    table = _of_draws("information_gap", rows, built, work, estimation, knows_truth=True)
+    return replace(table, columns=partial(_columns_by_set, rows, sign=-1.0))
+
+
+def _by_set(*given: Any, knows_truth: bool) -> FirstDraws | None:
+    has_loss = given[2].evaluator.has_particle_loss
+    return _of_draws(*given, knows_truth=knows_truth) if has_loss else None
+
+
+def _of_draws(
     table: str,
     schema: pa.Schema,
     built: Built,
@@ -373,9 +403,8 @@ def _by_set(
     estimation: Estimation,
     *,
     knows_truth: bool,
-) -> FirstDraws | None:
-    if not built.evaluator.has_particle_loss:
-        return None
+    draws: int = LOSS_DRAWS,
+) -> FirstDraws:
     evaluator = built.evaluator.truth if knows_truth else built.evaluator
     evaluator.compile(estimation)  # before the first task, whose time is limited
     stream, sets = (
@@ -386,15 +415,19 @@ def _by_set(
         work,
         ends=work.ends[:1] * sets,
         filter_streams=(stream,) * sets,  # sets share the noise, and so their common prefixes
-        draws=(0, min(LOSS_DRAWS, built.job.comparison.draws)),
+        draws=(0, min(draws, built.job.comparison.draws)),
         estimation=estimation,
         knows_truth=knows_truth,
     )
     return FirstDraws(table, schema, of_sets, partial(_columns_by_set, schema))
 
 
-def _columns_by_set(schema: pa.Schema, piece: FilterWork, result: Result) -> dict[str, Any]:
-    columns = (pa.array(mse, from_pandas=True) for mse in result.mse.T)
+def _columns_by_set(
+    schema: pa.Schema, piece: FilterWork, result: Result, *, sign: float = 1.0
+) -> dict[str, Any]:
+    """The errors of each set, less their controls if there are any."""
+    errors = result.mse - result.control if result.control.size else result.mse
+    columns = (pa.array(sign * each, from_pandas=True) for each in errors.T)
     return dict(zip(schema.names, (np.arange(*piece.draws), *columns), strict=True))
 
 

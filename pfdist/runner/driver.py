@@ -11,6 +11,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError
 from pfdist.filters.work import FilterWork, Result, cut
+from pfdist.kernels.estimators import INFORMATION
 from pfdist.problem.online_section import Online
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import (
@@ -106,8 +107,18 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
         row["position"] = position
     optional, times = list[str](), [row["measurement_times"] for row in rows]
     exact = built.evaluator.expected_mse(times)
-    other = built.evaluator.other_estimate.expected_mse(times, criterion=built.job.criterion)
-    for column, errors in (("exact_mse", exact), ("exact_other_mse", other)):
+    other = built.evaluator.other_estimate.expected_mse(
+        times, criterion=built.job.criterion.of_errors
+    )
+    informed = None
+    if (judging := built.job.judging.get(INFORMATION.name)) is not None:
+        informed = built.evaluator.expected_mse(times, criterion=judging)
+    columns = {
+        "exact_mse": exact,
+        "exact_other_mse": other,
+        "exact_information": None if informed is None else -informed,
+    }
+    for column, errors in columns.items():
         if errors is not None:
             optional.append(column)
             for row, mse in zip(rows, errors.tolist(), strict=True):

@@ -143,7 +143,7 @@ def _evenly_spaced(built: Built, name: str) -> Phase:
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase:
-    criterion = MEAN if search.additive else search.criterion
+    criterion = search.criterion if search.criterion.additive or not search.additive else MEAN
     return Phase(search.name, search.optimiser, "search", search.settings, built, criterion)
 
 

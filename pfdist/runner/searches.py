@@ -5,8 +5,14 @@ from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion
-from pfdist.filters.work import BLOCK, Estimation
-from pfdist.kernels.estimators import ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR, TWO_CLOUDS
+from pfdist.filters.work import BLOCK, Estimation, informing
+from pfdist.kernels.estimators import (
+    ESTIMATORS,
+    FILTER_VARIANCE,
+    INFORMATION,
+    SQUARED_ERROR,
+    TWO_CLOUDS,
+)
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
@@ -44,17 +50,18 @@ class Settings:
 
         If the variance of the particles estimates the error, a search that prefers to do so does.
         """
-        estimator = SQUARED_ERROR
-        if own.by_variance and variance_is_error:
+        deciding = deciding_of(job)
+        estimator = ESTIMATORS[deciding.estimator]
+        if own.by_variance and variance_is_error and estimator is SQUARED_ERROR:
             estimator = TWO_CLOUDS if job.problem.instants_of_lag else FILTER_VARIANCE
         return cls(
             own.draws or job.evaluation.draws,
             (own.noise or job.evaluation.noise) == "common",
             own.degenerate_draws or job.evaluation.degenerate_draws,
             replace(
-                comparing_of(job),
+                deciding,
                 particles=own.particles_of(job.filter.particles),
-                resampling=own.resampling or job.filter.resampling,
+                resampling=own.resampling or deciding.resampling,
                 estimator=estimator.name,
             ),
         )
@@ -119,7 +126,7 @@ def named_search(
     # Only the method itself may kill sets, as the paper says.
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
     estimator = ESTIMATORS[settings.estimation.estimator]
-    if estimator is not TWO_CLOUDS:  # whose distance grows if a cloud collapses
+    if estimator is FILTER_VARIANCE:  # it does not see that a cloud collapses
         estimator = SQUARED_ERROR
     polishing = replace(
         counting,
@@ -136,7 +143,14 @@ def named_search(
 
 def racing_of(job: Job, draws: int) -> Settings:
     """The settings of a race: the job's own filter, with so many draws in the first round."""
-    return Settings(job.criterion.apart * draws, True, "continue", comparing_of(job))
+    return Settings(job.criterion.apart * draws, True, "continue", deciding_of(job))
+
+
+def deciding_of(job: Job) -> Estimation:
+    """The estimation of the job's criterion by its own filter."""
+    if job.criterion.name == INFORMATION.name:
+        return informing(job.filter.particles)
+    return comparing_of(job)
 
 
 def comparing_of(job: Job) -> Estimation:

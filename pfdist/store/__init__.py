@@ -43,6 +43,8 @@ from pfdist.store.schema import (
     distance_schema,
     filtered_schema,
     frame_of,
+    information_gap_schema,
+    information_schema,
     other_schema,
     schema,
     trajectories_schema,

@@ -52,6 +52,8 @@ KEYS: dict[str, list[str]] = {
     "repeated": ["draw"],
     "other_estimate": ["draw"],
     "filter_distance": ["draw"],
+    "information": ["draw"],
+    "information_gap": ["draw"],
     "filter_variance": ["draw"],
     "online": ["draw"],
     "trajectories": ["draw", "t"],
@@ -262,6 +264,9 @@ _OPTIONAL = {
         "plan_mse", pa.float64(), _MSE, "expected MSE of the plan, on the same draws"
     ),
     "exact_mse": _column("exact_mse", pa.float64(), _MSE, "if the engine is exact"),
+    "exact_information": _column(
+        "exact_information", pa.float64(), "nats", "of the measurements, if the engine is exact"
+    ),
     "exact_other_mse": _column(
         "exact_other_mse", pa.float64(), _MSE, "of the other estimate, if the engine is exact"
     ),
@@ -367,6 +372,18 @@ def distance_schema(names: Sequence[str]) -> pa.Schema:
     return _of_sets("filter_distance", "distance", text, names)
 
 
+def information_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of the information that measurements give: a row for each draw, a column a set."""
+    text = "that measurements give about the path; a lower side of its mean"
+    return _of_sets("information", "information", text, names, "nats")
+
+
+def information_gap_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of the distance of an upper side of the information from the lower side."""
+    text = "log evidence of a filter beside the truth, less that of one without it"
+    return _of_sets("information_gap", "gap", text, names, "nats")
+
+
 def variance_schema(names: Sequence[str]) -> pa.Schema:
     """Schema of variances beside the truth: a row for each draw, a column for each set or none."""
     text = "of particles among which the truth stands, with the true model"
@@ -374,9 +391,11 @@ def variance_schema(names: Sequence[str]) -> pa.Schema:
     return schema.append(_column("unmeasured", pa.float64(), _MSE, "without any measurement"))
 
 
-def _of_sets(table: str, start: str, description: str, names: Sequence[str]) -> pa.Schema:
+def _of_sets(
+    table: str, start: str, description: str, names: Sequence[str], unit: str = _MSE
+) -> pa.Schema:
     columns = [_column("draw", pa.int64(), "", "index of the draw, as in comparison")]
-    columns += [_column(f"{start}_{name}", pa.float64(), _MSE, description) for name in names]
+    columns += [_column(f"{start}_{name}", pa.float64(), unit, description) for name in names]
     return _schema(table, columns)
 
 
