@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pfdist.filters.estimate import Evaluation
 
 Array = NDArray[np.float64]
+Bound = Literal["mean", "mixture", "submodular", "none"]
 ChosenDraws = slice | NDArray[np.bool_]
 
 
@@ -80,9 +81,9 @@ class Criterion:
         Whether it is a mean over draws of a sum over instants. Then searches may add errors of
         instants. Else only searches that compare whole sets can minimise it, and exchanges for the
         mean come first.
-    bound : {"mean", "mixture", "none"}
+    bound : {"mean", "mixture", "submodular", "none"}
         Its lower bound: that of the mean; that of the mean with the shares of scenarios for which
-        it is largest; or none.
+        it is largest; that by the gains of single measurements; or none.
     apart : int
         Number of scenarios that are each judged by separate draws.
     sign : int
@@ -93,7 +94,7 @@ class Criterion:
     label: str = "expected MSE"
     is_mean: bool = True
     additive: bool = True
-    bound: Literal["mean", "mixture", "none"] = "mean"
+    bound: Bound = "mean"
     apart: int = 1
     sign: int = 1
 
@@ -157,7 +158,7 @@ class WorstScenario(Criterion):
     label: str = "expected MSE in the worst scenario"
     is_mean: bool = False
     additive: bool = False
-    bound: Literal["mean", "mixture", "none"] = "mixture"
+    bound: Bound = "mixture"
 
     def deciding(self, errors: "Evaluation") -> NDArray[np.bool_]:
         """The draws of the worst scenario; one of infinite or unknown errors is the worst."""
@@ -196,7 +197,7 @@ class Judging(Criterion):
 
     is_mean: bool = False
     additive: bool = False
-    bound: Literal["mean", "mixture", "none"] = "none"
+    bound: Bound = "none"
 
     @property
     def of_errors(self) -> Criterion:
@@ -308,6 +309,7 @@ class Information(Judging):
     name: str = "information"
     label: str = "information"
     additive: bool = True
+    bound: Bound = "submodular"
     sign: int = -1
 
     def judged(self, sample: Sample) -> Judged:

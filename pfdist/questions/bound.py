@@ -19,8 +19,9 @@ from pfdist.results.sets import publish_sets
 from pfdist.runner.bound_settings import MEMORY, BoundSettings
 from pfdist.runner.build import check_pool
 from pfdist.runner.door import RunSession, complete
+from pfdist.runner.information_prover import prover_of
 from pfdist.runner.proof import Gap
-from pfdist.runner.prover import Look, Prover
+from pfdist.runner.prover import Look
 from pfdist.search.relaxation import WINDOW
 
 
@@ -59,6 +60,8 @@ class Bound(Shown):
         The demanded limit of the gaps.
     labels : mapping of str to str
         The labels of the sets on pages, by name.
+    sign : int
+        -1 if the expected MSE and the bound of a gap are minus the information, in nats; else 1.
     """
 
     run: Path
@@ -77,6 +80,7 @@ class Bound(Shown):
     shares: tuple[float, ...] = ()
     within: float | None = None
     labels: Mapping[str, str] = field(default_factory=dict, repr=False)
+    sign: int = 1
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
@@ -171,7 +175,7 @@ def bound(
             serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
             built = replace(built, job=serial)
         check_pool(built.job.execution)
-        prover, written_of = Prover(built, settings), built.job.problem.points.written_of
+        prover, written_of = prover_of(built, settings), built.job.problem.points.written_of
         with own_store(proved, built, tell) as store:
             session = RunSession(built, store, show, tell)
             session.reporter.foresee(prover.steps)
@@ -191,8 +195,8 @@ def bound(
     return Bound(
         proved.path,
         window,
-        prover.relaxation.longest_gap,
-        len(prover.relaxation.windows),
+        prover.sizes["longest_gap"],
+        prover.sizes["windows"],
         prover.particles,
         look.draws,
         prover.confidence,
@@ -212,4 +216,5 @@ def bound(
         prover.shares,
         within,
         proved.labels,
+        built.job.criterion.sign,
     )

@@ -7,6 +7,7 @@ from pfdist.common.parts import Block, Cell, Facts, Figures, Page, Section, Tabl
 from pfdist.common.percent import (
     SPACED_IN_WINDOWS,
     gap_sentence,
+    nats_sentence,
     particle_loss_text,
     percent,
     rounded_up,
@@ -23,6 +24,12 @@ _MEANING = (
     "much lower the expected MSE can be at most. It is the sum of its parts: from the easier "
     "problem and from chance, from finitely many particles, and from a wrong model of the filter. "
     "It is computed draw by draw, so it is more precise than the difference of the two columns."
+)
+_NATS = (
+    "Information about the path is submodular: what one measurement adds is never more if others "
+    "were made before. So the information of N times is at most that of the found times and the N "
+    "largest gains by one more measurement; and at most that of all possible measurements. The "
+    "smaller of both is the upper bound. It holds if the model is right."
 )
 _TESTED = (
     "The bound needs the right log-likelihood. Two tests found no fault in it: that of "
@@ -51,10 +58,12 @@ def proof(subject: Subject) -> Section | None:
     proofs = {name: last[name] for name in subject.others if name in last}
     if not proofs:
         return None
+    title = "How much better can other times be?"
+    if subject.criterion.sign < 0:
+        return Section(title, [Text(_NATS, detail=True)])
     shares = next(iter(proofs.values())).get("shares") or ()
     texts = _scenarios(shares) if subject.scenarios else []
     blocks = [*_meaning(proofs), *_table(proofs, subject.run.labels), *texts]
-    title = "How much better can other times be?"
     return Section(title, [*blocks, Figures(["bound"])])
 
 
@@ -78,11 +87,15 @@ def bound_page(
     for name, each in reversed(proofs.items()):  # the plan comes before the reference
         number, label = len(each["measurement_times"]), labels[name]
         if not each["reason"]:
-            sentence = gap_sentence(
-                each | common,
-                number,
-                is_constrained=constrained,
-                has_scenarios=answer["has_scenarios"],
+            sentence = (
+                nats_sentence(each | common, number)
+                if answer["sign"] < 0
+                else gap_sentence(
+                    each | common,
+                    number,
+                    is_constrained=constrained,
+                    has_scenarios=answer["has_scenarios"],
+                )
             )
             start = "" if label == PLAN else f"For {phrase_of(label)}: "
             is_detail = bool(start) and PLAN in labels.values()
@@ -94,7 +107,10 @@ def bound_page(
             warnings.append(f"{label}: {each['warning']}")
     blocks += [Text(SPACED_IN_WINDOWS)] if answer["leaves_out_spacing"] else []
     texts = _scenarios(answer["shares"]) if answer["has_scenarios"] else []
-    blocks += [*_table(proofs, labels), *texts, *_meaning(proofs)]
+    if answer["sign"] < 0:
+        blocks.append(Text(_NATS, detail=True))
+    else:
+        blocks += [*_table(proofs, labels), *texts, *_meaning(proofs)]
     if answer["within_reached"] is False:
         limit = f"{100 * (within or 0.0):g} %"
         blocks.append(Text(f"Not all limits are at most {limit} with {answer['draws']:,} draws."))

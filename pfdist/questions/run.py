@@ -29,6 +29,7 @@ from pfdist.runner.door import RunSession, WorkBatch, complete
 from pfdist.runner.driver import drive
 from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
 from pfdist.runner.identity import is_sealed, opened
+from pfdist.runner.information_prover import prover_of
 from pfdist.runner.progress import Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
@@ -227,7 +228,7 @@ def _prover(session: RunSession, settings: BoundSettings | None) -> Prover | Non
     if settings is None:
         return None
     try:
-        return Prover(session.built, settings)
+        return prover_of(session.built, settings)
     except (JobError, ModelError) as error:
         _unproved(session, str(error))
     return None

@@ -18,6 +18,7 @@ from pfdist.common.parts import (
 from pfdist.common.percent import (
     SPACED_IN_WINDOWS,
     gap_sentence,
+    nats_sentence,
     particle_loss_text,
     percent,
     percent_with_interval,
@@ -257,6 +258,8 @@ def _proof(subject: Subject, row: Row) -> str:
     if proof is None or proof["reason"]:
         return ""
     problem = problem_of(subject.run)
+    if subject.criterion.sign < 0:
+        return nats_sentence(proof, row.measurements)
     sentence = gap_sentence(
         proof,
         row.measurements,

@@ -40,7 +40,7 @@ class Sums(NamedTuple):
         The first row is the mean over all groups, and each other row leaves one group out. With a
         single group, there is only the first row.
         """
-        relaxed, own = (_resampled(part, self.draws) for part in (self.relaxed, self.own))
+        relaxed, own = (resampled(part, self.draws) for part in (self.relaxed, self.own))
         return relaxed, own.mean(axis=2)
 
 
@@ -75,14 +75,14 @@ def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) 
         paths[spent] = best.path(spent)
         lowest[:, spent] = [replace(best, errors=row).mse[spent] for row in relaxed]
     return Proof(
-        [_jackknifed(bound) for bound in lowest.T],
+        [jackknifed(bound) for bound in lowest.T],
         paths,
         budgets,
-        [_jackknifed(own[:, i] - lowest[:, budget]) for i, budget in enumerate(budgets)],
+        [jackknifed(own[:, i] - lowest[:, budget]) for i, budget in enumerate(budgets)],
     )
 
 
-def _resampled(sums: Array, draws: Array) -> Array:
+def resampled(sums: Array, draws: Array) -> Array:
     """Means over all groups, then over all groups but each, (1+G, ...); (1, ...) for one group."""
     whole: Array = (sums.sum(axis=0) / draws.sum())[None]
     if len(draws) == 1:
@@ -92,7 +92,7 @@ def _resampled(sums: Array, draws: Array) -> Array:
     return np.concatenate([whole, without])
 
 
-def _jackknifed(values: Array) -> Estimate:
+def jackknifed(values: Array) -> Estimate:
     """Estimate and standard error from the value of all groups and those without one group each."""
     whole, without = float(values[0]), values[1:]
     if not without.size or not math.isfinite(whole):

@@ -75,10 +75,8 @@ class Prover:
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
-        self._built, self.settings = built, settings
         if built.job.criterion.bound == "none":
             raise JobError(f"no bound is known for the {built.job.criterion.label}")
-        self.shares: tuple[float, ...] = ()
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         lag, count = built.evaluator.lag, settings.particles or built.job.filter.particles
         if lag and not settings.particles:  # few lines are left after all measurements of a gap
@@ -97,16 +95,27 @@ class Prover:
                 f"{truth.model.name}, which has its own error"
             )
         truth.compile(self._estimation)  # before the first task, whose time is limited
-        self.particles = count if built.evaluator.has_particles else 0
-        self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
-        looks = 1 if settings.within is None else len(self._blocks)
-        self.confidence = 1 - (1 - CONFIDENCE) / looks
+        self.begin(built, settings, count)
         feasible, usual, cells = built.study.widest, built.study.usual, settings.most_cells
         self.relaxation = (
             gaps_for(feasible, usual, lag, cells)
             if lag
             else relaxation_for(feasible, settings.window, usual, cells)
         )
+
+    def begin(self, built: Built, settings: BoundSettings, particles: int) -> None:
+        """Take the settings of a proof with so many particles."""
+        self._built, self.settings = built, settings
+        self.shares: tuple[float, ...] = ()
+        self.particles = particles if built.evaluator.has_particles else 0
+        self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
+        looks = 1 if settings.within is None else len(self._blocks)
+        self.confidence = 1 - (1 - CONFIDENCE) / looks
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """The number of windows, and the longest gap for which the error of a window counts."""
+        return {"windows": len(self.relaxation.windows), "longest_gap": self.relaxation.longest_gap}
 
     @property
     def steps(self) -> float:
@@ -118,7 +127,7 @@ class Prover:
     @property
     def _steps_of_windows(self) -> float:
         """Foreseen particle-steps of windows: first they grow, then the first ones are filtered."""
-        growth = self._most_steps if self.particles else 0.0
+        growth = self.most_steps if self.particles else 0.0
         return growth + self._steps((), self._blocks[-1])
 
     def prove(self, session: RunSession, run: Run) -> Generator[WorkBatch, None, Look]:
@@ -153,7 +162,7 @@ class Prover:
         """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
         sets = self._built.study.proved(measured_of(run))
-        feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
+        feasible = {name: times for name, times in sets.items() if satisfies(constraints, times)}
         wrong = self._fails_check()
         if feasible and self._built.job.criterion.bound == "mixture" and not wrong:
             yield from self._weigh_scenarios(session, feasible.values())
@@ -176,7 +185,7 @@ class Prover:
         """The gaps of sets, some of which are feasible, by a likelihood that is right."""
         feasible_times = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
-        if feasible and self._most_steps > 0:
+        if feasible and self.most_steps > 0:
             self.relaxation, growth = yield from self._grown(session, feasible_times)
         steps = self._steps(feasible_times, self._blocks[-1])
         session.reporter.foresee(growth + steps - foreseen)
@@ -295,12 +304,12 @@ class Prover:
         )
         return (
             yield from grown(
-                session, optimiser, self._growing, self._most_steps, self.settings.most_cells
+                session, optimiser, self._growing, self.most_steps, self.settings.most_cells
             )
         )
 
     @cached_property
-    def _most_steps(self) -> float:
+    def most_steps(self) -> float:
         """Particle-steps after which no window grows; by default twice those of the first.
 
         The errors of gaps gain less by growth.
@@ -377,7 +386,7 @@ class Prover:
     def _columns(self, compared_draws: int) -> dict[str, Any]:
         return {
             "window": WINDOW if self._built.evaluator.lag else self.settings.window,
-            "work": self._most_steps,
+            "work": self.most_steps,
             "memory": self.settings.memory,
             "particles": self.particles,
             "confidence": self.confidence,
@@ -385,13 +394,11 @@ class Prover:
         }
 
     def _rows(self, looks: list[Look], compared_draws: int) -> pa.Table:
-        relaxation = self.relaxation
-        sizes = {"windows": len(relaxation.windows), "longest_gap": relaxation.longest_gap}
         shares = {"shares": self.shares} if self.shares else {}
         rows = [
             {"position": position, "draws": look.draws, "steps": look.steps}
             | self._columns(compared_draws)
-            | sizes
+            | self.sizes
             | shares
             | gap.columns()
             for look in looks
@@ -408,7 +415,7 @@ def _doubled(blocks: int) -> list[int]:
     return looks
 
 
-def _satisfies(constraints: Constraints, times: Times) -> bool:
+def satisfies(constraints: Constraints, times: Times) -> bool:
     """Whether times satisfy all constraints except that on their number."""
     paid = constraints.counted or constraints.spent(times) <= constraints.total
     return paid and constraints.compatible(times) and {*constraints.required}.issubset(times)
