@@ -5,7 +5,7 @@ I(A) = H(y_A) - sum of H(y_t | x_t), in nats.
 
 import math
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -122,7 +122,7 @@ def of_chain(times: Times) -> float:
     """The entropy of all answers, less that of the sensor's mistakes, by enumeration."""
     horizon, answers = times[-1], dict[tuple[int, ...], float]()
     for path in product((0, 1), repeat=horizon + 1):
-        steps = [STAY if a == b else 1.0 - STAY for a, b in zip(path, path[1:], strict=False)]
+        steps = [STAY if a == b else 1.0 - STAY for a, b in pairwise(path)]
         for said in product((0, 1), repeat=len(times)):
             right = [
                 HIT[t % 2] if path[t] == y else 1.0 - HIT[t % 2]
