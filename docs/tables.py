@@ -55,6 +55,8 @@ from pfdist.store.schema import (
     comparison_schema,
     distance_schema,
     filtered_schema,
+    information_gap_schema,
+    information_schema,
     other_schema,
     schema,
     trajectories_schema,
@@ -99,6 +101,8 @@ _ROWS = {
     "`filtered_SET` if the job's own estimate is smoothed",
     "filter_distance": "up to 1,000 of these draws, with a column for each SET",
     "filter_variance": "up to 1,000 of these draws, with a column for each SET",
+    "information": "the same draws, with a column for each SET, if it is wanted",
+    "information_gap": "up to 1,000 of these draws, with a column for each SET",
     "online": "each draw whose times are chosen one after another",
     "trajectories": "each instant of the first 100 draws of the comparison",
     "timings": "each task; the one table that may differ between two runs of one job",
@@ -157,13 +161,15 @@ def sweep_keys() -> str:
 def columns() -> str:
     """Give the tables of all columns of the tables of a run."""
     schemas = {
-        "compared": schema("compared", "exact_mse", "exact_other_mse"),
+        "compared": schema("compared", "exact_mse", "exact_information", "exact_other_mse"),
         "evenly_spaced": schema("evenly_spaced", "plan_mse"),
         "bound": schema("bound", "shares"),
         "comparison": comparison_schema(["SET"], with_control=True, with_scenarios=True),
         "other_estimate": other_schema("smoothed", ["SET"]),
         "filter_distance": distance_schema(["SET"]),
         "filter_variance": variance_schema(["SET"]),
+        "information": information_schema(["SET"]),
+        "information_gap": information_gap_schema(["SET"]),
         "trajectories": trajectories_schema(["SET"], _MODEL, _MODEL),
     }
     parts = []

@@ -144,7 +144,7 @@ def nats_sentence(gap: Mapping[str, Any], measurements: int) -> str:
     >>> nats_sentence(gap, 4)
     'Proved: no other 4 times give more nats.'
     >>> nats_sentence({**gap, "gap": 0.25, "gap_at_most": 0.25}, 3)
-    'Proved: no other times that are no more expensive give more than a further 0.5 nats.'
+    'Proved: no other times that are no more expensive give more than a further 0.50 nats.'
     """
     times, gives = ("time", "gives") if measurements == 1 else (f"{measurements} times", "give")
     if gap["budget"] != measurements:

@@ -54,7 +54,7 @@ class Sample:
     information : array of float64, (D,)
         Nats that the measurements of each draw give, whose mean is at most the true one.
     gap : array of float64, (D',)
-        By how much more on other draws, for a mean that is at least the true one.
+        The nats to add for a mean that is at least the true one, on other draws.
     """
 
     mse: Array

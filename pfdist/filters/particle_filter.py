@@ -8,6 +8,7 @@ Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2
 (which resamples systematically; a job chooses the scheme).
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -151,6 +152,7 @@ def _filter(
         z=_array(draws.z),
         first_components=np.array([part.y.start for part in model.parts]),
         particles=settings.particles,
+        log_particles=math.log(settings.particles),
         holds_truth=scheme.holds_truth,
         rows=np.array(guiding.rows, np.int64),
         rounds=guiding.rounds,

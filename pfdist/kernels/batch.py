@@ -76,6 +76,7 @@ class FilterRequest(NamedTuple):
     z: NDArray[np.float64]  # (D, T+1, q): true quantities of interest
     first_components: NDArray[np.int64]  # (sensors,): of y, for each sensor
     particles: int
+    log_particles: float
     holds_truth: bool  # whether particle 0 is the truth
     # (sensors,): rows of the linear measurement of a guided sensor, see `pfdist.filters.guiding`; 0
     # for a sensor that is not guided. Empty if no sensor is guided.

@@ -311,8 +311,9 @@ def _tell(instant):
     """
     at, s, t, _, _ = instant
     blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
-    for d in range(at.draws):  # sums of weights, of which the largest is 1, to 7 digits
-        batch.noise[d] = np.float32(batch.total[d] / request.particles)
+    equal = request.log_particles
+    for d in range(at.draws):
+        batch.noise[d] = np.float32(batch.total[d])
     call_block(
         blocks,
         LOGARITHM * request.instants,
@@ -328,7 +329,9 @@ def _tell(instant):
         for i in range(origin, origin + request.particles):
             if highest < batch.log_weight[i] < np.inf:
                 highest = batch.log_weight[i]
-        told = request.weights.evidence * (batch.distance[d] + highest)
+        rounded = np.float64(batch.noise[d])  # log(r + e) = log(r) + e / r, for a small e
+        evidence = batch.distance[d] + (batch.total[d] - rounded) / rounded - equal
+        told = request.weights.evidence * (evidence + highest)
         if request.weights.explained != 0.0:
             mean = weighted_sum(batch.weight, batch.log_weight, origin, batch.width)
             told += request.weights.explained * mean / batch.total[d]

@@ -54,7 +54,7 @@ UNITS = {
     "runner/build.py _with_long_gap": "nothing, it is one choice:",
     "runner/comparison_phase.py _work": "draws: name",
     "runner/comparison_phase.py first_draws_again": "draws: again",
-    "runner/comparison_phase.py _by_set": "draws: table",
+    "runner/comparison_phase.py _of_draws": "draws: table",
     "runner/door.py _cuts": "hash:",
     "runner/driver.py online_work": "draws: planner",
     "runner/evenly_spaced.py _judged": "draws: times",

@@ -49,7 +49,9 @@ INFINITE = {"quantity_of_interest": lambda x, t, p: (where(t == 8, math.inf, x[0
 
 
 @engines
-@estimators
+@pytest.mark.parametrize(
+    "estimator", [name for name, each in ESTIMATORS.items() if not each.weights.evidence]
+)
 @pytest.mark.parametrize(
     ("changes", "wrong"),
     [
@@ -75,3 +77,16 @@ def test_a_set_with_an_infinite_draw_has_no_sum_and_others_are_as_alone(
             ).errors
             assert np.isfinite(alone[: end + 1]).all()
             np.testing.assert_allclose(row[: end + 1], alone[: end + 1], rtol=1e-12)
+
+
+@engines
+def test_an_unexplained_measurement_has_an_infinite_evidence(engine):
+    """Else the upper side of the information would be too low; z does not matter."""
+    draws = simulate(UNGM, HORIZON, range(20), 1)
+    for changes, wrong in ((DEGENERATE, [7 in each for each in SETS]), (INFINITE, [False] * 7)):
+        given = replace(UNGM, **changes), draws, SETS, ENDS, STREAM
+        settings = Estimation(PARTICLES, estimator="evidence")
+        with np.errstate(invalid="ignore"):
+            found = engine.filter_checked_sets(*given, settings, SUMS).errors
+        for row, end, is_wrong in zip(found, ENDS, wrong, strict=True):
+            assert np.isfinite(row[: end + 1]).all() != (is_wrong and end >= 7)

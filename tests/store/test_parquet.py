@@ -24,6 +24,8 @@ from pfdist.store import (
     Store,
     comparison_schema,
     distance_schema,
+    information_gap_schema,
+    information_schema,
     other_schema,
     parquet,
     schema,
@@ -320,6 +322,8 @@ def test_every_column_says_its_unit_and_every_table_its_version(store: Store) ->
         "other_estimate": other_schema("smoothed", ["regular", "genetic"]),
         "filter_distance": distance_schema(["regular", "genetic"]),
         "filter_variance": variance_schema(["regular", "genetic"]),
+        "information": information_schema(["regular", "genetic"]),
+        "information_gap": information_gap_schema(["regular", "genetic"]),
         "trajectories": trajectories_schema(
             ["regular"], numbered_components(2), numbered_components(1)
         ),
