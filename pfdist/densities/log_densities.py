@@ -16,6 +16,7 @@ from pfdist.densities.special import (
     log_bessel,
     log_beta_part,
     log_gamma_part,
+    log_normal_tail,
     stirling_excess,
 )
 
@@ -244,3 +245,56 @@ def mixture_logpdf(log_densities: Any, weights: Any) -> Any:
         total = total + weights[k]
         likelihood = likelihood + weights[k] * np.exp(log_densities[k] - top)
     return top + np.log(likelihood / total)
+
+
+# --- the probabilities of values up to y, and above it --------------------------------------------
+
+
+def normal_log_tails(y: Any, mean: Any, sd: Any) -> tuple[Any, Any]:
+    """Logarithms of the probabilities that a normal variable is at most y, and above y.
+
+    Parameters
+    ----------
+    y, mean, sd : float or array
+        Value, mean and standard deviation, sd > 0.
+
+    Returns
+    -------
+    pair of float or array
+        Both are accurate even where they are far below 0.
+    """
+    z = (y - mean) / sd
+    return log_normal_tail(-z), log_normal_tail(z)
+
+
+def lognormal_log_tails(y: Any, mean: Any, sd: Any) -> tuple[Any, Any]:
+    """Logarithms of the probabilities of values up to y, and above it, if log(y) is normal.
+
+    Parameters
+    ----------
+    y, mean, sd : float or array
+        Value above 0; mean and standard deviation of its logarithm, sd > 0.
+
+    Returns
+    -------
+    pair of float or array
+    """
+    return normal_log_tails(np.log(y), mean, sd)
+
+
+def laplace_log_tails(y: Any, location: Any, scale: Any) -> tuple[Any, Any]:
+    """Logarithms of the probabilities that a Laplace variable is at most y, and above y.
+
+    Parameters
+    ----------
+    y, location, scale : float or array
+        Value, location and scale, scale > 0.
+
+    Returns
+    -------
+    pair of float or array
+    """
+    z = (y - location) / scale
+    small = -np.abs(z) - 0.6931471805599453  # log(2)
+    large = np.log1p(-0.5 * np.exp(-np.abs(z)))
+    return np.where(z < 0.0, small, large), np.where(z < 0.0, large, small)

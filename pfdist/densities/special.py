@@ -108,6 +108,14 @@ def erfc(x: Any) -> Any:
     return np.where(a < 0.5, 1.0 - x * _ERF(a * a), np.where(x < 0.0, 2.0 - tail, tail))
 
 
+def log_normal_tail(z):
+    """The logarithm of the probability that a standard normal variable exceeds z."""
+    a = np.maximum(z, 0.0) * math.sqrt(0.5)
+    scaled = _ERFCX((a - 3.75) / (a + 3.75)) / (1.0 + 2.0 * a)  # exp(a^2) erfc(a)
+    near = np.log(0.5 * erfc(np.minimum(z, 1.0) * math.sqrt(0.5)))
+    return np.where(z < 0.7, near, np.log(0.5 * scaled) - a * a)
+
+
 def erf(x: Any) -> Any:
     """The error function.
 

@@ -95,6 +95,12 @@ def begun(
     return Draws(model, index, x, y, z, start, stream)
 
 
+def are_possible(model: StateSpaceModel, name: str, values: Any) -> NDArray[np.bool_]:
+    """Whether values of x, y or z are finite; a measurement that has failed is NaN."""
+    possible: NDArray[np.bool_] = np.isfinite(values)
+    return possible | np.isnan(values) if name == "y" and model.missing_components else possible
+
+
 def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
     """Raise `ModelError`, which names the formula, if a value is not finite.
 
@@ -103,9 +109,10 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
     """
     for name in "xyz":
         values = getattr(draws, name)
-        if np.isfinite(values).all():
+        is_right = are_possible(model, name, values)
+        if is_right.all():
             continue
-        row, k, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        row, k, component = (int(i) for i in np.argwhere(~is_right)[0])
         owner, number = model, component
         if name == "y":
             part = next(part for part in model.parts if component < part.y.stop)

@@ -305,13 +305,14 @@ def _resampled(
 ) -> tuple[tuple[Array, ...], Array]:
     """Particles and weights after resampling; draws with even weights are left as they are.
 
-    So are draws that no measurement weighs.
+    So are draws that no measurement weighs. The largest weight is 1.
     """
     particles = settings.particles
     if not weighs.any():
         return x, weight
     ancestors = ancestors_of(settings.resampling, weight, stream, index, key)
-    uneven = (weighs & (_effective_sizes(weight) < settings.threshold * particles))[:, None]
+    uneven = _effective_sizes(weight) < settings.threshold * particles
+    uneven = (weighs & uneven & (weight.sum(axis=1) < particles))[:, None]
     ancestors = np.where(uneven, ancestors, np.arange(particles))
     return _taken(x, past, ancestors), np.where(uneven, 1.0, weight)
 

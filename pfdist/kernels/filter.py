@@ -384,9 +384,13 @@ def _sort(instant):
 
 @compiled
 def _is_uneven(request, batch, d):
-    """Whether the effective sample size of a draw lies below the threshold."""
+    """Whether the effective sample size of a draw lies below the threshold.
+
+    The largest weight is 1, so weights are equal if their sum is the number of particles: then the
+    measurement has told nothing.
+    """
     if request.threshold == np.inf:
-        return True
+        return batch.total[d] < float(request.particles)
     squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
     return batch.total[d] * batch.total[d] < request.threshold * request.particles * squares
 
@@ -402,7 +406,10 @@ def _resample(instant):
     some = False
     for d in range(at.draws):
         weighs = batch.weighs[d] > 0
-        batch.resamples[d] = weighs and (sensor < request.sensors or _is_uneven(request, batch, d))
+        uneven = _is_uneven(request, batch, d)
+        batch.resamples[d] = weighs and (
+            uneven or (sensor < request.sensors and request.threshold < np.inf)
+        )
         some |= batch.resamples[d] > 0
     if not some:
         return

@@ -86,12 +86,15 @@ class Sensor:
         Distribution of each component of v.
     price : float, optional
         Price of a measurement, which a `Problem` uses unless it sets a price.
+    log_tails : callable, optional
+        As for `StateSpaceModel`.
     """
 
     measurement: Callable[..., Any]
     log_likelihood: Callable[..., Any]
     measurement_noise: tuple[str, ...]
     price: float | None = None
+    log_tails: Callable[..., Any] | None = None
 
 
 class SensorPart(NamedTuple):
@@ -142,6 +145,10 @@ class StateSpaceModel:
         ``(z, estimate, t, p) -> number``, the error of an estimate of z. An MSE is its mean over t.
         By default the sum over the components of z of the squared difference, and of 1 - cos of the
         difference for those that are `circular`.
+    log_tails : callable, optional
+        ``(y, x, t, p)``: the logarithms of the probabilities that the measurement is at most y[0],
+        and above it, for y of one component. A job whose sensor has limits needs it; see
+        `pfdist.densities.normal_log_tails`.
     circular : tuple of str or int
         Components of z that are angles, in radians, by their names without the unit or by their
         numbers. Such a component is estimated by the mean direction of the particles, in -pi..pi,
@@ -197,6 +204,7 @@ class StateSpaceModel:
     z_names: tuple[str, ...] = ()
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     circular: tuple[str | int, ...] = ()
+    log_tails: Callable[..., Any] | None = None
 
     def __post_init__(self) -> None:
         for name, value in checked_fields(self).items():
@@ -297,6 +305,7 @@ class StateSpaceModel:
                 measurement=sensor.measurement,
                 log_likelihood=sensor.log_likelihood,
                 measurement_noise=sensor.measurement_noise,
+                log_tails=sensor.log_tails,
                 y_names=(),
                 sensors={},
             )

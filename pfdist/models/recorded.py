@@ -80,8 +80,8 @@ def recorded(
         if model.sensors:
             measuring = [part.model, *(each.model for each in of_part)]
             formulas = {key: _recorded(measuring, key, instants) for key in MEASURING}
-            sensors[part.name] = replace(model.sensors[part.name], **formulas)
-    return dataclasses.replace(model, sensors=sensors, **changes)
+            sensors[part.name] = replace(model.sensors[part.name], log_tails=None, **formulas)
+    return dataclasses.replace(model, sensors=sensors, log_tails=None, **changes)
 
 
 def with_functions(kept: StateSpaceModel, now: StateSpaceModel) -> StateSpaceModel:

@@ -4,6 +4,7 @@ The keys have the names of the parameters of `Constraints`. An error about such 
 its name, and this module puts ``problem.`` before it.
 """
 
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import replace
@@ -23,6 +24,7 @@ from pydantic import (
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.section import JobSection, Listed
+from pfdist.common.sensing import REPEATS, Sensing, names_of_repeats
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import SECONDS, Calendar, calendar_of, groups
@@ -115,13 +117,50 @@ class ClockSection(JobSection):
         return clock
 
 
-class SensorSection(JobSection):
-    """The price of a sensor's measurements, and constraints on them.
+class SensingSection(JobSection):
+    """The limits of a sensor's readings, its failures, and repeated measurements.
+
+    Parameters
+    ----------
+    limit : number, that of y
+        Readings below are known to be below: censored. The model needs `log_tails`.
+    limits : list of two numbers, that of y
+        Readings below the first, and above the second, are known to be so.
+    fails : float
+        Probability that a planned measurement gives nothing.
+    repeats : int
+        Largest number of measurements at one instant, each with its own noise and price.
+    """
+
+    limit: _Finite | None = None
+    limits: Annotated[Listed[_Finite], Field(min_length=2, max_length=2)] | None = None
+    fails: Annotated[float, Field(gt=0.0, lt=1.0, strict=False)] | None = None
+    repeats: Annotated[int, Field(ge=2, le=len(REPEATS))] | None = None
+
+    @model_validator(mode="after")
+    def _has_limits(self) -> Self:
+        if self.limits is not None and (self.limit is not None or self.limits[0] >= self.limits[1]):
+            got = f"limits = {shown(list(self.limits))}, limit = {self.limit}"
+            raise ValueError(f"a sensor has a limit, or two limits in ascending order, got {got}")
+        return self
+
+    @property
+    def sensing(self) -> Sensing:
+        """The same for a model."""
+        low = -math.inf if self.limit is None else float(self.limit)
+        low, high = self.limits or (low, math.inf)
+        return Sensing(float(low), float(high), self.fails or 0.0, self.repeats or 1)
+
+
+class SensorSection(SensingSection):
+    """The price of a sensor's measurements, constraints on them, and how it senses.
 
     The lower bound relaxes `most` and `minimum_spacing`.
 
     Parameters
     ----------
+    limit, limits, fails, repeats
+        As for `[problem.sensor]`.
     price : number or list or section of ranges
         Price of a measurement by this sensor, or at each instant, or in each range.
     forbidden : list of times and ranges, clock
@@ -188,6 +227,8 @@ class ProblemSection(JobSection):
         Largest sum of the prices of a set, instead of ``measurement_budget``.
     sensors : section of sections
         Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
+    sensor : section
+        The only sensor, of a model without sensors.
     """
 
     # Read as "clock": `clock` is the clock that follows from all keys.
@@ -211,6 +252,7 @@ class ProblemSection(JobSection):
         "total_price", "total_cost"
     )
     sensors: Annotated[dict[str, SensorSection], Field(min_length=2)] | None = None
+    sensor: SensingSection | None = None
 
     @field_validator("horizon", "times", mode="before")
     @classmethod
@@ -264,9 +306,29 @@ class ProblemSection(JobSection):
         return any(value is not None for value in keys)
 
     @cached_property
+    def sensings(self) -> dict[str, Sensing]:
+        """What is said of each sensor of the model; of the only one by the name ""."""
+        if self.sensor is not None:
+            return {"": self.sensor.sensing}
+        return {name: each.sensing for name, each in (self.sensors or {}).items()}
+
+    @cached_property
+    def each_sensor(self) -> dict[str, SensorSection]:
+        """The sensors by which points differ: a sensor that repeats counts as several."""
+        if self.sensor is not None:
+            sensors = {"": SensorSection(price=self.price)}
+        else:
+            sensors = self.sensors or {}
+        return {
+            repeat: each
+            for name, each in sensors.items()
+            for repeat in names_of_repeats(name, self.sensings[name].repeats)
+        }
+
+    @cached_property
     def points(self) -> Points:
         """The table of all possible measurements; raises as `clock`."""
-        points = Points(self.clock, tuple(self.sensors or ()))
+        points = Points(self.clock, tuple(self.each_sensor))
         if points.number > _MOST_POSSIBLE:
             raise MeasurementTimesError(
                 f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {points.number:,}"
@@ -325,7 +387,7 @@ class ProblemSection(JobSection):
         clock, spacing = self.clock, self.minimum_spacing
         if spacing is not None and self.has_clock and not 0 < spacing < np.inf:
             raise MeasurementTimesError(f"minimum_spacing must be above 0, got {spacing:g}")
-        if not self.has_clock and not (spacing is None and self.sensors):
+        if not self.has_clock and not (spacing is None and self.each_sensor):
             spacing = 1 if spacing is None else self._whole("minimum_spacing", spacing)
         limits = self._limits
         prices = [sum(prices or (0,)) for prices in self._prices_of_sensors] or [0]
@@ -351,7 +413,7 @@ class ProblemSection(JobSection):
         if self.allowed is not None:
             allowed = points.read(self.allowed, "allowed", of_all=True)
             times.update({*range(points.number)} - {*allowed})
-        for way, (name, sensor) in enumerate((self.sensors or {}).items()):
+        for way, (name, sensor) in enumerate(self.each_sensor.items()):
             barred = {*instants_written(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
             if sensor.allowed is not None:
                 others = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
@@ -362,7 +424,7 @@ class ProblemSection(JobSection):
     @property
     def _limits(self) -> tuple[Limit, ...]:
         limits = []
-        for name, sensor in (self.sensors or {}).items():
+        for name, sensor in self.each_sensor.items():
             spacing = sensor.minimum_spacing
             if spacing is not None and not 0 < spacing < np.inf:
                 raise MeasurementTimesError(
@@ -375,7 +437,7 @@ class ProblemSection(JobSection):
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:
         """The price of each sensor at each instant; empty for a sensor without a price."""
-        sensors = (self.sensors or {}).items()
+        sensors = self.each_sensor.items()
         return [self._prices(f"sensors.{name}.price", sensor.price) for name, sensor in sensors]
 
     @cached_property
@@ -465,16 +527,16 @@ class ProblemSection(JobSection):
     @property
     def _prices_of_instants(self) -> tuple[Money, ...] | None:
         """The price of each possible measurement; None if measurements are counted."""
-        if not self.sensors:
+        if not self.each_sensor:
             return None if self.price is None else self._prices("price", self.price)
-        if self.price is not None:
+        if self.price is not None and self.sensors:
             raise MeasurementTimesError(
                 "price must be left out with sensors, because each has its own: "
                 f"sensors.{next(iter(self.sensors))}.price"
             )
         if self.total_price is None:
             return None
-        lacking = [name for name, sensor in self.sensors.items() if sensor.price is None]
+        lacking = [name for name, each in self.each_sensor.items() if each.price is None]
         if lacking:
             raise MeasurementTimesError(
                 f"sensors.{lacking[0]}.price must be given with total_price"

@@ -66,10 +66,12 @@ def integral(likelihood: Likelihood, y: Array) -> Estimate:
     """
     counts = whole(y)
     for component in np.flatnonzero(~counts):
-        if np.unique(y[component]).size < (1 - _TIES) * y.shape[1]:
-            raise NoIntegralError(
-                f"component {component} has few values, which are not whole numbers"
-            )
+        values, counts_of = np.unique(y[component], return_counts=True)
+        if values.size < (1 - _TIES) * y.shape[1]:
+            tied = values[counts_of > 1]
+            few = "few values, which are not whole numbers"
+            masses = f"a point mass at {' and '.join(f'{each:g}' for each in tied)}, as of a limit"
+            raise NoIntegralError(f"component {component} has {masses if tied.size < 3 else few}")
     fitted, others = y[:, ::2], y[:, 1::2]  # the region must not depend on what is counted in it
     if len(y) <= MOST_ON_A_GRID:
         return _on_a_grid(likelihood, fitted, others, counts)
@@ -156,6 +158,7 @@ def normalised(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[st
         some = rng.choice(draws.x[:, t], size=_STATES, replace=False)
         for number, x in enumerate(within(some)):
             y = np.stack(measured(model, x, t, number))
+            y = y[:, ~np.isnan(y).any(axis=0)]  # failed measurements have no density
 
             def density(points: Array, x: Array = x, t: int = t) -> Array:
                 arguments = tuple(points), tuple(x.tolist()), t, model.p

@@ -28,6 +28,7 @@ from pfdist.models.learned import learned
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import CLOCK, check_lengths
 from pfdist.models.recorded import declarations, differences, with_functions
+from pfdist.models.sensed import sensed
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
@@ -156,7 +157,7 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
 
 def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel) -> Evaluator:
     """The evaluator of a job and its models, not yet compiled; raises as `build`."""
-    _check_sensors(job, model)
+    _check_sensors(job, model, job.problem.points.sensors)
     scenarios = () if job.scenarios is None else job.scenarios.of_draws
     told = job.scenarios is not None and job.scenarios.filter == "told"
     times = job.problem.clock.times if job.problem.has_clock else None
@@ -186,9 +187,9 @@ def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel
         raise ModelError(f"scenarios.parameters: {error}") from error
 
 
-def _check_sensors(job: Job, model: StateSpaceModel) -> None:
+def _check_sensors(job: Job, model: StateSpaceModel, named: tuple[str, ...]) -> None:
     """Raise a `JobError` unless the job names the sensors of the model, in their order."""
-    named, sensors = job.problem.points.sensors, tuple(model.sensors)
+    sensors = tuple(model.sensors)
     if named != sensors:
         raise JobError(
             f"problem.sensors must name the sensors of the model {model.name}, in their order: "
@@ -320,6 +321,8 @@ def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
     """
     kept = _kept_models(job)
     models = _given_models(job, kept)
+    if not kept and job.problem.sensings:
+        models = _sensed(job, *models)
     if kept or job.scenarios is None or not job.scenarios.is_learned:
         return models
     if is_exact(job.filter.engine):
@@ -328,6 +331,19 @@ def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
             f"got 'learned' ({job.path}): a filter that learns has particles"
         )
     return _with_learned(job.scenarios, job.problem.feasible.horizon, *models)
+
+
+def _sensed(
+    job: Job, model: StateSpaceModel, believed: StateSpaceModel
+) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """The models whose sensors have limits, fail, or repeat, as the job says."""
+    _check_sensors(job, model, tuple(job.problem.sensors or ()))
+    key = "problem.sensors" if model.sensors else "problem.sensor"
+    try:
+        truth = sensed(model, job.problem.sensings)
+        return truth, truth if believed is model else sensed(believed, job.problem.sensings)
+    except ModelError as error:
+        raise ModelError(f"{key}: {error}") from error
 
 
 def _with_learned(

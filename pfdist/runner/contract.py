@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import ModelError
-from pfdist.filters.draws import Draws, not_finite
+from pfdist.filters.draws import Draws, are_possible, not_finite
 from pfdist.models import StateSpaceModel
 
 Array = NDArray[np.float64]
@@ -59,8 +59,9 @@ def _finite(
         for value in function(*arguments, model.p)
     )
     for component, value in enumerate(values):
-        if not np.isfinite(value).all():
-            got = value[~np.isfinite(value)][0]
+        possible = are_possible(model, name, value)
+        if not possible.all():
+            got = value[~possible][0]
             what = f"{name}[{component}] = {got}"
             raise ModelError(not_finite(model, formula, (*arguments, model.p), what, t))
     return values

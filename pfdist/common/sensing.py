@@ -1,0 +1,41 @@
+"""What a job says of a sensor, in this room because reading a job must not load a model."""
+
+import math
+from dataclasses import dataclass
+
+REPEATS = "abcdefghij"
+"""The names of measurements that a sensor may repeat at one instant."""
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """What a job says of a sensor; by default nothing.
+
+    Parameters
+    ----------
+    low, high : float
+        Values below and above are read as these.
+    fails : float
+        Probability that a measurement gives nothing.
+    repeats : int
+        The largest number of measurements at one instant.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    fails: float = 0.0
+    repeats: int = 1
+
+
+PLAIN = Sensing()
+
+
+def names_of_repeats(name: str, repeats: int) -> list[str]:
+    """The sensors that a sensor becomes; a model without sensors has the name "".
+
+    >>> names_of_repeats("tube", 1), names_of_repeats("tube", 2), names_of_repeats("", 2)
+    (['tube'], ['tube_a', 'tube_b'], ['a', 'b'])
+    """
+    if repeats == 1:
+        return [name] * bool(name)
+    return [f"{name}_{each}" if name else each for each in REPEATS[:repeats]]

@@ -1,0 +1,113 @@
+"""What a job says of a sensor, as a transformation of the model: limits, failures and repeats.
+
+Everything else sees the result as any other model. A failed measurement is NaN, and tells nothing.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pfdist.common.sensing import PLAIN, Sensing, names_of_repeats
+from pfdist.elementwise import where
+from pfdist.errors import ModelError
+from pfdist.models.base import Sensor, StateSpaceModel
+from pfdist.models.checks import MEASURING
+
+
+def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpaceModel:
+    """The model whose sensors have limits, fail, or repeat.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    sensings : mapping of str to Sensing
+        By the names of sensors, or by ``""`` for a model without sensors.
+
+    Raises
+    ------
+    ModelError
+        A sensor with limits has several components, or lacks `log_tails`.
+    """
+    if all(each == PLAIN for each in sensings.values()):
+        return model
+    parts = {
+        part.name: _sensed(part.model, part.name, sensings.get(part.name, PLAIN))
+        for part in model.parts
+    }
+    may_fail = any(each.fails for each in sensings.values())
+    changes: dict[str, Any] = {
+        "linear_gaussian": model.linear_gaussian
+        and all(dataclasses.replace(each, repeats=1) == PLAIN for each in sensings.values()),
+        "missing_components": model.missing_components or may_fail,
+    }
+    if not model.sensors and sensings[""].repeats == 1:
+        own = {name: getattr(parts[""], name) for name in (*MEASURING, "measurement_noise")}
+        return dataclasses.replace(model, log_tails=None, **own, **changes)
+    sensors = {
+        repeat: dataclasses.replace(parts[name], price=_price(model, name))
+        for name in parts
+        for repeat in names_of_repeats(name, sensings.get(name, PLAIN).repeats)
+    }
+    fields = StateSpaceModel.__dataclass_fields__
+    changes |= {name: fields[name].default for name in (*MEASURING, "measurement_noise")}
+    changes |= {"sensors": sensors, "log_tails": None, "y_names": ()}
+    return dataclasses.replace(model, **changes)
+
+
+def _price(model: StateSpaceModel, name: str) -> float | None:
+    return model.sensors[name].price if name else None
+
+
+def _sensed(model: StateSpaceModel, name: str, sensing: Sensing) -> Sensor:
+    measurement, log_likelihood = model.measurement, model.log_likelihood
+    noise, tails = model.measurement_noise, model.log_tails
+    sensor = f"sensor {name} of " * bool(name)
+    if math.isfinite(sensing.low) or math.isfinite(sensing.high):
+        if model.components[1] != 1 or tails is None:
+            got = f"{model.components[1]} components" if tails is not None else "no log_tails"
+            raise ModelError(
+                f"a limit needs one component of y, and log_tails (y, x, t, p), the logarithms of "
+                f"the probabilities of values up to y and above it; {sensor}model {model.name} "
+                f"has {got}"
+            )
+        measurement, log_likelihood = _limited(measurement, log_likelihood, tails, sensing)
+    if sensing.fails:
+        measurement, log_likelihood = _failing(measurement, log_likelihood, sensing.fails)
+        noise = (*noise, "uniform")
+    return Sensor(measurement, log_likelihood, noise)
+
+
+def _limited(measurement: Any, log_likelihood: Any, tails: Any, sensing: Sensing) -> Any:
+    low, high = sensing.low, sensing.high
+
+    def limited(x: Any, t: Any, v: Any, p: Any) -> Any:
+        (y,) = measurement(x, t, v, p)
+        return (np.minimum(np.maximum(y, low), high),)
+
+    def likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
+        total = log_likelihood(y, x, t, p)
+        if math.isfinite(low):
+            total = where(y[0] <= low, tails((low,), x, t, p)[0], total)
+        if math.isfinite(high):
+            total = where(y[0] >= high, tails((high,), x, t, p)[1], total)
+        return total
+
+    return limited, likelihood
+
+
+def _failing(measurement: Any, log_likelihood: Any, fails: float) -> Any:
+    def failing(x: Any, t: Any, v: Any, p: Any) -> Any:
+        *own, chance = v
+        values = measurement(x, t, tuple(own), p)
+        return tuple(where(chance < fails, math.nan, value) for value in values)
+
+    def likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
+        is_made = y[0] == y[0]
+        for value in y[1:]:
+            is_made = is_made | (value == value)  # noqa: PLR0124
+        return where(is_made, log_likelihood(y, x, t, p), 0.0)
+
+    return failing, likelihood

@@ -1,0 +1,227 @@
+"""Sensors with limits, failures and repeats, against enumeration, a grid filter and Kalman filters.
+
+Each is a transformation of the model, so the filter, the search and the proof need nothing new.
+"""
+
+import math
+from dataclasses import replace
+from itertools import combinations_with_replacement, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import log_ndtr
+
+import pfdist
+from pfdist import Filter, Problem, Sensor, StateSpaceModel, densities
+from pfdist.common.sensing import Sensing
+from pfdist.errors import JobError, ModelError
+from pfdist.filters import particle_filter, plain
+from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
+from pfdist.models.sensed import sensed
+from pfdist.questions.measured import normalised
+from pfdist.runner.likelihood import Within, likelihood
+
+
+def walk(sd: float = 0.7, **others: Any) -> StateSpaceModel:
+    """A random walk from N(0, 4)."""
+    return StateSpaceModel(
+        name="walk",
+        initial=lambda w, p: (2.0 * w[0],),
+        transition=lambda x, t, w, p: (x[0] + w[0],),
+        measurement=lambda x, t, v, p: (x[0] + sd * v[0],),
+        log_likelihood=lambda y, x, t, p: densities.normal_logpdf(y[0], x[0], sd),
+        log_tails=lambda y, x, t, p: densities.normal_log_tails(y[0], x[0], sd),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        linear_gaussian=True,
+        normalised=True,
+        **others,
+    )
+
+
+@pytest.mark.parametrize(
+    ("tails", "exact"),
+    [
+        (densities.normal_log_tails, stats.norm),
+        (densities.laplace_log_tails, stats.laplace),
+    ],
+)
+def test_tails_are_exact_far_from_the_mean(tails: Any, exact: Any) -> None:
+    y = np.array([-30.0, -9.0, -3.0, -0.5, 0.2, 1.0, 1.4, 2.0, 5.0, 30.0])
+    below, above = tails(y, 0.2, 1.5)
+    np.testing.assert_allclose(below, exact.logcdf(y, 0.2, 1.5), rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(above, exact.logsf(y, 0.2, 1.5), rtol=1e-13, atol=1e-15)
+
+
+def test_lognormal_tails_are_normal_tails_of_the_logarithm() -> None:
+    below, above = densities.lognormal_log_tails(2.0, 0.3, 0.5)
+    z = (math.log(2.0) - 0.3) / 0.5
+    assert (below, above) == pytest.approx((log_ndtr(z), log_ndtr(-z)))
+
+
+def of_failures(times: tuple[int, ...], horizon: int, fails: float, sd: float) -> float:
+    """The expected MSE by Kalman filters of all patterns of failures."""
+    total = 0.0
+    for made in product((False, True), repeat=len(times)):
+        share = math.prod(1.0 - fails if each else fails for each in made)
+        variance, seen, own = 4.0, dict(zip(times, made, strict=True)), 0.0
+        for t in range(horizon + 1):
+            variance += 1.0 * (t > 0)
+            if seen.get(t):
+                variance = variance * sd**2 / (variance + sd**2)
+            own += variance
+        total += share * own / (horizon + 1)
+    return total
+
+
+def test_failed_measurements_are_those_of_all_patterns(tmp_path: Path) -> None:
+    """Published case: 3.3761 with times 0, 3, 6, 8 and a detection probability of 0.6."""
+    problem = Problem(walk(), horizon=12, measurement_budget=4, particles=1000)
+    changes = ["problem.sensor.fails=0.4", "comparison.draws=2000"]
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, figures=False)
+    assert of_failures((0, 3, 6, 8), 12, 0.4, 0.7) == pytest.approx(3.3761, abs=5e-5)
+    found = pfdist.evaluate(run.path, [0, 3, 6, 8], draws=8000)
+    apart = found.expected_mse - of_failures((0, 3, 6, 8), 12, 0.4, 0.7)
+    assert abs(apart) < 3.5 * found.standard_error
+    best = of_failures(tuple(run.best.measurement_times), 12, 0.4, 0.7)
+    assert best < 1.01 * 3.3750  # the best set of all
+    row = run.table("bound").set_index("name").loc["relaxation"]
+    assert row["bound"] < 3.3750
+    assert not row["reason"]
+
+
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_a_failed_measurement_changes_nothing_and_is_not_resampled(engine: str) -> None:
+    failing = sensed(walk(), {"": Sensing(fails=0.5)})
+    module = {"compiled": particle_filter, "numpy": plain}[engine]
+    draws = simulate(failing, 4, range(40), 1)
+    settings = Estimation(50)
+    found = module.filter_checked_draws(failing, draws, (0, 3), 2, settings, True)
+    failed = np.isnan(draws.y[:, 3, 0])
+    assert 5 < failed.sum() < 35
+    without = module.filter_checked_draws(failing, draws, (0,), 2, settings, True)
+    np.testing.assert_array_equal(found.estimate[failed], without.estimate[failed])
+    assert (found.estimate[~failed, 3] != without.estimate[~failed, 3]).all()
+
+
+def test_a_reading_at_the_limit_is_known_to_be_below() -> None:
+    """A filter on a grid of x, for an assay of a falling concentration with a limit of 1."""
+    sd, limit, readings = 0.3, 1.0, {2: 5.1, 6: 1.9, 10: 1.0, 14: 1.0}
+    model = StateSpaceModel(
+        name="assay",
+        initial=lambda w, p: (np.log(8.0) + 0.2 * w[0],),
+        transition=lambda x, t, w, p: (x[0] - 0.25 + 0.1 * w[0],),
+        measurement=lambda x, t, v, p: (np.exp(x[0]) + sd * v[0],),
+        log_likelihood=lambda y, x, t, p: densities.normal_logpdf(y[0], np.exp(x[0]), sd),
+        log_tails=lambda y, x, t, p: densities.normal_log_tails(y[0], np.exp(x[0]), sd),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        normalised=True,
+    )
+    grid = np.linspace(-4.0, 3.5, 1501)
+    step, density = grid[1] - grid[0], stats.norm.pdf(grid, np.log(8.0), 0.2)
+    kernel = stats.norm.pdf(grid[:, None], grid - 0.25, 0.1) * step
+    evidence, own = 0.0, Filter(sensed(model, {"": Sensing(low=limit)}), 20_000, seed=1)
+    for t in range(17):
+        density = kernel @ density if t else density
+        if t in readings:
+            y, c = readings[t], np.exp(grid)
+            seen = log_ndtr((limit - c) / sd) if y <= limit else stats.norm.logpdf(y, c, sd)
+            weighted = density * np.exp(seen)
+            evidence += np.log(weighted.sum() * step)
+            density = weighted / (weighted.sum() * step)
+            own.update(t, y)
+    now = own.predict(16)
+    mean = np.sum(density * grid) * step
+    spread = math.sqrt(np.sum(density * (grid - mean) ** 2) * step)
+    assert now.mean[0] == pytest.approx(mean, abs=0.01)
+    assert now.standard_deviation[0] == pytest.approx(spread, rel=0.04)
+    assert own.log_evidence == pytest.approx(evidence, abs=0.1)
+
+
+def test_check_model_finds_limits_and_failures_right() -> None:
+    changed = sensed(walk(), {"": Sensing(low=-1.0, high=2.0, fails=0.2)})
+    draws = simulate(changed, 6, range(40), 1)
+    state, _ = likelihood(changed, draws)
+    assert state == "ok"
+    state, text = normalised(changed, draws, Within())
+    assert state == "note"
+    assert "a point mass at" in text
+    wrong = replace(changed, log_likelihood=walk().log_likelihood)  # as if nothing were censored
+    state, _ = likelihood(wrong, draws)
+    assert state == "wrong"
+
+
+def of_repeats(times: tuple[int, ...]) -> float:
+    """The expected MSE of a system that is pushed at t = 5; times may be repeated."""
+    variance, total = 9.0, 0.0
+    for t in range(11):
+        if t:
+            variance = 0.64 * variance + (4.0 if t == 6 else 0.04)
+        if count := times.count(t):
+            variance = 1.0 / (1.0 / variance + count / 4.0)
+        total += variance
+    return total / 11.0
+
+
+def test_repeats_are_those_of_brute_force_with_repetition(tmp_path: Path) -> None:
+    """Published case: 0.74959 for the best four of at most three measurements at one time."""
+
+    def push(t: Any) -> Any:
+        return 2.0 if t == 5 else 0.2
+
+    model = StateSpaceModel(
+        name="pushed",
+        initial=lambda w, p: (3.0 * w[0],),
+        transition=lambda x, t, w, p: (0.8 * x[0] + push(t) * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + 2.0 * v[0],),
+        log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / 2.0) ** 2,
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        linear_gaussian=True,
+    )
+    sets = [
+        each
+        for each in combinations_with_replacement(range(11), 4)
+        if max(map(each.count, each)) <= 3
+    ]
+    problem = Problem(model, horizon=10, measurement_budget=4, engine="kalman")
+    changes = ["problem.sensor.repeats=3", "comparison.draws=100"]
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, figures=False)
+    assert run.best.expected_mse == pytest.approx(min(map(of_repeats, sets)), rel=1e-9)
+    assert run.best.expected_mse == pytest.approx(0.74959, abs=5e-6)
+    assert all(each.rpartition(" ")[2] in "abc" for each in run.best.measurement_times)
+
+
+def test_sensors_have_their_own_limits_and_prices() -> None:
+    parts = {name: Sensor(walk().measurement, walk().log_likelihood, ("normal",), price=2.0,
+             log_tails=walk().log_tails) for name in ("meter", "lab")}  # fmt: skip
+    own = {name: getattr(walk(), name) for name in ("initial", "transition")}
+    model = StateSpaceModel(
+        name="two", quantity_of_interest=walk().quantity_of_interest, initial_noise=("normal",),
+        process_noise=("normal",), sensors=parts, **own,
+    )  # fmt: skip
+    changed = sensed(model, {"meter": Sensing(low=0.0), "lab": Sensing(repeats=2)})
+    assert [*changed.sensors] == ["meter", "lab_a", "lab_b"]
+    assert {each.price for each in changed.sensors.values()} == {2.0}
+    assert changed.sensors["meter"].measurement((-3.0,), 0, (0.1,), changed.p) == (0.0,)
+    assert changed.sensors["lab_b"].measurement((-3.0,), 0, (0.0,), changed.p) == (-3.0,)
+
+
+def test_a_limit_without_tails_is_refused_and_so_are_wrong_limits(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="a limit needs one component of y, and log_tails"):
+        sensed(pfdist.load_model("ungm"), {"": Sensing(low=0.0)})
+    problem = Problem(walk(), horizon=6, measurement_budget=2)
+    for change in ("limits=[2, 1]", "fails=1", "repeats=1"):
+        with pytest.raises(JobError, match="sensor"):
+            pfdist.plan(problem, tmp_path / "run", changes=[f"problem.sensor.{change}"])
