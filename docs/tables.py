@@ -598,11 +598,16 @@ def _described(documented: type) -> dict[str, str]:
 
 
 def _documented(documented: type) -> dict[str, tuple[str, str]]:
-    """Give the unit and the meaning of each key, from the section Parameters of the docstring."""
+    """Give the unit and the meaning of each key, by the section Parameters of docstrings.
+
+    The keys of the first base come before those of the class.
+    """
+    base = documented.__base__
+    inherited = _documented(base) if base is not None and issubclass(base, JobSection) else {}
     text = inspect.getdoc(documented) or ""
     parameters = text.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
     found = re.findall(r"(?m)^(\w+) : (.*)\n((?:    .*\n?)+)", parameters + "\n")
-    return {
+    return inherited | {
         name: (kind.partition(", ")[2], _sentence(" ".join(lines.split())).replace("``", "`"))
         for name, kind, lines in found
     }

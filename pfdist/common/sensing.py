@@ -1,4 +1,4 @@
-"""What a job says of a sensor, in this room because reading a job must not load a model."""
+"""The limits, failures and repeats of a sensor, in this room because reading a job must not load a model."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ REPEATS = "abcdefghij"
 
 @dataclass(frozen=True)
 class Sensing:
-    """What a job says of a sensor; by default nothing.
+    """The limits, failures and repeats of a sensor; by default it has none.
 
     Parameters
     ----------

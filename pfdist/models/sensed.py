@@ -1,4 +1,4 @@
-"""What a job says of a sensor, as a transformation of the model: limits, failures and repeats.
+"""Limits, failures and repeats of sensors, as a transformation of the model.
 
 Everything else sees the result as any other model. A failed measurement is NaN, and tells nothing.
 """
@@ -24,7 +24,7 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
     ----------
     model : StateSpaceModel
     sensings : mapping of str to Sensing
-        By the names of sensors, or by ``""`` for a model without sensors.
+        One for each name of a sensor, or for ``""`` if the model has no sensors.
 
     Raises
     ------

@@ -159,8 +159,6 @@ class SensorSection(SensingSection):
 
     Parameters
     ----------
-    limit, limits, fails, repeats
-        As for `[problem.sensor]`.
     price : number or list or section of ranges
         Price of a measurement by this sensor, or at each instant, or in each range.
     forbidden : list of times and ranges, clock
@@ -307,7 +305,7 @@ class ProblemSection(JobSection):
 
     @cached_property
     def sensings(self) -> dict[str, Sensing]:
-        """What is said of each sensor of the model; of the only one by the name ""."""
+        """The limits, failures and repeats of each sensor; the only one has the name ""."""
         if self.sensor is not None:
             return {"": self.sensor.sensing}
         return {name: each.sensing for name, each in (self.sensors or {}).items()}
