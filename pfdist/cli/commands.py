@@ -170,6 +170,9 @@ COMMANDS = {
             "pfdist evaluate jobs/plan.toml --times 0:60:3 --profile": (
                 "Also estimate the expected error at each instant"
             ),
+            "pfdist evaluate jobs/plan.toml --times 0:60:3 --also worst_instant": (
+                "Also give the largest expected error at an instant"
+            ),
         },
     ),
     "filter": Command(

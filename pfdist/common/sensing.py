@@ -1,4 +1,4 @@
-"""The limits, failures and repeats of a sensor, in this room because reading a job must not load a model."""
+"""The limits, failures and repeats of a sensor: reading a job must not load a model."""
 
 import math
 from dataclasses import dataclass

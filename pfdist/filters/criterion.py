@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Estimate, student_quantile
+from pfdist.common.percent import range_of
+from pfdist.common.rounding import with_interval
 
 if TYPE_CHECKING:
     from pfdist.filters.estimate import Evaluation
@@ -38,6 +40,21 @@ class Judged(NamedTuple):
     value: float
     low: float
     high: float
+
+    @property
+    def standard_error(self) -> float:
+        """That of a normal variate with the same interval."""
+        return (self.high - self.low) / (2 * _NORMAL)
+
+    def text(self, unit: str = "") -> str:
+        """The number with its unit and interval."""
+        text, *ends = with_interval(*self)
+        about = "exact" if self.low == self.high else f"95 % CI {range_of(*ends)}"
+        return f"{text} {unit}".rstrip() + f" ({about})"
+
+    def columns(self, name: str) -> dict[str, float]:
+        """The number and the ends as columns of a table."""
+        return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
 @dataclass(frozen=True)
@@ -88,6 +105,12 @@ class Criterion:
         Number of scenarios that are each judged by separate draws.
     sign : int
         The number that is minimised is that of answers times this.
+    by_instant : bool
+        Whether it judges the expected errors of instants, which searches then ask for.
+    needs_draws : bool
+        Whether an exact engine has no value of it either.
+    fewest : int
+        Draws from which on its standard error is known well enough for a decision.
     """
 
     name: str = "expected_mse"
@@ -97,11 +120,24 @@ class Criterion:
     bound: Bound = "mean"
     apart: int = 1
     sign: int = 1
+    by_instant: bool = False
+    needs_draws: bool = False
+    fewest: int = 1
 
     @property
     def of_errors(self) -> "Criterion":
         """The criterion by which MSEs alone are judged, if the job has this one."""
         return self
+
+    @property
+    def unit(self) -> str:
+        """The unit of the number; empty for that of errors."""
+        return ""
+
+    @property
+    def head(self) -> str:
+        """The head of its column on pages."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
 
     def deciding(self, errors: "Evaluation") -> ChosenDraws:
         """The draws whose errors decide."""
@@ -217,12 +253,15 @@ class Judging(Criterion):
 class Quantile(Judging):
     """A quantile over the draws of the MSE: that of the bad draws."""
 
+    needs_draws: bool = True
     share: float = 0.9
 
     def value(self, errors: "Evaluation") -> Estimate:
         """The quantile; its standard error is that of a normal variate with the same interval."""
-        value, low, high = self.judged(Sample(errors.mse))
-        return Estimate(value, (high - low) / (2 * _NORMAL) if errors.mse.size else math.nan)
+        found = self.judged(Sample(errors.mse))
+        if not math.isfinite(found.value):
+            return Estimate(math.inf, math.inf)
+        return Estimate(found.value, found.standard_error)
 
     def difference(self, first: "Evaluation", second: "Evaluation") -> Estimate:
         """The difference of two quantiles on the same draws, by a paired bootstrap."""
@@ -268,6 +307,7 @@ class Quantile(Judging):
 _SIDES = (1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2
 _RESAMPLES, _FEW_RESAMPLES = 500, 100  # of a bootstrap, for an answer and in a search
 _NORMAL = 1.96  # half the width of a 95 % interval, in standard errors
+_IN_TAIL = 20  # draws beyond a quantile, or before it, from which on its standard error is known
 
 
 @dataclass(frozen=True)
@@ -276,6 +316,26 @@ class WorstInstant(Judging):
 
     name: str = "worst_instant"
     label: str = "expected error at the worst instant"
+    by_instant: bool = True
+    fewest: int = 240  # ten groups of a block of draws
+
+    def value(self, errors: "Evaluation") -> Estimate:
+        """The largest error, with its standard error at that instant."""
+        groups = errors.groups
+        if not (groups.size and np.isfinite(groups).all()):
+            return Estimate(math.inf, math.inf)
+        return Estimate.of_mean(groups[:, groups.mean(axis=0).argmax()])
+
+    def difference(self, first: "Evaluation", second: "Evaluation") -> Estimate:
+        """The difference of the largest errors of two sets, by the jackknife over groups."""
+        both = np.stack([first.groups, second.groups])
+        count, total = both.shape[1], both.sum(axis=1, keepdims=True)
+        value, other = total.max(axis=2)[:, 0] / count
+        if count == 1:
+            return Estimate(float(value - other), math.nan)
+        apart = -np.diff(((total - both) / (count - 1)).max(axis=2), axis=0)[0]
+        error = math.sqrt((count - 1) * np.var(apart))
+        return Estimate(float(value - other), error, count - 1)
 
     def judged(self, sample: Sample) -> Judged:
         """The largest error, between the largest lower and the largest upper limit."""
@@ -312,6 +372,11 @@ class Information(Judging):
     bound: Bound = "submodular"
     sign: int = -1
 
+    @property
+    def unit(self) -> str:
+        """The unit of a natural logarithm."""
+        return "nats"
+
     def judged(self, sample: Sample) -> Judged:
         """The lower side, from the lower end of its interval to the upper end of the upper side."""
         below = Estimate.of_mean(sample.information)
@@ -342,7 +407,9 @@ def criterion_named(written: str) -> Criterion:
         return _NAMED[written]
     found = _SHARE.fullmatch(written)
     if found and 0 < (share := float(found[1])) < 1:
-        return Quantile("quantile", f"{100 * share:g} % quantile of the MSE", share=share)
+        fewest = round(_IN_TAIL / min(share, 1 - share))
+        label = f"{100 * share:g} % quantile of the MSE"
+        return Quantile("quantile", label, fewest=fewest, share=share)
     raise ValueError(f"a criterion must be {CRITERIA}, got {written!r}")
 
 

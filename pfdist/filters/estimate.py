@@ -1,8 +1,8 @@
 """Estimates of the expected MSE of a set of times, and the difference of two."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.shown import Shown
-from pfdist.filters.criterion import MEAN, Criterion, Exact
+from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,6 +42,9 @@ class Evaluation(Shown):
         Last instant whose error counts, if it is not T.
     errors : array of float64, (end - since + 1,), optional
         Expected error of each instant, if a search has requested it.
+    groups : array of float64, (G, I)
+        Mean error in each of G groups of draws at the I instants that count, not weighted, if a
+        criterion judges instants; then D is 0.
     purpose : str
         Purpose of the draws, one of `pfdist.common.streams.CHOOSING` or `PROVING`.
     scenarios : array of int64, (D,), optional
@@ -59,6 +62,11 @@ class Evaluation(Shown):
         error and standard_error.
     few_lines : str
         A sentence if a smoothed estimate is that of few particles.
+    also : mapping of str to Judged
+        The numbers of further criteria by their names, if `pfdist.evaluate` was asked for them:
+        value, and low and high of its 95 % interval.
+    sample : Sample, optional
+        The results that these criteria judge.
     """
 
     measurement_times: Times
@@ -66,6 +74,7 @@ class Evaluation(Shown):
     degenerate_policy: str = "continue"
     end: int | None = None
     errors: NDArray[np.float64] | None = None
+    groups: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
     purpose: str = "search"
     scenarios: NDArray[np.int64] | None = None
     criterion: Criterion = MEAN
@@ -73,6 +82,8 @@ class Evaluation(Shown):
     clouds: int = 0
     profile: "pd.DataFrame | None" = None
     few_lines: str = ""
+    also: Mapping[str, Judged] = field(default_factory=dict)
+    sample: Sample | None = None
 
     @property
     def draws(self) -> int:
@@ -109,7 +120,7 @@ class Evaluation(Shown):
         return self.criterion.difference(self.first(draws), other.first(draws))
 
     def judged_by(self, criterion: Criterion) -> "Evaluation":
-        """The evaluation by another criterion; an exact value stays."""
+        """The evaluation by another criterion; a value without draws stays."""
         return replace(self, criterion=criterion) if self.draws else self
 
     @cached_property
@@ -160,6 +171,8 @@ class Evaluation(Shown):
             degenerate=None if self.degenerate is None else self.degenerate[chosen],
             clouds=0,
             profile=None,
+            also={},
+            sample=None,
         )
 
     @property
@@ -175,6 +188,7 @@ class Evaluation(Shown):
         on = "exact" if isinstance(self.criterion, Exact) else f"on {self.draws:,} draws"
         title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
         rows = [("measured at t", ", ".join(map(unrounded, self.measurement_times)))]
+        rows += [(name.replace("_", " "), judged.text()) for name, judged in self.also.items()]
         if self.degenerate_draws:
             rows.append(("degenerate", self.degenerate_text))
         if warning := self.heavy_tail:

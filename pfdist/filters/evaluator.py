@@ -132,6 +132,13 @@ class Evaluator:
         return weights / (self.scale * weights.mean()) if weights.any() else weights
 
     @property
+    def relative_weights(self) -> NDArray[np.float64]:
+        """Weight of each instant's error, (T+1,), whose mean is 1."""
+        weights = np.array(self.weights or (1.0,) * (self.horizon + 1))
+        relative: NDArray[np.float64] = weights / weights.mean()
+        return relative
+
+    @property
     def believed(self) -> StateSpaceModel:
         """The model that the filter uses."""
         return self.filter_model or self.model
@@ -254,10 +261,14 @@ class Evaluator:
 
         `ends` are the last instants whose errors count, by default T.
         """
-        if not self.exact:
+        if not self.exact or criterion.needs_draws:
             return None
         if isinstance(criterion, Information) and not self.informs:
             return self.informing.expected_mse(sets, ends)
+        if criterion.by_instant:
+            errors = self._exact_errors_of(self._shares, sets)
+            worst: NDArray[np.float64] = errors[:, self.relative_weights > 0.0].max(axis=1)
+            return worst
         errors = self._exact_mse(sets, ends)
         return _mean(errors, criterion.shares(errors, self._shares))
 

@@ -246,20 +246,26 @@ class Job(JobSection):
         if self.online is not None:
             needed = f"no scenarios, or scenarios.filter = 'learned', got {self.scenarios.filter!r}"
             _needs("online", (self.scenarios.is_learned, needed))
-        if not self.criterion.additive:
-            additive = [
-                each.name for each in self.search
-                if METHODS[each.method].additive and not each.polish
-            ]  # fmt: skip
-            others = ", ".join(name for name, each in METHODS.items() if not each.additive)
+        if self.scenarios.criterion == "worst":
             _needs(
                 "scenarios.criterion = 'worst'",
                 (self.budget is None, "a job without a section budget"),
-                (not additive, f"searches that compare whole sets ({others}), or polish = true, "
-                               f"got {', '.join(additive)}: errors of instants only add up to the "
-                               "mean"),
-            )  # fmt: skip
+                self._compares_whole_sets,
+            )
         return self
+
+    @property
+    def _compares_whole_sets(self) -> tuple[bool, str]:
+        """Whether each search can minimise a criterion that is no sum, and what it must be."""
+        additive = [
+            each.name for each in self.search if METHODS[each.method].additive and not each.polish
+        ]
+        others = ", ".join(name for name, each in METHODS.items() if not each.additive)
+        needed = (
+            f"searches that compare whole sets ({others}), or polish = true, got "
+            f"{', '.join(additive)}: errors of instants only add up to the mean"
+        )
+        return not additive, needed
 
     @model_validator(mode="after")
     def _can_have_a_criterion(self) -> Self:
@@ -271,6 +277,7 @@ class Job(JobSection):
                 (self.online is None, f"a job without a section online, which needs {MEAN.name!r}"),
                 (scenarios is None or scenarios.criterion == "mean",
                  "scenarios.criterion = 'mean', got 'worst'"),
+                *([] if self.criterion.additive else [self._compares_whole_sets]),
             )  # fmt: skip
         if any(isinstance(each, Information) for each in self.judging.values()):
             believed, is_blind = self.model.filter, scenarios and scenarios.filter == "nominal"

@@ -86,7 +86,8 @@ def budget(
     """
     numbers = _section(measurements)
     own = {"search": [{"method": DEFAULT_METHOD, "polish": False}], "online": None}
-    is_even = as_job(job, changes, sections=own).comparison.reference != REGULAR
+    asked = as_job(job, changes, sections=own | {"search": [{"method": DEFAULT_METHOD}]})
+    is_even = asked.comparison.reference != REGULAR
     comparison = {"draws": draws, "reference": EVENLY_SPACED if is_even else REGULAR}
     fixed_sections = {"budget": numbers, "comparison": comparison}
     job = as_job(job, changes, sections=own | fixed_sections)

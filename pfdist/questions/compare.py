@@ -14,7 +14,7 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
 from pfdist.questions.evaluate import OneSet, instants_evaluated
-from pfdist.questions.options import Chosen, Options, following, with_options
+from pfdist.questions.options import Chosen, Options, criteria_in, following, with_options
 from pfdist.questions.run import run_built
 from pfdist.questions.run_of_job import finished_run, folder_of
 from pfdist.results import Run
@@ -277,7 +277,7 @@ def compare(
         As `pfdist.run` raises; or the folder compares other sets.
     """
     chosen = Chosen(**options)
-    comparing = {"draws": draws, "also": also and [each.strip() for each in also.split(",")]}
+    comparing = {"draws": draws, "also": criteria_in(also)}
     settings = {"execution": chosen.execution, "comparison": comparing}
     job = as_job(job, changes, settings=settings)
     sets, opened = SetsToCompare(job), [finished_run(run) for run in runs]

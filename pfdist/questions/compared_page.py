@@ -16,8 +16,9 @@ from pfdist.common.parts import (
     without_column,
     without_empty_columns,
 )
-from pfdist.common.percent import percent, range_of
-from pfdist.common.rounding import rounded, with_error, with_interval
+from pfdist.common.percent import percent
+from pfdist.common.rounding import rounded, with_error
+from pfdist.filters.criterion import Judged
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import ERROR_HEAD, Subject, change_of, effect, number_of
 from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, interval_cell, rows_of
@@ -50,7 +51,8 @@ def compared(subject: Subject) -> Section | None:
         ranks.sort(key=lambda row: order.index(row.name))
     best_is_reference = ranks[0].name == subject.reference_row.name
     last = f"lower than {subject.reference_row.label} by, %"
-    head = [*(COLUMNS[name].head for name in _OF_A_SET), "above the best by, %", last]
+    heads = (subject.heads.get(name, COLUMNS[name].head) for name in _OF_A_SET)
+    head = [*heads, "above the best by, %", last]
     cells = [_set_row(subject, row, pairs, ranks[0].name) for row in ranks]
     caption = f"Best first, on {number_of(run.draws_compared, 'draw')}"
     if subject.of_the_estimate:
@@ -217,18 +219,14 @@ def criterion_effect(subject: Subject, row: Row) -> str | None:
         return f"{effect(gain, ends, subject.reference, subject.error)}: {own} instead of {other}."
     value, low, high = map(float, (row.information, row.information_low, row.information_high))
     bits, side = rounded(value / math.log(2), 3), "more" if gain >= 0 else "less"
+    told = Judged(value, low, high).text(subject.criterion.unit)
+    more = Judged(abs(gain), *_signed(gain, ends)).text(subject.criterion.unit)
     wide = " The interval is wide because the particles are few: more of them narrow it."
     return (
-        f"They give {_nats(value, low, high)} of information about the path ({bits} bits), "
-        f"{_nats(abs(gain), *_signed(gain, ends))} {side} than {subject.reference}."
+        f"They give {told} of information about the path ({bits} bits), "
+        f"{more} {side} than {subject.reference}."
         f"{wide * (high - low > _WIDE * abs(value))}"
     )
-
-
-def _nats(value: float, low: float, high: float) -> str:
-    text, *ends = with_interval(value, low, high)
-    about = "exact" if low == high else f"95 % CI {range_of(*ends)}"
-    return f"{text} nats ({about})"
 
 
 def _signed(gain: float, ends: Sequence[float]) -> Sequence[float]:

@@ -3,9 +3,10 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
 from itertools import repeat
+from operator import or_
 from typing import Any, overload
 
 import numpy as np
@@ -16,25 +17,28 @@ from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.filters.criterion import MEAN, Criterion, Judged, Judging, Sample
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import Result, joined
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation, FilterWork, Result, informing, joined
+from pfdist.kernels.estimators import EVIDENCE, INFORMATION
 from pfdist.models import squared_error
 from pfdist.problem.clock import Time
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.compared_page import parameters_text
-from pfdist.questions.options import following
+from pfdist.questions.options import criteria_in, following
 from pfdist.questions.subject import WHEN, change_of, is_clear, mse_cell, number_of
 from pfdist.results import Gain
-from pfdist.results.columns import COLUMNS
-from pfdist.results.over_time import Range, profile_of
+from pfdist.results.columns import COLUMNS, interval_cell
+from pfdist.results.over_time import Range, errors_over_time_of, profile_of
 from pfdist.runner.build import Built, build
-from pfdist.runner.comparison_phase import OTHERS
+from pfdist.runner.comparison_phase import LOSS_DRAWS, OTHERS
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import fewest_lines
 from pfdist.runner.progress import Progress, silent
-from pfdist.runner.searches import Settings
+from pfdist.runner.searches import comparing_of
 
 UNNAMED = ""
 """Name of a set to which the user gives no name."""
@@ -52,6 +56,7 @@ def evaluate(
     seed: int | None = None,
     *,
     profile: bool = False,
+    also: str | None = None,
 ) -> dict[str, Evaluation]: ...
 
 
@@ -64,6 +69,7 @@ def evaluate(
     seed: int | None = None,
     *,
     profile: bool = False,
+    also: str | None = None,
 ) -> Evaluation: ...
 
 
@@ -75,6 +81,7 @@ def evaluate(
     seed: int | None = None,
     *,
     profile: bool = False,
+    also: str | None = None,
 ) -> Evaluation | dict[str, Evaluation]:
     """Estimate the expected MSE of a set of measurement times, or of several, in this process.
 
@@ -94,6 +101,8 @@ def evaluate(
         Replace the job's evaluation.draws, filter.particles and seed.
     profile : bool
         Whether the expected error over time is wanted, too.
+    also : str, optional
+        Other criteria by which the sets are judged, too, as ``worst_instant,"quantile 0.9"``.
 
     Returns
     -------
@@ -103,14 +112,18 @@ def evaluate(
         ``profile`` with a row for each instant: t, measured (whether the set measures then), draws
         (0: exact), weight (of the instant in the MSE; the mean is 1), error and standard_error.
         Errors are scaled as in the MSE, and their weighted mean over time is ``expected_mse``.
-        ``pfdist.plots.error_profile`` draws it.
+        ``pfdist.plots.error_profile`` draws it. The mapping ``also`` has the number of each other
+        criterion by its name: value, low and high. It has that of the job, too, if this does not
+        minimise the expected MSE.
 
     Raises
     ------
     JobError, ModelError, MeasurementTimesError
         The job, the model or the times are not possible.
     """
-    _, compute = prepare_evaluation(job, measurement_times, draws, particles, seed, profile=profile)
+    _, compute = prepare_evaluation(
+        job, measurement_times, draws, particles, seed, profile=profile, also=also
+    )
     return compute() if isinstance(measurement_times, Mapping) else compute()[UNNAMED]
 
 
@@ -122,12 +135,18 @@ def prepare_evaluation(
     seed: int | None = None,
     *,
     profile: bool = False,
+    also: str | None = None,
 ) -> tuple[Built, Callable[..., dict[str, Evaluation]]]:
     """The compiled job, and a function that evaluates the sets; a set without a name has ``""``.
 
     With ``other=True`` the function evaluates the other estimate, on fewer draws.
     """
-    settings = {"evaluation": {"draws": draws}, "filter": {"particles": particles}, "seed": seed}
+    settings = {
+        "evaluation": {"draws": draws},
+        "filter": {"particles": particles},
+        "comparison": {"also": criteria_in(also)},
+        "seed": seed,
+    }
     job = as_job(job, settings=settings)
     written, are_named = {UNNAMED: measurement_times}, False
     if isinstance(measurement_times, Mapping):
@@ -157,50 +176,64 @@ def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str)
 def _evaluated(
     built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool, other: bool = False
 ) -> dict[str, Evaluation]:
-    evaluator, times, criterion = built.evaluator, tuple(sets.values()), built.job.criterion
+    evaluator, times = built.evaluator, tuple(sets.values())
+    criterion, judging = built.job.criterion.of_errors, built.job.judging
     if other:
-        evaluator, profile = evaluator.other_estimate, False
+        evaluator, profile, judging = evaluator.other_estimate, False, {}
     written = [tuple(built.job.problem.points.written_of(each)) for each in times]
     exact = evaluator.expected_mse(times, criterion=criterion)
-    if exact is not None:
-        known = map(Evaluation.exactly, written, exact.tolist(), repeat(criterion))
-        found = {n: replace(e, purpose="evaluate") for n, e in zip(sets, known, strict=True)}
-        return _with_profiles(built, sets, found, np.empty(0)) if profile else found
-    evaluation = Settings.from_job(built.job)
-    draws, pieces = -(-evaluation.draws // (OTHERS if other else 1)), list[Result]()
+    by_instant = any(each.by_instant for each in judging.values())
+    draws = -(-built.job.evaluation.draws // (OTHERS if other else 1))
     work = evaluator.work(
         times,
         stream,
         stream,
         (0, draws),
-        evaluation.estimation,
+        comparing_of(built.job),
         ids=tuple(sets),
-        over_time=int(profile),
+        over_time=int(exact is None and (profile or by_instant)),
     )
+    result = Result(np.empty((0, len(sets))), errors=np.empty((0, len(sets), 0)))
+    if exact is None or any(each.needs_draws for each in judging.values()):
+        result = _filtered(evaluator, work)
+    if exact is not None:
+        known = map(Evaluation.exactly, written, exact.tolist(), repeat(criterion))
+        found = {n: replace(e, purpose="evaluate") for n, e in zip(sets, known, strict=True)}
+    else:
+        scenarios = evaluator.scenarios_of(stream, range(draws))
+        formatted = built.job.problem.clock.formatted
+        each_set = (work.part((0, draws), [place]) for place in range(len(sets)))
+        lines = [fewest_lines(evaluator, each, formatted) for each in each_set]
+        found = {
+            name: Evaluation(
+                written_of_set,
+                mse,
+                purpose="evaluate",
+                scenarios=scenarios,
+                criterion=criterion,
+                degenerate=degenerate,
+                few_lines=text * is_few,
+            )
+            for name, written_of_set, mse, degenerate, (text, is_few) in zip(
+                sets, written, result.mse.T.copy(), result.degenerate.T, lines, strict=True
+            )
+        }
+    if profile:
+        found = _with_profiles(built, sets, found, result.errors)
+    if judging:
+        for name, sample in zip(sets, _samples(built, work, result), strict=True):
+            also = {key: each.judged(sample) for key, each in judging.items()}
+            found[name] = replace(found[name], sample=sample, also=also)
+    return found
+
+
+def _filtered(evaluator: Evaluator, work: FilterWork) -> Result:
+    pieces, draws = list[Result](), work.draws[1]
     with following(None, silent) as (show, _):
         for piece in evaluator.pieces(work, MOST_SECONDS):
             pieces.append(evaluator.filtered(piece))
             show(Progress("evaluate", piece.draws[1], draws, evaluations=piece.draws[1]))
-    result = joined(pieces)
-    scenarios = evaluator.scenarios_of(stream, range(draws))
-    formatted = built.job.problem.clock.formatted
-    each_set = (work.part((0, draws), [place]) for place in range(len(sets)))
-    lines = [fewest_lines(evaluator, each, formatted) for each in each_set]
-    found = {
-        name: Evaluation(
-            written_of_set,
-            mse,
-            purpose="evaluate",
-            scenarios=scenarios,
-            criterion=criterion,
-            degenerate=degenerate,
-            few_lines=text * is_few,
-        )
-        for name, written_of_set, mse, degenerate, (text, is_few) in zip(
-            sets, written, result.mse.T.copy(), result.degenerate.T, lines, strict=True
-        )
-    }
-    return _with_profiles(built, sets, found, result.errors) if profile else found
+    return joined(pieces)
 
 
 def _with_profiles(
@@ -212,12 +245,9 @@ def _with_profiles(
     """
     evaluations = dict[str, Evaluation]()
     for place, (name, each) in enumerate(found.items()):
-        exact = built.evaluator.exact_over_time(sets[name], built.job.criterion)
-        if exact is not None:
-            ranges = [Range(0, 0, exact)]
-        else:
-            rows = errors[:, place][each.criterion.deciding(each)]
-            ranges = [Range(draw, 1, error[None]) for draw, error in enumerate(rows)]
+        rows = errors[:, place]
+        deciding = rows[each.criterion.deciding(each)] if each.draws else rows
+        ranges = _over_time_of(built, sets[name], built.job.criterion.of_errors, deciding)
         table = profile_of(built.job.problem, sets[name], ranges, 0)
         if name:
             table.insert(0, "name", name)
@@ -225,12 +255,55 @@ def _with_profiles(
     return evaluations
 
 
+def _samples(built: Built, work: FilterWork, result: Result) -> Iterator[Sample]:
+    """The results of each set of a work that further criteria judge."""
+    judging, told, gaps = built.job.judging, np.empty((0, 0)), np.zeros((1, 0))
+    if (information := judging.get(INFORMATION.name)) is not None:
+        told, gaps = _informations(built, work, information)
+    for place, times in enumerate(work.measurement_times):
+        sample = Sample(result.mse[:, place])
+        if any(each.by_instant for each in judging.values()):
+            ranges = _over_time_of(built, times, MEAN, result.errors[:, place])
+            at, apart = errors_over_time_of(ranges, 0)
+            counts, degrees = built.evaluator.relative_weights > 0.0, len(ranges) - 1.0
+            of_instants = {"errors": at[counts], "standard_errors": apart[counts]}
+            sample = replace(sample, **of_instants, degrees=degrees)
+        if information is not None:
+            sample = replace(sample, information=told[:, place], gap=gaps[:, place])
+        yield sample
+
+
+def _informations(built: Built, work: FilterWork, criterion: Criterion) -> tuple[Any, Any]:
+    """The information of each draw, (D, S), and the gaps of the first draws, (D', S)."""
+    exact = built.evaluator.expected_mse(work.measurement_times, criterion=criterion)
+    if exact is not None:
+        return -exact[None], np.zeros((1, exact.size))
+    particles, found = work.estimation.particles, list[Any]()
+    draws, first = work.draws[1], min(LOSS_DRAWS, work.draws[1])
+    gap = Estimation(particles, estimator=EVIDENCE.name)
+    for estimation, count, controlled in ((informing(particles), draws, False), (gap, first, True)):
+        evaluator = built.evaluator.truth.estimating(estimation)
+        own = replace(
+            work, draws=(0, count), estimation=estimation, controlled=controlled, over_time=0
+        )
+        of_draws = _filtered(evaluator, own)
+        found.append((of_draws.control if controlled else 0.0) - of_draws.mse)
+    return found[0], found[1]
+
+
+def _over_time_of(built: Built, times: Times, criterion: Criterion, errors: Any) -> list[Range]:
+    exact = built.evaluator.exact_over_time(times, criterion)
+    if exact is not None:
+        return [Range(0, 0, exact)]
+    return [Range(draw, 1, error[None]) for draw, error in enumerate(errors)]
+
+
 # --- the command ----------------------------------------------------------------------------------
 
 _ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "largest_share")
 _OVER_TIME = ("error", "standard_error")
 _OF_INSTANT = ("t", "date", "weight")
-_HEAD = ("times", "number", "expected MSE ± standard error", "draws")
+_HEAD = ("times", "number", "expected MSE ± standard error")
 
 
 @dataclass(frozen=True)
@@ -244,6 +317,8 @@ class Evaluated:
     parameters: Sequence[Mapping[str, Any]]  # of each scenario
     seconds: float
     quantity: Component | None  # z, if the root of an expected MSE is in its unit
+    form: Criterion = MEAN  # what the job minimises
+    criteria: Mapping[str, Judging] = field(default_factory=dict)  # also wanted
 
     def as_json(self) -> dict[str, Any]:
         """The estimates of each set, or of the one that has no name."""
@@ -254,6 +329,7 @@ class Evaluated:
                 f"{self.problem.other_estimate}_error": self.others[name].standard_error,
                 "broken_constraints": self.broken[name],
             }
+            | reduce(or_, [judged.columns(key) for key, judged in evaluation.also.items()], {})
             | _columns_of(evaluation)
             for name, evaluation in self.evaluations.items()
         }
@@ -269,12 +345,16 @@ class Evaluated:
             about = [number_of(number, "measurement"), *([f"{draws} draws"] if draws else [])]
             said = f"Expected MSE{of_the_estimate} {self._mse(UNNAMED)} ({', '.join(about)})"
             said += self._typical(UNNAMED, ";")
+            judged = {each: self._judged(UNNAMED, each) for each in self.criteria}
+            first = judged.pop(self.form.name, "")
+            said = ". ".join(filter(None, [first, said, *judged.values()]))
             if math.isfinite(self.others[UNNAMED].expected_mse):
                 said += f". {WHEN[other]}: {of_other}"
         else:
             said = self._lowest()
         caption = f"Expected MSE{of_the_estimate}" * bool(of_the_estimate)
-        head = (*_HEAD, COLUMNS[f"{other}_mse"].head)
+        heads = [each.head for each in self.criteria.values()]
+        head = (*_HEAD, *heads, "draws", COLUMNS[f"{other}_mse"].head)
         tables = [Table(caption, head, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
@@ -283,9 +363,34 @@ class Evaluated:
         alarms = [f"{name}: " * bool(name) + f"{text}." for name, text in doubts if text]
         return Page("", "", [section], [*self._warnings()], alarms=alarms)
 
+    def _judged(self, name: str, criterion: str) -> str:
+        """A set's number by another criterion."""
+        label, judged = self.criteria[criterion].label, self.evaluations[name].also[criterion]
+        return f"{label[0].upper()}{label[1:]}: {judged.text(self.criteria[criterion].unit)}"
+
+    def _best(self, form: Judging) -> str:
+        """Say which set is best by the job's criterion, and how far from the second."""
+        each, key = self.evaluations, form.name
+        ranked = sorted(each, key=lambda name: form.sign * each[name].also[key].value)
+        best, *others = ranked
+        judged = each[best].also[key].text(form.unit)
+        first, second = (each[name].sample for name in (best, (others or ranked)[0]))
+        if not others or first is None or second is None:
+            return f"The {form.label} of {best} is {judged}"
+        value, low, high = form.change(first, second)
+        than = f"{change_of(value, (low, high))} than {others[0]}"
+        if form.sign < 0:
+            than = f"{Judged(value, low, high).text(form.unit)} more than {others[0]}"
+        if not is_clear((low, high)):
+            return f"No clear difference: the {form.label} of {best} is {judged}, {than}"
+        most = "lowest" if form.sign > 0 else "most"
+        return f"{best} has the {most} {form.label}, {judged}: {than}"
+
     def _lowest(self) -> str:
         """Say which set has the lowest expected MSE, and how far below the second lowest."""
-        each = self.evaluations
+        each, form = self.evaluations, self.form
+        if isinstance(form, Judging):
+            return self._best(form)
         ranked = sorted(each, key=lambda name: each[name].expected_mse)
         if len(ranked) == 1:
             return f"Expected MSE of {ranked[0]}: {self._mse(ranked[0])}"
@@ -314,7 +419,9 @@ class Evaluated:
         number, is_exact = len(each.measurement_times), not each.draws
         texts = [e.estimate.text + " (exact)" * is_exact for e in (each, other)]
         draws = Cell("" if is_exact else f"{each.draws:,}", each.draws)
-        return [Cell(name), Cell(str(number), number), Cell(texts[0]), draws, Cell(texts[1])]
+        judged = (interval_cell(*each.also[key]) for key in self.criteria)
+        about = Cell(name), Cell(str(number), number), Cell(texts[0])
+        return [*about, *judged, draws, Cell(texts[1])]
 
     def _typical(self, name: str, mark: str) -> str:
         mse = self.evaluations[name].expected_mse
@@ -341,6 +448,7 @@ def evaluated(
     seed: int | None = None,
     changes: Iterable[str] = (),
     profile: bool = False,
+    also: str | None = None,
 ) -> Evaluated:
     """Estimate the expected MSE of a set of measurement times, or of several.
 
@@ -366,10 +474,14 @@ def evaluated(
         Other values of keys of the job, as seed=3.
     profile : bool
         Also estimate the expected error at each instant.
+    also : str, optional
+        Other criteria by which the sets are judged, too, as ``worst_instant,"quantile 0.9"``.
     """
     loaded = load_job(job, changes)
     written = times[UNNAMED] if list(times) == [UNNAMED] else times
-    built, compute = prepare_evaluation(loaded, written, draws, particles, seed, profile=profile)
+    built, compute = prepare_evaluation(
+        loaded, written, draws, particles, seed, profile=profile, also=also
+    )
     start = time.perf_counter()  # after the compilation
     evaluations = compute()
     seconds = time.perf_counter() - start
@@ -379,9 +491,9 @@ def evaluated(
         for name, evaluation in evaluations.items()
     }
     scenarios = loaded.scenarios.of_draws if loaded.scenarios else ()
-    parameters = [each.parameters for each in scenarios]
-    problem, quantity = loaded.problem, _quantity(built)
-    return Evaluated(evaluations, others, problem, broken, parameters, seconds, quantity)
+    about = loaded.problem, broken, [each.parameters for each in scenarios]
+    judged_by = built.job.criterion, built.job.judging
+    return Evaluated(evaluations, others, *about, seconds, _quantity(built), *judged_by)
 
 
 def _quantity(built: Built) -> Component | None:
@@ -392,7 +504,7 @@ def _quantity(built: Built) -> Component | None:
     evaluator, quantities = built.evaluator, built.evaluator.model.named("z")
     is_squared = evaluator.model.error is squared_error and not any(evaluator.model.is_angle)
     is_scaled = any(each.scale != 1.0 for each in evaluator.scenarios)
-    is_plain = is_squared and not is_scaled and built.job.criterion.is_mean
+    is_plain = is_squared and not is_scaled and built.job.criterion.of_errors.is_mean
     return quantities[0] if is_plain and len(quantities) == 1 else None
 
 

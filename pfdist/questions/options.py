@@ -13,7 +13,8 @@ from pydantic import Field
 from pfdist.common.gone import gone
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.section import Arguments, Whole
-from pfdist.errors import ArgumentError
+from pfdist.errors import ArgumentError, JobError
+from pfdist.problem.job import Job
 from pfdist.runner.progress import Say, Show, silent
 
 ComparedDraws = Annotated[Whole, Field(ge=2, le=100_000_000)]
@@ -45,6 +46,19 @@ def following(progress: Show | bool | None, say: Say) -> Iterator[tuple[Show, Sa
 
         with Display(after=LINE_SECONDS if progress is None else 0.0) as display:
             yield display.show, display.say if progress and say is silent else say
+
+
+def criteria_in(also: str | None) -> list[str] | None:
+    """The names of criteria in a text, as in ``worst_instant,quantile 0.9``."""
+    return None if also is None else [each.strip(' "') for each in also.split(",")]
+
+
+def other_criterion(job: Job) -> JobError:
+    """The error that a question cannot be answered for the criterion of a job."""
+    return JobError(
+        "this question needs the expected MSE as criterion (problem, scenarios), got the "
+        f"{job.criterion.label} ({job.path})"
+    )
 
 
 P = ParamSpec("P")

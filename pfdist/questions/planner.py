@@ -13,6 +13,7 @@ from pfdist.common.section import checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Cloud, Prior
+from pfdist.filters.criterion import Judging
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.one_filter import again, filter_of_truths, made, with_truths
@@ -22,7 +23,7 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import instant_on
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.questions.options import ComparedDraws
+from pfdist.questions.options import ComparedDraws, other_criterion
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.planning import Now, Planning, Replanner
@@ -83,6 +84,8 @@ class Planner:
         draw: int = 0,
     ) -> None:
         built = job if isinstance(job, Built) else build(as_job(job))
+        if isinstance(built.job.criterion, Judging):
+            raise other_criterion(built.job)
         believed, clock = built.evaluator.believed, built.job.problem.clock
         start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)
         planning = planning_of(built.job, built.evaluator.variance_is_error)

@@ -279,7 +279,7 @@ def gains(subject: Subject) -> Section | None:
     draws = number_of(subject.run.draws_compared, "draw")
     fresh = " that took no part in the search" if found_sets(subject.run) else ""
     caption = f"Expected MSE{subject.of_the_estimate} on {draws}{fresh}"
-    table = sets_table(caption, subject.rows.values(), _GAINS_SHOWN)
+    table = sets_table(caption, subject.rows.values(), _GAINS_SHOWN, heads=subject.heads)
     said: list[Block] = [table, *_papers_gains(subject), Text(_GAINS, detail=True)]
     blocks: list[Block] = [
         *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it

@@ -20,6 +20,7 @@ from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
+from pfdist.results.criteria import judging
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import (
@@ -132,6 +133,11 @@ class Subject:
     def criterion(self) -> Criterion:
         """The number that the job minimises."""
         return criterion_of(self.run)
+
+    @cached_property
+    def heads(self) -> dict[str, str]:
+        """Heads of the columns of criteria, which say what quantile it is."""
+        return {name: each.head for name, each in judging(self.run).items()}
 
     @property
     def error(self) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from textwrap import shorten
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -262,12 +262,12 @@ _DECLARED = [
     Column(
         name="search_mse", error="search_standard_error",
         head="estimated by the search ± standard error",
-        meaning="expected MSE of the set as its search estimated it",
+        meaning="expected MSE of the set, or criterion_value, as its search estimated it",
     ),
     Column(name="search_standard_error", meaning="of search_mse"),
     Column(
         name="search_excess", is_percent=True,
-        meaning="search_mse / expected_mse - 1 (of the worst scenario, where it decides)",
+        meaning="search_mse / expected_mse - 1, or by criterion_value where there is one",
     ),
     Column(name="search_cause", dtype="object", meaning="reason of search_excess"),
     Column(
@@ -334,6 +334,7 @@ def sets_table(
     columns: Sequence[str],
     *,
     listed: Callable[[list[Any]], str] = _listed,
+    heads: Mapping[str, str] = MappingProxyType({}),
     **how: Any,
 ) -> Table:
     """A page's table of some results of sets; columns without a value are left out.
@@ -346,12 +347,16 @@ def sets_table(
         Names of columns that have a head.
     listed : callable
         Writes measurement times.
+    heads : mapping of str to str
+        Other heads of columns, by name.
     how
         As of `pfdist.common.parts.Table`.
     """
     declared = [COLUMNS[name] for name in columns]
     cells = [[column.cell(row, listed) for column in declared] for row in rows]
-    return without_empty_columns(Table(caption, [each.head for each in declared], cells, **how))
+    return without_empty_columns(
+        Table(caption, [heads.get(each.name, each.head) for each in declared], cells, **how)
+    )
 
 
 def finite(value: T) -> T:

@@ -50,15 +50,11 @@ def columns_of_criteria(run: StoredRun) -> Iterator[tuple[str, Results]]:
     for name, sample in samples.items():
         columns: Results = {}
         for criterion in wanted.values():
-            value, low, high = criterion.judged(sample)
-            columns |= _with_ends(criterion.name, value, low, high)
+            judged = criterion.judged(sample)
+            columns |= judged.columns(criterion.name)
             if criterion == form:
-                columns["criterion_value"] = value * criterion.sign
+                columns["criterion_value"] = judged.value * criterion.sign
                 if name in run.references:
                     gain = criterion.change(sample, samples[run.references[name]])
-                    columns |= _with_ends("criterion_gain", *gain)
+                    columns |= gain.columns("criterion_gain")
         yield name, columns
-
-
-def _with_ends(name: str, value: float, low: float, high: float) -> Results:
-    return {name: value, f"{name}_low": low, f"{name}_high": high}

@@ -12,6 +12,7 @@ import numpy as np
 
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR
+from pfdist.filters.criterion import Judged
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.clock import Time
@@ -263,12 +264,15 @@ def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
 
 def _add_search_errors(run: StoredRun, rows: dict[str, Row]) -> None:
     """Add the error of the estimate of the search that found a set, and its cause."""
-    values, copies = values_of(run), copies_of(run)
+    values, copies, judged_by = values_of(run), copies_of(run), criterion_of(run).name
     for name, row in rows.items():
         own: Results = {}
         if value := values.get(name):
             row.criterion_value = value.value
             own = {"expected_mse": value.value, "standard_error": value.standard_error}
+        elif row.criterion_value is not None:
+            judged = Judged(*(getattr(row, f"{judged_by}{end}") for end in ("", "_low", "_high")))
+            own = {"expected_mse": row.criterion_value, "standard_error": judged.standard_error}
         if row.kind == FOUND:
             search = set_key_of(name, run.job).origin
             row.add(_search_errors(run, search, vars(row) | own, len(copies.get(search, [1]))))
@@ -280,7 +284,9 @@ def _search_errors(run: StoredRun, search: str, result: Results, evaluations: in
     comparable = mse != 0.0 and math.isfinite(mse)
     own = own_estimation(run, search)
     return {
-        "search_excess": result["search_mse"] / mse - 1.0 if comparable else math.nan,
+        "search_excess": math.copysign(1.0, mse) * (result["search_mse"] / mse - 1.0)
+        if comparable
+        else math.nan,
         "search_settings": ", ".join(f"{key} = {value}" for key, value in own.items()),
         "search_cause": cause_of_excess(result, own, evaluations),
     }

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
+from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.runner.build import Built
@@ -142,18 +143,22 @@ class BlockSums:
         total: Array = np.sum(sums, axis=0)
         return total
 
-    def means(self, blocks: int, session: RunSession) -> Generator[WorkBatch, None, list[Array]]:
+    def means(
+        self, blocks: int, session: RunSession, groups: "GroupSums | None" = None
+    ) -> Generator[WorkBatch, None, list[Array]]:
         """Mean errors of each set at the instants that count, over the first blocks.
 
-        A set with an infinite draw has NaN.
+        A set with an infinite draw has NaN. The blocks of draws are also added to `groups`.
         """
         exact = self._evaluator.expected_errors(self._counted.sets, weighted=True)
         if exact is not None:
             return self._counted.of_instants(exact)
         sums = np.zeros(self._counted.set_of.size)
 
-        def add(_block: int, errors: Array) -> None:
+        def add(block: int, errors: Array) -> None:
             sums[:] += errors
+            if groups is not None:
+                groups.add(block, errors)
 
         yield from self.added(session, range(blocks), add, more_follows=True)
         return np.split(sums / (BLOCK * blocks), self._counted.starts[1:])
@@ -170,6 +175,12 @@ class GroupSums:
         self.sums[block % GROUPS] += errors
         self.draws[block % GROUPS] += BLOCK
 
+    @property
+    def means(self) -> Array:
+        """Mean errors of each group that has draws, (G, E)."""
+        has = self.draws > 0
+        return self.sums[has] / self.draws[has, None]
+
 
 def evaluated_by_errors(
     candidates: Sequence[Candidate],
@@ -177,22 +188,33 @@ def evaluated_by_errors(
     sums_of: Callable[[Counted], BlockSums],
     blocks: int,
     purpose: str,
+    criterion: Criterion = MEAN,
 ) -> Generator[WorkBatch, None, tuple[list[Evaluation], float]]:
     """Evaluations of candidates from expected errors of instants, and the particle-steps spent.
 
-    The errors are those from the candidate's `since` to its end.
+    The errors are those from the candidate's `since` to its end. If the criterion judges instants,
+    they are all errors, in groups of blocks.
     """
-    evaluator = session.built.evaluator
+    evaluator, others = session.built.evaluator, dict[str, Any]()
     horizon = evaluator.horizon
     sets = tuple(candidate.measurement_times for candidate in candidates)
     first = np.array([candidate.since or 0 for candidate in candidates])
     ends = np.array([horizon if each.end is None else each.end for each in candidates])
-    sums = sums_of(Counted(sets, first, ends))
-    errors = yield from sums.means(blocks, session)
+    counted = Counted(sets, first, ends)
+    sums, groups = sums_of(counted), GroupSums(counted) if criterion.by_instant else None
+    errors = yield from sums.means(blocks, session, groups)
     evaluations = list[Evaluation]()
+    if groups is not None:
+        weights = evaluator.relative_weights
+        of_sets = np.split(groups.means, counted.starts[1:], axis=1)
+        for times, each in zip(sets, of_sets, strict=True):  # whole sets
+            unweighted = each[:, weights > 0.0] / weights[weights > 0.0]
+            others = {"groups": unweighted, "purpose": purpose, "criterion": criterion}
+            evaluations.append(Evaluation(times, np.empty(0), **others))
+        return evaluations, sums.steps(blocks)
     for candidate, errors_of_set in zip(candidates, errors, strict=True):
         times, mean = candidate.measurement_times, errors_of_set.sum() / (horizon + 1)
-        others: dict[str, Any] = {"end": candidate.end, "errors": errors_of_set, "purpose": purpose}
+        others = {"end": candidate.end, "errors": errors_of_set, "purpose": purpose}
         evaluations.append(
             Evaluation.exactly(times, float(mean), **others)
             if evaluator.exact

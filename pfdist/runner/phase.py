@@ -221,15 +221,19 @@ def run_phase(
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)
-    copies_are_alike = phase.settings.common_noise or phase.built.evaluator.exact
+    is_exact, criterion = phase.built.evaluator.exact, phase.criterion
+    copies_are_alike = phase.settings.common_noise or is_exact
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
         candidates = list(optimiser.ask(state, rng))
         if copies_are_alike:
             candidates = [candidate._replace(individual=None) for candidate in candidates]
+        if by_instant := criterion.by_instant and not is_exact:  # of whole sets
+            candidates = [candidate._replace(since=0) for candidate in candidates]
         copies = Counter(candidates)
-        requests = [phase.request(each, generation) for each in copies if each.since is None]
         windows = [each for each in copies if each.since is not None]
+        whole = [each for each in copies if by_instant or each.since is None]
+        requests = [phase.request(each, generation) for each in whole]
         finalists = optimiser.finalists(state)
         record = _Generation(
             reporter,
@@ -243,12 +247,12 @@ def run_phase(
         if windows:  # the errors of each instant, on the same blocks of draws
             blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
             by_errors, _ = yield from evaluated_by_errors(
-                windows, session, phase.sums, blocks, phase.purpose
+                windows, session, phase.sums, blocks, phase.purpose, criterion
             )
             for candidate, evaluation in zip(windows, by_errors, strict=True):
                 record(candidate, evaluation)
             record.show()
-        if not _exactly(phase, requests, record):
+        if not (by_instant or _exactly(phase, requests, record)):
             yield from _per_draw(phase, requests, session, record)
         evaluations = record.evaluations
         if requests and generation not in committed:

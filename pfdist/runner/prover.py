@@ -76,7 +76,8 @@ class Prover:
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
         if built.job.criterion.bound == "none":
-            raise JobError(f"no bound is known for the {built.job.criterion.label}")
+            label = built.job.criterion.label
+            raise JobError(f"no bound is known for the {label}: it is no mean of errors")
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         lag, count = built.evaluator.lag, settings.particles or built.job.filter.particles
         if lag and not settings.particles:  # few lines are left after all measurements of a gap

@@ -22,6 +22,7 @@ from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.progress import heard
 from pfdist.runner.searches import NamedSearch, racing_of, shortlist_of
 from pfdist.search import Exchange, Race
+from pfdist.search.exchange import FEWEST
 
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
@@ -61,7 +62,8 @@ def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, Non
             start = polished[0].measurement_times if polished else start
             ends = [*polished[:_POLISHED], *ends[:1]]
         finalists = [*ends, *finalists[:_UNPOLISHED]]
-    # Whichever set wins, its error in the search is that of the job's criterion.
+    # Whichever set wins, its error in the search is that of the job's criterion. Errors of draws do
+    # not give that of instants; then the race gives it.
     judged_alike = [each.judged_by(session.built.job.criterion) for each in finalists]
     return _Found(judged_alike, polishes)
 
@@ -106,6 +108,9 @@ def run_search(
         ranked = [evaluation.measurement_times for evaluation in order]
     # Searches may end sooner or later than foreseen: progress goes on from the forecast.
     reporter.note(done=start + search_steps(built, search))
+    unknown = {t for t, each in believed.items() if not math.isfinite(each.expected_mse)}
+    of_race = [each for each in raced or () if each.measurement_times in unknown]
+    believed |= {each.measurement_times: each for each in of_race}
     return {
         name: believed[times] for name, times in built.study.winners(search.name, ranked).items()
     }
@@ -144,7 +149,10 @@ def _evenly_spaced(built: Built, name: str) -> Phase:
 
 def _searching(built: Built, search: NamedSearch) -> Phase:
     criterion = search.criterion if search.criterion.additive or not search.additive else MEAN
-    return Phase(search.name, search.optimiser, "search", search.settings, built, criterion)
+    settings = search.settings
+    if criterion.by_instant:  # sums over blocks of draws are of common draws, and kill no set
+        settings = replace(settings, common_noise=True, degenerate_policy="continue")
+    return Phase(search.name, search.optimiser, "search", settings, built, criterion)
 
 
 def _polishing(built: Built, search: NamedSearch, start: Times, name: str) -> Phase:
@@ -159,7 +167,8 @@ def _polishing(built: Built, search: NamedSearch, start: Times, name: str) -> Ph
     if not criterion.additive:  # few particles may have another worst scenario
         draws = criterion.apart * settings.draws
         settings = replace(settings, draws=draws, estimation=built.comparing)
-    exchange = Exchange(feasible, settings.draws, start, reach, scenarios=criterion.apart)
+    fewest = max(criterion.apart * FEWEST, criterion.fewest)
+    exchange = Exchange(feasible, settings.draws, start, reach, fewest=fewest)
     return Phase(name, exchange, "search", settings, built, criterion)
 
 

@@ -143,7 +143,8 @@ def named_search(
 
 def racing_of(job: Job, draws: int) -> Settings:
     """The settings of a race: the job's own filter, with so many draws in the first round."""
-    return Settings(job.criterion.apart * draws, True, "continue", deciding_of(job))
+    draws = max(job.criterion.apart * draws, job.criterion.fewest)
+    return Settings(draws, True, "continue", deciding_of(job))
 
 
 def deciding_of(job: Job) -> Estimation:

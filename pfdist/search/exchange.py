@@ -24,7 +24,8 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import method
 from pfdist.search.base import Candidate, best_of
 
-_FEWEST = 32  # draws of the first evaluation; enough to know a standard error
+FEWEST = 32
+"""Draws of the first evaluation; enough to know the standard error of a mean."""
 _LONGEST_RUN = 48
 """Largest number of times in a shifted run, so that a set of N times has at most 96 N shifts.
 
@@ -63,7 +64,7 @@ class ExchangeState:
 
     best: Times
     neighbours: tuple[Times, ...] = ()  # of the best set, which may be better
-    draws: int = _FEWEST  # of the next evaluations
+    draws: int = FEWEST  # of the next evaluations
     left: tuple[Times, ...] = ()  # former best sets
     # the result, the best first; empty until the search ends
     evaluations: tuple[Evaluation, ...] = ()
@@ -85,8 +86,8 @@ class Exchange:
         Largest distance that a time is moved. By default there is no limit.
     moves : int
         Largest number of moves.
-    scenarios : int
-        Number of scenarios that are each judged by separate draws.
+    fewest : int
+        Number of draws of the first evaluation of a set.
     """
 
     feasible: Feasible
@@ -94,7 +95,7 @@ class Exchange:
     start: Times | None = None
     reach: int | None = None
     moves: int = 200
-    scenarios: int = 1
+    fewest: int = FEWEST
 
     @property
     def generations(self) -> int:
@@ -151,7 +152,7 @@ class Exchange:
 
     @property
     def _fewest(self) -> int:
-        return min(_FEWEST * self.scenarios, self.draws)
+        return min(self.fewest, self.draws)
 
     def _around(self, times: Times) -> ExchangeState:
         neighbours = self.feasible.exchanges(times, self.reach) + shifts(self.feasible, times)

@@ -14,7 +14,16 @@ from oracles.walks import SCENARIOS, WALK, WEIGHTS
 from pfdist.common.estimate import Estimate
 from pfdist.errors import JobError
 from pfdist.filters import kalman
-from pfdist.filters.criterion import MEAN, Criterion, WorstScenario
+from pfdist.filters.criterion import (
+    MEAN,
+    Criterion,
+    Judging,
+    Quantile,
+    Sample,
+    WorstInstant,
+    WorstScenario,
+    criterion_named,
+)
 from pfdist.filters.estimate import Evaluation
 from pfdist.problem.job import Job
 from pfdist.runner.bound_settings import BoundSettings
@@ -99,6 +108,114 @@ def test_exact_scenarios_give_the_weighted_mean_or_the_worst() -> None:
         over_time = built.evaluator.exact_over_time(sets[0], criterion)
         assert over_time is not None
         assert over_time.mean() == pytest.approx(value[0], rel=1e-14)
+
+
+# --- quantiles of the MSE ------------------------------------------------------------------------
+
+Q90 = criterion_named("quantile 0.9")
+REPETITIONS = 200
+# Intervals of 95 % hold at least so often, but for chance (once in a thousand).
+LEAST = stats.binom.ppf(0.001, REPETITIONS, 0.95)
+
+
+def _draws(*shape: int) -> Any:
+    """Exponential variates of mean 1 in each repetition."""
+    return np.random.default_rng(1).exponential(1.0, (REPETITIONS, *shape))
+
+
+def _holds(judged: tuple[float, float, float], truth: float) -> bool:
+    _, low, high = judged
+    return low <= truth <= high
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize("count", [1, 20, 100, 1001])
+def test_the_ends_are_order_statistics_with_95_percent_of_the_binomial_between(
+    share: float, count: int
+) -> None:
+    """David and Nagaraja, section 7.1; the 0th is 0, and the one after the last infinite."""
+    ranks = np.random.default_rng(1).permutation(np.arange(1.0, count + 1))
+    value, *ends = Quantile("quantile", share=share).judged(Sample(ranks))
+    low, high = (min(end, count + 1) for end in ends)
+    below = stats.binom(count, share)
+    assert below.cdf(high - 1) - below.cdf(low - 1) >= 0.95
+    assert below.cdf(high - 2) - below.cdf(low) < 0.95  # neither end can be nearer
+    assert value == math.ceil(share * count)
+
+
+def test_the_interval_of_a_quantile_holds() -> None:
+    draws, truth = _draws(100), -math.log(0.1)
+    assert isinstance(Q90, Judging)
+    assert sum(_holds(Q90.judged(Sample(mse)), truth) for mse in draws) >= LEAST
+
+
+def test_the_paired_bootstrap_holds_for_a_known_difference() -> None:
+    """Two gamma variates with a common part; one is a fifth lower."""
+    own, other, common = np.moveaxis(_draws(200, 3), 2, 0)
+    pairs = [*zip(0.8 * (own + common), other + common, strict=True)]
+    assert isinstance(Q90, Judging)
+    changes = [Q90.change(Sample(first), Sample(second)) for first, second in pairs]
+    assert sum(_holds(each, 0.2) for each in changes) >= LEAST
+    truth = -0.2 * stats.gamma(2).ppf(0.9)
+    apart = [
+        _evaluation(first, Q90).difference(_evaluation(second, Q90)) for first, second in pairs
+    ]
+    assert sum(abs(each.value - truth) < 1.96 * each.standard_error for each in apart) >= LEAST
+
+
+def test_a_quantile_of_infinite_errors_is_infinite() -> None:
+    mse = np.where(np.arange(120) < 20, math.inf, MSE)
+    assert _evaluation(mse, Q90).estimate == Estimate(math.inf, math.inf)
+    assert math.isfinite(_evaluation(mse, criterion_named("quantile 0.5")).expected_mse)
+
+
+# --- the worst instant ----------------------------------------------------------------------------
+
+WORST_INSTANT = WorstInstant()
+
+
+def _of_groups(groups: Any) -> Evaluation:
+    return Evaluation((1,), np.empty(0), groups=np.array(groups), criterion=WORST_INSTANT)
+
+
+def test_limits_of_the_worst_instant_hold_where_instants_tie() -> None:
+    """The maximum of estimates is too large, most of all where all instants have one error."""
+    errors = _draws(400, 12)
+    judged = [WORST_INSTANT.judged(_sample(each)) for each in errors]
+    values = np.array([each.value for each in judged])
+    assert np.mean(values) - 1.0 > 10 * stats.sem(values)
+    assert sum(_holds(each, 1.0) for each in judged) >= LEAST
+    pairs = zip(errors[1:], errors, strict=False)
+    changes = [WORST_INSTANT.change(_sample(a), _sample(1.25 * b)) for a, b in pairs]
+    assert sum(_holds(each, 0.2) for each in changes) >= LEAST
+
+
+def _sample(errors: Any) -> Sample:
+    return Sample(np.empty(0), errors.mean(axis=0), stats.sem(errors), len(errors) - 1)
+
+
+def test_the_worst_instant_of_groups_and_its_jackknife() -> None:
+    """If one instant is the worst of both sets, the jackknife is the paired test of its groups."""
+    low, first, second = np.random.default_rng(1).normal(size=(3, 20, 1))
+    first, second = (
+        _of_groups(np.hstack([low, 9 + first])),
+        _of_groups(np.hstack([9 + second, low])),
+    )
+    assert first.estimate == Estimate.of_mean(first.groups[:, 1])
+    apart, pairs = first.difference(second), first.groups[:, 1] - second.groups[:, 0]
+    assert apart.value == pytest.approx(pairs.mean())
+    assert apart.standard_error == pytest.approx(stats.sem(pairs))
+    assert apart.degrees == 19
+
+
+def test_unknown_errors_of_instants_are_infinite_and_one_group_has_no_error() -> None:
+    unknown = _of_groups([[1.0, math.nan], [1.0, 2.0]])
+    assert (
+        unknown.estimate == _evaluation(MSE, WORST_INSTANT).estimate == Estimate(math.inf, math.inf)
+    )
+    first, second = _of_groups([[1.0, 4.0]]), _of_groups([[3.0, 2.0]])
+    assert first.difference(second).value == 1.0
+    assert math.isnan(first.difference(second).standard_error)
 
 
 # --- a new criterion is a new form, and nothing else ----------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pfdist import Job
-from pfdist.filters.criterion import MEAN
+from pfdist.filters.criterion import MEAN, WorstInstant
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, FilterWork, Result, sum_of_draws, with_truth
 from pfdist.pools.base import SerialPool
@@ -49,6 +49,38 @@ def means(completed: Completed) -> Means:
         return found
 
     return found
+
+
+TWO = {"parameters": [{"process_sd": 1.0}, {"process_sd": 3.0}], "scales": [1.0, 3.0]}
+
+
+@pytest.mark.parametrize(
+    ("sections", "counts"),
+    [
+        ({"problem": {"instant_weights": [0.0, 3.0] + 11 * [1.0]}}, slice(1, None)),
+        ({"problem": {"lag": 2}}, slice(None)),
+        ({"scenarios": TWO}, slice(None)),
+    ],
+)
+def test_a_criterion_of_instants_gets_their_errors_in_groups_that_are_not_weighted(
+    small_job: Job,
+    tmp_path: Path,
+    asks: Any,
+    completed: Completed,
+    sections: dict[str, Any],
+    counts: slice,
+) -> None:
+    built = build(small_job.with_changes(settings=sections))
+    asked, settings = asks(*map(Candidate, SETS)), replace(built.searches[0].racing, draws=240)
+    phase = Phase("mine", asked, "search", settings, built, WorstInstant())
+    completed(run_phase(phase, RunSession(built, Store(tmp_path / "run"))))
+    stream = phase.stream()
+    work = built.evaluator.work(SETS, stream, stream, (0, 240), settings.estimation, over_time=1)
+    expected = built.evaluator.filtered(work).errors.mean(axis=0)[:, counts]
+    for evaluation, errors in zip(asked.told, expected, strict=True):
+        assert len(evaluation.groups) == 10
+        np.testing.assert_allclose(evaluation.groups.mean(axis=0), errors, rtol=1e-12)
+        assert evaluation.expected_mse == pytest.approx(errors.max(), rel=1e-12)
 
 
 def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> list[np.ndarray]:

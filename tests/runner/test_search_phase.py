@@ -80,10 +80,12 @@ def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
     assert f"{DEFAULT_METHOD}.polish" not in set(run.table("evaluations")["phase"])
 
 
+@pytest.mark.parametrize("criterion", ["expected_mse", "worst_instant"])
 def test_a_default_search_that_was_cut_short_ends_with_the_same_bytes(
-    small_job: Job, tmp_path: Path, cut_short: Callable[..., None]
+    small_job: Job, tmp_path: Path, cut_short: Callable[..., None], criterion: str
 ) -> None:
     changes = [f"search.{DEFAULT_METHOD}.evaluation.draws=100", "comparison.draws=20"]
+    changes.append(f"problem.criterion={criterion}")
     options: dict[str, Any] = {"changes": changes, "bound_draws": 0, "figures": False}
     whole = pfdist.plan(small_job, tmp_path / "whole", **options)
     cut_short(f"{DEFAULT_METHOD}.polish", small_job, tmp_path / "run", **options)

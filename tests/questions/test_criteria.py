@@ -1,0 +1,221 @@
+"""Searches for other criteria against all sets, and the numbers that answers give of them."""
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.walks import WALK
+from pfdist import StateSpaceModel
+from pfdist.errors import JobError, PfdistError
+from pfdist.filters.criterion import Quantile, Sample, criterion_named
+from pfdist.filters.kalman import expected_errors
+from pfdist.pages.terminal import lines_of
+from pfdist.questions.budget import budget
+from pfdist.questions.evaluate import evaluated
+from pfdist.questions.run_page import answer_of
+from pfdist.runner.build import build
+
+HORIZON, QUANTILE = 9, "quantile 0.9"
+RESTLESS = WALK.with_parameters({"early": 1.5, "late": 0.4})
+SETS = [*combinations(range(HORIZON + 1), 2)]
+OPTIONS: dict[str, Any] = {"figures": False, "report": False}
+
+RIGHT = np.array([0.2, 0.9])  # probability of a yes in state 0 and state 1
+
+
+def _flips(t: int) -> float:
+    """Probability that the chain changes its state after t."""
+    return 0.25 if t in (3, 4) else 0.02
+
+
+CHAIN = StateSpaceModel(
+    name="chain with a yes/no sensor",
+    initial=lambda w, p: (np.where(w[0] < 0.5, 1.0, 0.0),),
+    transition=lambda x, t, w, p: (np.where(w[0] < _flips(t), 1.0 - x[0], x[0]),),
+    measurement=lambda x, t, v, p: (np.where(v[0] < 0.2 + 0.7 * x[0], 1.0, 0.0),),
+    log_likelihood=lambda y, x, t, p: np.log(
+        np.where(y[0] > 0.5, 0.2 + 0.7 * x[0], 0.8 - 0.7 * x[0])
+    ),
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("uniform",),
+    process_noise=("uniform",),
+    measurement_noise=("uniform",),
+)
+
+
+def _errors_of_chain(times: Sequence[int]) -> Any:
+    """The exact filter's expected error at each instant, over all sequences of answers.
+
+    A row has the joint probabilities of a sequence and of the two states; the error is the variance
+    of the state.
+    """
+    rows, errors = np.array([[0.5, 0.5]]), []
+    for t in range(HORIZON + 1):
+        if t in times:
+            rows = np.concatenate([rows * RIGHT, rows * (1 - RIGHT)])
+        errors.append(np.sum(rows.prod(axis=1) / rows.sum(axis=1)))
+        rows = rows @ np.array([[1 - _flips(t), _flips(t)], [_flips(t), 1 - _flips(t)]])
+    return np.array(errors)
+
+
+def _problem(model: StateSpaceModel, criterion: str, engine: str) -> pfdist.Problem:
+    problem = pfdist.Problem(model, horizon=HORIZON, measurement_budget=2, engine=engine)
+    return problem.with_changes(criterion=criterion, particles=300, proposal="plain")
+
+
+def _planned(model: StateSpaceModel, criterion: str, engine: str, path: Path) -> Any:
+    """The found set, as a row of the table of sets."""
+    changes = ["comparison.draws=2000", "execution.pool=serial"]
+    problem = _problem(model, criterion, engine)
+    run = pfdist.plan(problem, path, changes=changes, bound_draws=0, **OPTIONS)
+    return run.table("sets").query("kind == 'found'").iloc[0]
+
+
+def test_the_exact_engine_finds_the_set_of_the_least_largest_error(tmp_path: Path) -> None:
+    """All sets, by the variances of the Kalman filter; the best mean has another set."""
+    errors = expected_errors(RESTLESS, HORIZON, SETS)
+    worst = errors.max(axis=1)
+    row = _planned(RESTLESS, "worst_instant", "kalman", tmp_path)
+    assert row["worst_instant"] == row["worst_instant_low"] == pytest.approx(worst.min())
+    assert row["criterion_value"] == row["search_mse"] == pytest.approx(worst.min())
+    assert row["search_excess"] == pytest.approx(0.0, abs=1e-12)
+    assert row["expected_mse"] == pytest.approx(
+        errors[SETS.index(tuple(row["measurement_times"]))].mean()
+    )
+    assert row["expected_mse"] > errors.mean(axis=1).min() * 1.01
+
+
+def test_particles_find_a_set_whose_largest_error_is_least_by_enumeration(tmp_path: Path) -> None:
+    """All sets of a two-state chain, whose errors are sums over all answers of its sensor."""
+    worst = [_errors_of_chain(times).max() for times in SETS]
+    row = _planned(CHAIN, "worst_instant", "compiled", tmp_path)
+    found = worst[SETS.index(tuple(row["measurement_times"]))]
+    assert found <= min(worst) + 3 * row["search_standard_error"] < np.mean(worst)
+    assert row["worst_instant_low"] < found < row["worst_instant_high"]
+    assert row["search_cause"].startswith("chance") or abs(row["search_excess"]) < 0.1
+
+
+@pytest.mark.parametrize(("model", "engine"), [(RESTLESS, "kalman"), (CHAIN, "compiled")])
+def test_a_search_finds_a_set_of_the_least_quantile_on_many_draws_of_all_sets(
+    model: StateSpaceModel, engine: str, tmp_path: Path
+) -> None:
+    row = _planned(model, QUANTILE, engine, tmp_path)
+    built = build(_problem(model, QUANTILE, engine).job())
+    work = built.evaluator.work(SETS, 7, 7, (0, 8000), built.comparing)
+    of_sets = built.evaluator.filtered(work).mse.T
+    quantiles = np.quantile(of_sets, 0.9, axis=1, method="inverted_cdf")
+    place = SETS.index(tuple(row["measurement_times"]))
+    form = criterion_named(QUANTILE)
+    assert isinstance(form, Quantile)
+    error = form.judged(Sample(of_sets[place])).standard_error
+    assert quantiles[place] <= quantiles.min() + 3 * error < np.median(quantiles)
+    assert abs(row["quantile"] - quantiles[place]) < 4 * (error + row["search_standard_error"])
+    assert row["search_mse"] == pytest.approx(row["quantile"], rel=0.2)
+
+
+# --- evaluate, and what is not accepted -----------------------------------------------------------
+
+ALSO = f"worst_instant,{QUANTILE}"
+TIMES = {"a": "0,4", "b": "8,9"}
+
+
+def test_evaluate_judges_by_the_draws_of_the_mse() -> None:
+    problem = _problem(RESTLESS, "expected_mse", "compiled")
+    found = pfdist.evaluate(problem, TIMES, draws=500, also=ALSO, profile=True)
+    for each in found.values():
+        assert each.profile is not None
+        worst, quantile = each.also["worst_instant"], each.also["quantile"]
+        assert worst.value == each.profile["error"].max()
+        assert quantile.value == np.quantile(each.mse, 0.9, method="inverted_cdf")
+        assert quantile.low < quantile.value < quantile.high
+        assert each.expected_mse == each.mse.mean()
+    again = pfdist.evaluate(problem, TIMES, draws=500)
+    assert again["a"].expected_mse == found["a"].expected_mse
+    assert again["a"].also == {}
+
+
+def test_the_exact_engine_has_the_exact_worst_instant_and_draws_for_a_quantile() -> None:
+    found = pfdist.evaluate(_problem(RESTLESS, "worst_instant", "kalman"), [0, 4], also=QUANTILE)
+    worst = expected_errors(RESTLESS, HORIZON, [(0, 4)]).max()
+    assert found.also["worst_instant"] == pytest.approx((worst,) * 3)
+    assert found.also["quantile"].low < found.also["quantile"].high
+    assert found.draws == 0
+    assert found.standard_error == 0.0
+
+
+def _said(job: str, **options: Any) -> tuple[str, Any]:
+    answer = evaluated(job, draws=300, **options)
+    return " ".join("\n".join(lines_of(answer._page())).split()), answer.as_json()
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> str:
+    path = tmp_path / "walk.toml"
+    path.write_text(
+        'seed = 1\n[model]\nname = "random_walk"\n[problem]\nhorizon = 9\nmeasurement_budget = 2\n'
+        '[filter]\nparticles = 100\nproposal = "plain"\n[[search]]\nmethod = "random"\n'
+        '[comparison]\ndraws = 50\n[execution]\npool = "serial"\n'
+    )
+    return str(path)
+
+
+def test_the_criterion_of_the_job_leads_and_columns_say_which_quantile(job: str) -> None:
+    said, answer = _said(job, times={"": "0,4"}, changes=[f"problem.criterion={QUANTILE}"])
+    assert said.startswith("90 % quantile of the MSE: ")
+    assert "Expected MSE" in said
+    assert answer["quantile_low"] < answer["quantile"] < answer["quantile_high"]
+    said, answer = _said(
+        job, times=TIMES, changes=["problem.criterion=worst_instant"], also=QUANTILE
+    )
+    assert said.startswith("a has the lowest expected error at the worst instant, ")
+    assert all(text in said for text in ("% lower", "than b", "90 % quantile"))
+    assert answer["sets"]["a"]["worst_instant"] < answer["sets"]["b"]["worst_instant"]
+    said, _ = _said(job, times={"": "0,4"}, also="worst_instant")
+    assert said.startswith("Expected MSE ")
+    said, answer = _said(job, times=TIMES, changes=["problem.criterion=information"], also=ALSO)
+    assert said.startswith("No clear difference: the information of a is ")
+    assert "nats (95 % CI" in said
+    of_a = answer["sets"]["a"]
+    assert of_a["expected_mse"] > 0 < of_a["information_low"] < of_a["information_high"]
+
+
+@pytest.mark.parametrize(
+    ("also", "message"),
+    [
+        ("worst", "must be 'expected_mse', 'worst_instant'"),
+        ("quantile 1.5", "got 'quantile 1.5'"),
+        ("quantile 0.5,quantile 0.9", "one run has one quantile"),
+    ],
+)
+def test_other_names_end_in_a_line(job: str, also: str, message: str) -> None:
+    with pytest.raises(JobError, match=message):
+        pfdist.evaluate(job, "0,4", also=also)
+
+
+def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> None:
+    changes = ["problem.criterion=worst_instant"]
+    said = list[str]()
+    run = pfdist.plan(
+        job, tmp_path / "run", changes=changes, say=said.append, search="random", **OPTIONS
+    )
+    assert "Not proved: no bound is known for the expected error at the worst instant" in str(said)
+    head = "expected error at the worst instant"
+    assert head in " ".join("\n".join(lines_of(answer_of(run))).split())
+    refused: dict[str, Callable[[], Any]] = {
+        "no bound is known for": lambda: pfdist.bound(run.path),
+        "needs the expected MSE": lambda: pfdist.why(run.path, figures=False),
+        "needs the expected MSE as": lambda: pfdist.Planner(pfdist.load_job(job, changes)),
+        "without a section budget": lambda: budget(job, (1, 2), changes=changes),
+        "without a section online": lambda: pfdist.load_job(job, [*changes, "online.draws=20"]),
+        "polish = true, got relaxation": lambda: pfdist.load_job(
+            job, [*changes, 'search=[{method="relaxation",polish=false}]']
+        ),
+    }
+    for message, ask in refused.items():
+        with pytest.raises(PfdistError, match=message):
+            ask()
