@@ -19,12 +19,15 @@ class Sensing:
         Probability that a measurement gives nothing.
     repeats : int
         The largest number of measurements at one instant.
+    delay : int
+        Number of instants after which a value arrives.
     """
 
     low: float = -math.inf
     high: float = math.inf
     fails: float = 0.0
     repeats: int = 1
+    delay: int = 0
 
 
 PLAIN = Sensing()

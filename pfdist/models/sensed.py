@@ -1,6 +1,8 @@
-"""Limits, failures and repeats of sensors, as a transformation of the model.
+"""Limits, failures, repeats and delays of sensors, as a transformation of the model.
 
 Everything else sees the result as any other model. A failed measurement is NaN, and tells nothing.
+A sensor with a delay measures, when the value arrives, a state that the model remembers; a point of
+the job then is the instant of arrival.
 """
 
 import dataclasses
@@ -18,7 +20,7 @@ from pfdist.models.checks import MEASURING
 
 
 def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpaceModel:
-    """The model whose sensors have limits, fail, or repeat.
+    """The model whose sensors have limits, fail, repeat, or are late.
 
     Parameters
     ----------
@@ -33,18 +35,23 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
     """
     if all(each == PLAIN for each in sensings.values()):
         return model
+    remembered = max(each.delay for each in sensings.values())
     parts = {
-        part.name: _sensed(part.model, part.name, sensings.get(part.name, PLAIN))
+        part.name: _sensed(
+            part.model, part.name, sensings.get(part.name, PLAIN), remembers=remembered > 0
+        )
         for part in model.parts
     }
     may_fail = any(each.fails for each in sensings.values())
     changes: dict[str, Any] = {
         "linear_gaussian": model.linear_gaussian
-        and all(dataclasses.replace(each, repeats=1) == PLAIN for each in sensings.values()),
+        and all(dataclasses.replace(s, repeats=1, delay=0) == PLAIN for s in sensings.values()),
         "missing_components": model.missing_components or may_fail,
     }
     if not model.sensors and sensings[""].repeats == 1:
         own = {name: getattr(parts[""], name) for name in (*MEASURING, "measurement_noise")}
+        if remembered:
+            changes |= _remembering(model, remembered)
         return dataclasses.replace(model, log_tails=None, **own, **changes)
     sensors = {
         repeat: dataclasses.replace(parts[name], price=_price(model, name))
@@ -54,14 +61,49 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
     fields = StateSpaceModel.__dataclass_fields__
     changes |= {name: fields[name].default for name in (*MEASURING, "measurement_noise")}
     changes |= {"sensors": sensors, "log_tails": None, "y_names": ()}
+    if remembered:
+        changes |= _remembering(model, remembered)
     return dataclasses.replace(model, **changes)
+
+
+def _remembering(model: StateSpaceModel, instants: int) -> dict[str, Any]:
+    """The formulas and names of a model whose state has those of so many instants before."""
+    n = model.components[0]
+
+    def initial(w: Any, p: Any) -> Any:
+        return tuple(model.initial(w, p)) * (instants + 1)
+
+    def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
+        return (*model.transition(x[:n], t, w, p), *x[: n * instants])
+
+    def quantity_of_interest(x: Any, t: Any, p: Any) -> Any:
+        return model.quantity_of_interest(x[:n], t, p)
+
+    return {
+        "initial": initial,
+        "transition": transition,
+        "quantity_of_interest": quantity_of_interest,
+        "x_names": (),
+    }
+
+
+def _late(measurement: Any, log_likelihood: Any, n: int, delay: int) -> Any:
+    """The formulas of a sensor for the state of some instants before, among those remembered."""
+
+    def late(x: Any, t: Any, v: Any, p: Any) -> Any:
+        return measurement(x[n * delay : n * (delay + 1)], np.maximum(t - delay, 0), v, p)
+
+    def likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
+        return log_likelihood(y, x[n * delay : n * (delay + 1)], np.maximum(t - delay, 0), p)
+
+    return late, likelihood
 
 
 def _price(model: StateSpaceModel, name: str) -> float | None:
     return model.sensors[name].price if name else None
 
 
-def _sensed(model: StateSpaceModel, name: str, sensing: Sensing) -> Sensor:
+def _sensed(model: StateSpaceModel, name: str, sensing: Sensing, *, remembers: bool) -> Sensor:
     measurement, log_likelihood = model.measurement, model.log_likelihood
     noise, tails = model.measurement_noise, model.log_tails
     sensor = f"sensor {name} of " * bool(name)
@@ -77,6 +119,9 @@ def _sensed(model: StateSpaceModel, name: str, sensing: Sensing) -> Sensor:
     if sensing.fails:
         measurement, log_likelihood = _failing(measurement, log_likelihood, sensing.fails)
         noise = (*noise, "uniform")
+    if remembers:
+        n = model.components[0]
+        measurement, log_likelihood = _late(measurement, log_likelihood, n, sensing.delay)
     return Sensor(measurement, log_likelihood, noise)
 
 

@@ -4,7 +4,7 @@ Everything inside names a possible measurement by its number. This module alone 
 ``12 x-ray`` and writes it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -32,6 +32,9 @@ class Points(PointNumbers):
     ways: int = field(init=False)
     clock: Clock
     sensors: tuple[str, ...] = ()
+    # (ways,): the number of instants after which a value arrives; then a point is that of the
+    # arrival, and users read and write the time of the measurement
+    delays: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ways", max(1, len(self.sensors)))
@@ -44,6 +47,18 @@ class Points(PointNumbers):
     def alike(self, point: int) -> range:
         """All points of the same sensor, one at each instant."""
         return range(self.way(point), self.number, self.ways)
+
+    def delay(self, way: int) -> int:
+        """The number of instants after which a value arrives."""
+        return self.delays[way] if self.delays else 0
+
+    def made_at(self, point: int) -> int:
+        """The instant at which a point is measured; below 0 if its value cannot have arrived."""
+        return int(self.instant(point)) - self.delay(self.way(point))
+
+    def made(self, points: Iterable[int]) -> Times:
+        """The instants at which some points are measured, sorted and each once."""
+        return tuple(sorted({*map(self.made_at, points)}))
 
     def since(self, first: int) -> "Points":
         """The points from an instant on; instants and points count from there."""
@@ -70,10 +85,10 @@ class Points(PointNumbers):
 
     def written(self, point: int) -> Any:
         """A point as users read it: its time, and its sensor if there are any."""
+        made_at = max(0, self.made_at(point))
         if not self.sensors:
-            return self.clock.time(point)
-        time = self.clock.text(self.clock.times[self.instant(point)])
-        return f"{time} {self.sensor(point)}"
+            return self.clock.time(made_at)
+        return f"{self.clock.text(self.clock.times[made_at])} {self.sensor(point)}"
 
     def written_of(self, points: Iterable[int]) -> list[Any]:
         """Points as users read them, in the same order."""
@@ -90,7 +105,10 @@ class Points(PointNumbers):
         if isinstance(written, str) and (known := self._known.get(written)) is not None:
             return (known,)
         if not self.sensors:
-            return tuple(instants_written(written, clock, name))
+            instants = instants_written(written, clock, name)
+            if not self.delays:
+                return tuple(instants)
+            return tuple(self._arriving(instants, range(1), name, of_all=of_all))
         if isinstance(written, Iterable) and not isinstance(written, str):
             return tuple(
                 point for each in written for point in self.read(each, name, of_all=of_all)
@@ -109,18 +127,36 @@ class Points(PointNumbers):
                     f"{name} must name times and then their sensor, as '12 {self.sensors[0]}', got "
                     f"{shown(' '.join(waiting) or word)}; sensors: {', '.join(self.sensors)}"
                 )
-            for t in instants_written(waiting, clock, name):
-                if not 0 <= t <= clock.horizon:
-                    raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
-                found += [self.first(t) + way for way in ways[word]]
+            instants = instants_written(waiting, clock, name)
+            own = ways.get(word, range(0))  # the last word is empty
+            found += self._arriving(instants, own, name, of_all=of_all)
             waiting = []
         return tuple(found)
+
+    def _arriving(
+        self, instants: Iterable[int], ways: range, name: str, *, of_all: bool
+    ) -> Iterator[int]:
+        """The points of measurements at some instants; of all, those that arrive in time."""
+        clock = self.clock
+        for t in instants:
+            if not 0 <= t <= clock.horizon:
+                raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
+            for way in ways:
+                at = t + self.delay(way)
+                if at <= clock.horizon:
+                    yield self.first(at) + way
+                elif not of_all:
+                    raise MeasurementTimesError(
+                        f"{name} must be measured so that values arrive by "
+                        f"{clock.formatted(clock.horizon)}, got {clock.formatted(t)}, whose value "
+                        f"arrives {self.delay(way)} instants later"
+                    )
 
     @cached_property
     def _known(self) -> dict[str, int]:
         """The point of each text that names one sensor; tables have many such texts."""
-        written = self.written_of(range(self.number)) if self.sensors else ()
-        return {text: point for point, text in enumerate(written)}
+        points = range(self.number) if self.sensors else ()
+        return {self.written(each): each for each in points if self.made_at(each) >= 0}
 
     def _words(self, text: str) -> list[str]:
         """Times and sensors; with dates, all words of an entry that are no sensors are one."""
@@ -149,7 +185,7 @@ class Points(PointNumbers):
         entries: list[Any] = (
             [written] if isinstance(written, str) else listed_argument(name, written)
         )
-        counts = self.clock.counts and not self.sensors
+        counts = self.clock.counts and not self.sensors and not self.delays
         if not counts or any(isinstance(entry, str) for entry in entries):
             entries = [*self.read(entries, name)]
         if not counts:

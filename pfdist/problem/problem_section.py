@@ -130,12 +130,15 @@ class SensingSection(JobSection):
         Probability that a planned measurement gives nothing.
     repeats : int
         Largest number of measurements at one instant, each with its own noise and price.
+    delay : number, clock
+        Time after which a value arrives. A smoothed estimate waits for it.
     """
 
     limit: _Finite | None = None
     limits: Annotated[Listed[_Finite], Field(min_length=2, max_length=2)] | None = None
     fails: Annotated[float, Field(gt=0.0, lt=1.0, strict=False)] | None = None
     repeats: Annotated[int, Field(ge=2, le=len(REPEATS))] | None = None
+    delay: Annotated[Moment, Field(gt=0)] | None = None
 
     @model_validator(mode="after")
     def _has_limits(self) -> Self:
@@ -144,12 +147,11 @@ class SensingSection(JobSection):
             raise ValueError(f"a sensor has a limit, or two limits in ascending order, got {got}")
         return self
 
-    @property
-    def sensing(self) -> Sensing:
-        """The same for a model."""
+    def sensing(self, delay: int) -> Sensing:
+        """The same for a model, with the delay in instants."""
         low = -math.inf if self.limit is None else float(self.limit)
         low, high = self.limits or (low, math.inf)
-        return Sensing(float(low), float(high), self.fails or 0.0, self.repeats or 1)
+        return Sensing(float(low), float(high), self.fails or 0.0, self.repeats or 1, delay)
 
 
 class SensorSection(SensingSection):
@@ -306,9 +308,27 @@ class ProblemSection(JobSection):
     @cached_property
     def sensings(self) -> dict[str, Sensing]:
         """The limits, failures and repeats of each sensor; the only one has the name ""."""
-        if self.sensor is not None:
-            return {"": self.sensor.sensing}
-        return {name: each.sensing for name, each in (self.sensors or {}).items()}
+        own: dict[str, Any] = {"": self.sensor} if self.sensor else self.sensors or {}
+        delays = {name: self._instants_of_delay(name, each) for name, each in own.items()}
+        return {name: each.sensing(delays[name]) for name, each in own.items()}
+
+    def _instants_of_delay(self, name: str, sensor: SensingSection) -> int:
+        """The delay of a sensor in instants; 0 if the estimate waits for all values.
+
+        Raises `MeasurementTimesError` unless it is a number of steps of an even clock.
+        """
+        delay, key = sensor.delay, f"sensors.{name}.delay" if name else "sensor.delay"
+        if delay is None or self.estimate == SMOOTHED:
+            return 0
+        clock = self.clock
+        step = clock.times[1] - clock.times[0]
+        steps = round(float(delay) / step)
+        if not clock.is_even or abs(steps * step - delay) > clock.slack or steps > clock.horizon:
+            raise MeasurementTimesError(
+                f"{key} must be a number of steps of an even clock, at most {clock.horizon}, got "
+                f"{delay:g}"
+            )
+        return steps
 
     @cached_property
     def each_sensor(self) -> dict[str, SensorSection]:
@@ -326,7 +346,8 @@ class ProblemSection(JobSection):
     @cached_property
     def points(self) -> Points:
         """The table of all possible measurements; raises as `clock`."""
-        points = Points(self.clock, tuple(self.each_sensor))
+        delays = tuple(each.delay for each in self.sensings.values() for _ in range(each.repeats))
+        points = Points(self.clock, tuple(self.each_sensor), delays if any(delays) else ())
         if points.number > _MOST_POSSIBLE:
             raise MeasurementTimesError(
                 f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {points.number:,}"
@@ -387,6 +408,11 @@ class ProblemSection(JobSection):
             raise MeasurementTimesError(f"minimum_spacing must be above 0, got {spacing:g}")
         if not self.has_clock and not (spacing is None and self.each_sensor):
             spacing = 1 if spacing is None else self._whole("minimum_spacing", spacing)
+        if len({*self.points.delays}) > 1 and spacing is not None:
+            raise MeasurementTimesError(
+                "minimum_spacing must be left out with sensors of different delays, got "
+                f"{spacing:g}: give each sensor its own"
+            )
         limits = self._limits
         prices = [sum(prices or (0,)) for prices in self._prices_of_sensors] or [0]
         return Feasible(
@@ -411,12 +437,16 @@ class ProblemSection(JobSection):
         if self.allowed is not None:
             allowed = points.read(self.allowed, "allowed", of_all=True)
             times.update({*range(points.number)} - {*allowed})
+        if points.delays and not points.sensors:
+            times.update(range(points.delay(0)))
         for way, (name, sensor) in enumerate(self.each_sensor.items()):
             barred = {*instants_written(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
             if sensor.allowed is not None:
                 others = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
                 barred.update({*range(clock.horizon + 1)} - {*others})
-            times.update(points.first(t) + way for t in barred)
+            delay = points.delay(way)
+            late = {t + delay for t in barred if t + delay <= clock.horizon}
+            times.update(points.first(t) + way for t in {*range(delay), *late})
         return tuple(sorted(times))
 
     @property
@@ -435,8 +465,15 @@ class ProblemSection(JobSection):
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:
         """The price of each sensor at each instant; empty for a sensor without a price."""
-        sensors = self.each_sensor.items()
-        return [self._prices(f"sensors.{name}.price", sensor.price) for name, sensor in sensors]
+        return [
+            self._late(self._prices(f"sensors.{name}.price", sensor.price), way)
+            for way, (name, sensor) in enumerate(self.each_sensor.items())
+        ]
+
+    def _late(self, prices: tuple[Money, ...], way: int) -> tuple[Money, ...]:
+        """The prices of measurements by the instants at which their values arrive."""
+        delay = self.points.delay(way)
+        return (*prices[:1] * delay, *prices[: len(prices) - delay])
 
     @cached_property
     def weights(self) -> tuple[float, ...] | None:
@@ -526,7 +563,7 @@ class ProblemSection(JobSection):
     def _prices_of_instants(self) -> tuple[Money, ...] | None:
         """The price of each possible measurement; None if measurements are counted."""
         if not self.each_sensor:
-            return None if self.price is None else self._prices("price", self.price)
+            return None if self.price is None else self._late(self._prices("price", self.price), 0)
         if self.price is not None and self.sensors:
             raise MeasurementTimesError(
                 "price must be left out with sensors, because each has its own: "

@@ -141,6 +141,11 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
         The prior does not fit the model.
     """
     job = built.job
+    if job.problem.points.delays:
+        raise JobError(
+            "real measurements of a sensor with a delay are not read: give the job of the filter "
+            f"estimate = 'smoothed', which waits for all values ({job.path})"
+        )
     if built.evaluator.told:
         raise JobError(
             "scenarios.filter must be 'nominal' or 'learned' for real measurements, whose scenario "

@@ -214,7 +214,7 @@ def _at_instant(row: dict[str, Any], part: str, points: Points) -> dict[str, Any
     """A row of a table; one of a single measurement has its instants, and how it was measured."""
     if part not in ("worth", "sampling_windows"):
         return row
-    moved = {key: points.instant(row[key]) for key in row if key == "t" or key[:5] == "moved"}
+    moved = {key: points.made_at(row[key]) for key in row if key == "t" or key[:5] == "moved"}
     return row | moved | points.columns(row["t"])
 
 

@@ -51,7 +51,7 @@ def export_plan(run: "Run", path: str | Path) -> Path:
     clock, measured = points.clock, measured_of(run)[run.best.name]
     file, rows = checked_export(path, clock), _rows(run, measured)
     if file.suffix.lower() == ".ics" and clock.calendar:
-        dates = [clock.dates[points.instant(each)] for each in measured]
+        dates = [clock.dates[points.made_at(each)] for each in measured]
         text = _in_icalendar(run, rows, dates, clock.calendar.by_days)
     else:
         columns = None if rows else ["measurement", "t"]
@@ -80,7 +80,7 @@ def _rows(run: "Run", measured: Times) -> Rows:
                 keys = f"earliest_{percent}", f"latest_{percent}"
                 windows.setdefault(at, {}).update(zip(keys, ends, strict=True))
     for place, point in enumerate(measured, 1):
-        instant = points.instant(point)
+        instant = points.made_at(point)
         row: dict[str, Any] = {"measurement": place, "t": unrounded(clock.times[instant])}
         row |= {"date": clock.time(instant)} if clock.has_dates else {}
         rows.append(row | points.columns(point) | windows.get(point, {}))

@@ -124,7 +124,7 @@ def profile_of(
 
     clock = problem.clock
     error, standard_error = errors_over_time_of(ranges, place)
-    at = problem.points.instants(times)
+    at = problem.points.made(times)
     table = pd.DataFrame(
         {
             **clock.columns(range(len(clock.times))),

@@ -5,7 +5,7 @@ Each is a transformation of the model, so the filter, the search and the proof n
 
 import math
 from dataclasses import replace
-from itertools import combinations_with_replacement, product
+from itertools import combinations, combinations_with_replacement, product
 from pathlib import Path
 from typing import Any
 
@@ -225,3 +225,95 @@ def test_a_limit_without_tails_is_refused_and_so_are_wrong_limits(tmp_path: Path
     for change in ("limits=[2, 1]", "fails=1", "repeats=1"):
         with pytest.raises(JobError, match="sensor"):
             pfdist.plan(problem, tmp_path / "run", changes=[f"problem.sensor.{change}"])
+
+
+def of_delays(early: tuple[int, ...], late: tuple[int, ...], horizon: int) -> float:
+    """The expected MSE with a meter at `early`, and a laboratory whose values arrive at `late`."""
+    step, noise = np.eye(3, k=-1), np.zeros((3, 3))
+    step[0, 0], noise[0, 0] = 0.95, 0.36
+    covariance, total = np.full((3, 3), 4.0), 0.0
+    for t in range(horizon + 1):
+        covariance = step @ covariance @ step.T + noise if t else covariance
+        for times, state, variance in ((early, 0, 1.0), (late, 2, 0.04)):
+            if t in times:
+                gain = covariance[:, state] / (covariance[state, state] + variance)
+                covariance = covariance - np.outer(gain, covariance[state])
+        total += covariance[0, 0]
+    return total / (horizon + 1)
+
+
+def meter_and_laboratory() -> StateSpaceModel:
+    def sensor(sd: float) -> Sensor:
+        return Sensor(
+            lambda x, t, v, p: (x[0] + sd * v[0],),
+            lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / sd) ** 2,
+            ("normal",),
+        )
+
+    return StateSpaceModel(
+        name="meter and laboratory",
+        initial=lambda w, p: (2.0 * w[0],),
+        transition=lambda x, t, w, p: (0.95 * x[0] + 0.6 * w[0],),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        linear_gaussian=True,
+        sensors={"bedside": sensor(1.0), "lab": sensor(0.2)},
+    )
+
+
+LATE = {"bedside": {"price": 1}, "lab": {"price": 3, "delay": 2}}
+
+
+def test_late_values_are_those_of_brute_force(tmp_path: Path) -> None:
+    """Published case: a meter (price 1), a laboratory (price 3, 2 instants later), money for 7."""
+    problem = Problem(
+        meter_and_laboratory(), horizon=8, total_price=7, sensors=LATE, engine="kalman"
+    )
+    run = pfdist.plan(problem, tmp_path / "run", changes=["comparison.draws=100"], figures=False)
+    each = {
+        (early, late): of_delays(early, late, 8)
+        for count in range(3)
+        for late in combinations(range(2, 9), count)
+        for early in combinations(range(9), 7 - 3 * count)
+    }
+    assert min(each.values()) == pytest.approx(0.567296, abs=5e-7)
+    assert run.best.expected_mse == pytest.approx(min(each.values()), rel=1e-9)
+    early, late = min(each, key=lambda pair: each[pair])
+    written = {f"{t} bedside" for t in early} | {f"{t - 2} lab" for t in late}
+    assert {*run.best.measurement_times} == written
+    assert not run.table("bound")["reason"].any()
+
+
+def test_particles_have_late_values_too() -> None:
+    problem = Problem(meter_and_laboratory(), horizon=8, total_price=7, sensors=LATE, particles=500)
+    found = pfdist.evaluate(problem, "0 bedside, 3 5 lab", draws=3000)
+    exact = of_delays((0,), (5, 7), 8)
+    assert abs(found.expected_mse - exact) < 3.5 * found.standard_error
+
+
+def test_an_analysis_afterwards_waits_for_late_values() -> None:
+    keys = {"horizon": 8, "total_price": 7, "engine": "kalman"}
+    times = "0 bedside, 3 8 lab"
+    own = {"bedside": {"price": 1}, "lab": {"price": 3}}
+    late, at_once = (
+        pfdist.evaluate(
+            Problem(meter_and_laboratory(), sensors=each, estimate="smoothed", **keys), times
+        )
+        for each in (LATE, own)
+    )
+    assert late.expected_mse == pytest.approx(at_once.expected_mse, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"sensors": LATE | {"lab": {"price": 3, "delay": 1.5}}}, "a number of steps"),
+        ({"sensors": LATE | {"lab": {"price": 3, "delay": 9}}}, "a number of steps"),
+        ({"sensors": LATE, "minimum_spacing": 2}, "sensors of different delays"),
+        ({"sensors": LATE, "required": ["7 lab"]}, "arrives 2 instants later"),
+    ],
+)
+def test_wrong_delays_are_refused(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(JobError, match=message):
+        Problem(meter_and_laboratory(), horizon=8, total_price=7, engine="kalman", **keys)
