@@ -58,17 +58,20 @@ def question(subject: Subject) -> str:
     job, problem = subject.run.job, problem_of(subject.run)
     z = ", ".join(each.name for each in subject.quantities if each.name) or "the estimate"
     first, last = map(problem.clock.formatted, (0, problem.clock.horizon))
-    between = f"between t = {first} and {last}"
+    between, form = f"between t = {first} and {last}", subject.criterion
+    give = f"give the lowest {form.label} of {z}?"
+    if form.sign < 0:
+        give = f"give the most {form.label} about the path?"
     if "budget" in job:
         return f"How many measurements {between} are enough to estimate {z}?"
     if not subject.found_rows and subject.rows:
-        return f"Which of these times {between} give the lowest expected MSE of {z}?"
+        return f"Which of these times {between} {give}"
     if problem.total_price is not None:
         which = f"Which times {between}, for a total price of at most {problem.total_price:,},"
     else:
         number = number_of(problem.feasible.measurements, "time")
         which = f"Which {number} of {problem.clock.horizon + 1} {between}"
-    return f"{which} give the lowest expected MSE of {z}?"
+    return f"{which} {give}"
 
 
 def made_by(subject: Subject) -> str:

@@ -238,9 +238,10 @@ def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
     if not all(each is not None and math.isfinite(each) for each in (own, of_reference)):
         return
     hint = ' If you analyse afterwards, `problem.estimate = "smoothed"` finds other times.'
+    is_hint = other == SMOOTHED and subject.criterion.sign > 0
     yield Text(
         f"{WHEN[other]}, the {subject.criterion.of_errors.label} is {mse.cell(row).text} "
-        f"({reference.label}: {mse.cell(reference).text}).{hint * (other == SMOOTHED)}"
+        f"({reference.label}: {mse.cell(reference).text}).{hint * is_hint}"
     )
 
 
