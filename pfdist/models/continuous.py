@@ -8,19 +8,21 @@ import math
 from collections.abc import Callable
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from pfdist.common.section import Number, Whole, checked
-from pfdist.errors import ArgumentError, ModelError
+from pfdist.errors import ArgumentError, ModelError, shown
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.mistakes import place_of_function
 from pfdist.models.parameters import CLOCK
 from pfdist.models.program import MOST_STEPS
 from pfdist.models.programs import Declared, Programs
 from pfdist.models.repeating import repeated_steps
+from pfdist.models.symbols import take
 from pfdist.models.tracing import Covariate
 
 Values = tuple[Any, ...]
@@ -28,10 +30,27 @@ Rates = Callable[[Any, Any, Any], Any]
 
 SUBSTEPS = 10
 _ROUNDING = 1e-9  # of the number of steps, so that .3 / .1 makes three
+_SAME_TIME = 1e-11  # relative: an event at an instant whose time is rounded
 
 _Substeps = Annotated[Whole, Field(ge=1, le=MOST_STEPS)] | None
 _Step = Annotated[Number, Field(gt=0, allow_inf_nan=False)] | None
 _Interval = Annotated[Number, Field(gt=0, allow_inf_nan=False)] | str | None
+
+
+def _rows(events: Any) -> Any:
+    """A table as a tuple of rows, whose component of x may be written as 1.0."""
+    rows = events.tolist() if isinstance(events, np.ndarray) else events
+    if not isinstance(rows, list | tuple) or any(np.shape(row) != (3,) for row in rows):
+        raise ValueError(f"events must be rows (time, amount, component of x), got {shown(events)}")
+    return tuple(
+        (*row[:2], int(row[2])) if isinstance(row[2], float) and row[2] % 1 == 0 else tuple(row)
+        for row in rows
+    )
+
+
+_Finite = Annotated[Number, Field(allow_inf_nan=False)]
+_Event = tuple[_Finite, _Finite | str, Annotated[Whole, Field(ge=0)]]
+_Events = Annotated[tuple[_Event, ...], BeforeValidator(_rows)]
 
 
 @dataclass(frozen=True)
@@ -53,6 +72,8 @@ class Flow:
         Time between two instants, or the name of a parameter with this value; without a clock.
     keep : callable, optional
         ``(x, p) -> x`` after each step.
+    events : tuple of (float, float or str, int)
+        Times, amounts and components of x, in the order of time.
     """
 
     step: Callable[[Values, Any, Any, Values, Any], Values]
@@ -62,6 +83,7 @@ class Flow:
     noises: int
     interval: float | str | None
     keep: Callable[[Values, Any], Any] | None
+    events: tuple[tuple[float, float | str, int], ...] = ()
 
     @property
     def process_noise(self) -> tuple[str, ...]:
@@ -77,27 +99,67 @@ class Flow:
         """The state at t + 1."""
         begin, total = self._interval(t, p)
         count: Any = self.substeps
+        most = self.substeps or MOST_STEPS - len(self.events)
         if self.largest_step is not None:
             count = np.maximum(np.ceil(total / self.largest_step - _ROUNDING), 1.0)
-            total = np.where(count > MOST_STEPS, np.nan, total)
+            total = np.where(count > most, np.nan, total)
         if self.noises and len(w) != len(self.process_noise):
             raise ValueError(
                 f"process_noise must have {len(self.process_noise)} entries, as process_noise of "
                 f"the transition has, got {len(w)}"
             )
-        most = self.substeps or MOST_STEPS
         if (halves := _HALVES.get()) is not None:
             count, most, w = 2 * count, 2 * most, halves(self, w)
         h = total / count
+        if self.events:
+            return self._cut(x, begin, total, h, count, most, p)
         root = np.sqrt(h) if self.noises else None
 
         def step(x: Values, k: Any, noise: Values) -> Values:
             increments = tuple(root * each for each in noise)
             following = self.step(x, begin + k * h, h, increments, p)
-            return components(self.keep(following, p), len(x), "keep") if self.keep else following
+            return self._kept(following, p)
 
         each = [w[c :: self.noises] for c in range(self.noises)]
         return repeated_steps(step, x, count, each, most)
+
+    def _kept(self, x: Values, p: Any) -> Values:
+        return components(self.keep(x, p), len(x), "keep") if self.keep else x
+
+    def _cut(
+        self, x: Values, begin: Any, total: Any, h: Any, count: Any, most: int, p: Any
+    ) -> Values:
+        """The state at t + 1, in steps of length h that are cut at the events.
+
+        An event at an instant belongs to the step after it.
+        """
+        times = [time for time, _, _ in self.events]
+        later = [time + _SAME_TIME * (1.0 + abs(time)) for time in times]
+        first, last = _number_before(later, begin), _number_before(later, begin + total)
+        tables = dict[tuple[int, str], list[float]]()
+        for k, (_, amount, component) in enumerate(self.events):
+            if component >= len(x):
+                raise ValueError(
+                    f"events must name components of x below {len(x)}, got {component}"
+                )
+            name, number = (amount, 1.0) if isinstance(amount, str) else ("", amount)
+            tables.setdefault((component, name), [0.0] * len(times))[k] = number
+
+        def step(state: Values, k: Any, _: Values) -> Values:
+            *before, now, done = state
+            place = done.astype(int)
+            event = np.where(done < last, take(times, place), np.inf)
+            grid = begin + (k - (done - first) + 1.0) * h
+            is_event = event < grid
+            until = np.where(is_event, event, grid)
+            after = [*self.step(tuple(before), now, until - now, (), p)]
+            for (component, name), table in tables.items():
+                more = np.where(is_event, take(table, place), 0.0)
+                after[component] = after[component] + (more * getattr(p, name) if name else more)
+            return *self._kept(tuple(after), p), until, np.where(is_event, done + 1.0, done)
+
+        steps = count + (last - first)
+        return repeated_steps(step, (*x, begin, first), steps, (), most + len(times))[:-2]
 
     def _interval(self, t: Any, p: Any) -> tuple[Any, Any]:
         """The time of the instant t, and the time from there to the next."""
@@ -117,6 +179,16 @@ class Flow:
 
 def _varies(value: Any) -> bool:
     return isinstance(value, np.ndarray | Covariate)
+
+
+def _number_before(times: list[float], time: Any) -> Any:
+    """How many of some sorted times are less than a time, by bisection."""
+    time = np.add(time, 0.0)  # a number as one of NumPy
+    count = 0.0 * time
+    for step in (2**k for k in reversed(range(len(times).bit_length()))):
+        is_less = take(times, (count + (step - 1.0)).astype(int)) < time
+        count = np.where(is_less, count + step, count)
+    return count
 
 
 def components(value: Any, count: int, name: str) -> Values:
@@ -186,6 +258,7 @@ def ode(
     largest_step: _Step = None,
     dt: _Interval = None,
     keep: Callable[..., Any] | None = None,
+    events: _Events = (),
 ) -> Flow:
     """A transition that solves an ordinary differential equation, dx/dt = rhs(x, t, p).
 
@@ -207,6 +280,10 @@ def ode(
         clock; by default 1.
     keep : callable, optional
         ``(x, p) -> x`` after each step, for instance to keep amounts positive.
+    events : sequence of (float, float or str, int), or array, (k, 3)
+        Doses and other jumps: a time, an amount and a component of x, which becomes larger by the
+        amount then; or the name of a parameter that has the amount. Steps are cut at the times,
+        which may lie between instants. x at the time of an event is the state before it.
 
     Returns
     -------
@@ -250,7 +327,12 @@ def ode(
         raise ArgumentError("ode takes substeps or largest_step, got both", argument="largest_step")
     if largest_step is None:
         substeps = SUBSTEPS if substeps is None else substeps
-    return Flow(rk4 if method == "rk4" else heun, rhs, substeps, largest_step, 0, dt, keep)
+    if (substeps or 1) + len(events) > MOST_STEPS:
+        most = f"at most {MOST_STEPS:,} substeps and events together"
+        raise ArgumentError(f"ode takes {most}, got {len(events):,} events", argument="events")
+    solve = rk4 if method == "rk4" else heun
+    in_order = tuple(sorted(events, key=itemgetter(0)))
+    return Flow(solve, rhs, substeps, largest_step, 0, dt, keep, in_order)
 
 
 # --- stochastic differential equations ------------------------------------------------------------

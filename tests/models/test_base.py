@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -66,14 +67,16 @@ def fails(x, t, *_):
     raise KeyError("nothing here")
 
 
-COUPLED = ((1.0, 0.0), (0.5, 1.0))
+NEITHER = ((1.0, 2.0), (2.0, 1.0)), ((1.0, 0.0), (0.5, 1.0)), ((1.0, 0.5),)
 
 
 def measured_with(noise):
-    """A linear model whose two measurements have this noise."""
+    """A linear model whose two measurements have this covariance."""
     others = ("initial_noise", "transition", "process_noise", "quantity_of_interest")
     ones = {key: [[1]] for key in others}
-    return linear_gaussian("good", measurement=[[1], [2]], measurement_noise=noise, **ones)
+    return linear_gaussian(
+        "good", measurement=[[1], [2]], measurement_noise=noise, covariances=True, **ones
+    )
 
 
 @in_turn(
@@ -97,8 +100,11 @@ def measured_with(noise):
             lambda: changed(transition=lambda x, t, w, p: x if x[0] > 0 else (0.0, 0.0)),
             ["transition failed: a condition on a value", "pfdist.where(condition, a, b)"],
         ),
-        # The likelihood is a product over the measurements: their noises must be independent.
-        (lambda: measured_with(COUPLED), ["diagonal, got 0.5 in row 1, column 0"]),
+        # a negative eigenvalue, two different correlations, too few rows
+        *(
+            (partial(measured_with, each), ["covariance matrix must be symmetric", f"{[*each[0]]}"])
+            for each in NEITHER
+        ),
         # noises
         (
             lambda: changed(process_noise=("cauchy",)),

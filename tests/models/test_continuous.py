@@ -128,6 +128,86 @@ def test_the_kalman_filter_takes_a_linear_equation():
     np.testing.assert_allclose(*errors, rtol=1e-6)
 
 
+# --- doses and other events -----------------------------------------------------------------------
+
+RATES = np.array([[-0.3, 0.0, 0.0], [0.3, -0.25, 0.2], [0.0, 0.17, -0.2]])
+DOSES = [(36.5, 100.0, 0), (7.0, "loading", 0), (7.0, 20.0, 1), (64.5, "dose", 0)]
+VISITS = (
+    (0.0, 1.0, 7.0, 8.0, 21.0, 36.5, 40.0, 64.5, 70.0, 84.0),
+    (0.0, 6.0, 30.0, 38.0, 60.0, 84.0),
+    (0.0, 84.0),
+)
+
+
+def dosed(events, **steps):
+    """Three compartments: a depot, the blood and the tissue."""
+    return made(
+        ode(lambda x, t, p: RATES @ x, events=events, **steps),
+        initial=lambda w, p: (0.0, 30.0, 0.0),
+        parameters={"loading": 250.0, "dose": 100.0},
+    )
+
+
+def after_doses(time, parameters):
+    """The exact state: a dose at this very time comes after it."""
+    x, now = np.array([0.0, 30.0, 0.0]), 0.0
+    for at, amount, component in sorted(DOSES, key=lambda event: event[0]):
+        if at < time:
+            x = expm(RATES * (at - now)) @ x
+            x[component] += parameters.get(amount, amount)
+            now = at
+    return expm(RATES * (time - now)) @ x
+
+
+@pytest.mark.parametrize("clock", VISITS)
+@pytest.mark.parametrize("steps", [{"substeps": 200}, {"largest_step": 0.25}])
+def test_doses_at_instants_and_between_them_are_exact(clock, steps):
+    model = dosed(DOSES, **steps).on_clock(clock)
+    expected = [after_doses(time, model.parameters) for time in clock]
+    states = simulate(model, len(clock) - 1, range(1), 0).x[0]
+    np.testing.assert_allclose(states, expected, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(
+        plain.simulate(model, len(clock) - 1, range(1), 0).x[0], states, rtol=1e-10, atol=1e-10
+    )
+
+
+def test_a_recorded_model_takes_other_doses_and_another_clock():
+    """Its program has the events, and reads the amounts and the times."""
+    first, second = VISITS[1:]
+    model = recorded(dosed(DOSES, largest_step=0.25).on_clock(first), range(len(first)))
+    other, _ = models_of(text_of_models(model, model).encode())
+    other = other.with_parameters({"loading": 80.0, "time": second, "dt": (84.0, 84.0)})
+    (x,) = simulate(other, 1, range(1), 0).x[:, 1]
+    np.testing.assert_allclose(x, after_doses(84.0, {"loading": 80.0, "dose": 100.0}), rtol=1e-5)
+
+
+@pytest.mark.parametrize("start", [0.0, 1.7e9], ids=["from zero", "seconds of an epoch"])
+@pytest.mark.parametrize(
+    "times",
+    [np.arange(31) * 0.1, np.cumsum([0.0] + 30 * [0.1]), np.round(np.arange(31) * 0.1, 1)],
+    ids=["products", "sums", "decimals"],
+)
+def test_a_dose_at_an_instant_is_given_once_however_its_time_is_rounded(times, start):
+    events = [(start + 0.1 * k, 1.0, 0) for k in range(1, 30)]
+    events += [(start + round(0.1 * k, 1), 1.0, 1) for k in range(1, 30)]
+    still = made(ode(lambda x, t, p: (0.0, 0.0), events=events), initial=lambda w, p: (0.0, 0.0))
+    states = simulate(still.on_clock(start + times), 30, range(1), 0).x[0]
+    expected = np.maximum(np.arange(-1.0, 30.0), 0.0)
+    np.testing.assert_array_equal(states, np.stack([expected, expected], axis=1))
+
+
+def test_events_may_be_an_array_and_begin_an_infusion():
+    """A rate of 2 from .25 to 1.5; what is kept within limits is kept after an event, too."""
+    events = np.array([[0.25, 2.0, 1.0], [1.5, -2.0, 1.0], [1.75, 9.0, 0.0]])
+    keep = lambda x, p: (np.minimum(x[0], 5.0), x[1])  # noqa: E731
+    flow = ode(lambda x, t, p: (x[1], 0.0), events=events, substeps=1, keep=keep)
+    model = made(flow, initial=lambda w, p: (0.0, 0.0))
+    states = simulate(model, 2, range(1), 0).x[0]
+    np.testing.assert_allclose(states, [(0.0, 0.0), (1.5, 2.0), (5.0, 0.0)], rtol=1e-14)
+    finer = doubled(made(flow, initial=lambda w, p: (0.0, 0.0)))
+    np.testing.assert_allclose(simulate(finer, 2, range(1), 0).x[0], states, rtol=1e-14)
+
+
 # --- stochastic differential equations ------------------------------------------------------------
 
 
@@ -312,6 +392,9 @@ def test_what_has_no_equation_is_not_changed():
         ({"largest_step": 0.0}, "largest_step must be greater than 0, got 0.0"),
         ({"method": "rk5"}, "method: got 'rk5'; did you mean 'rk4'? Allowed: 'rk4' or 'heun'"),
         ({"substeps": 3, "largest_step": 0.1}, "ode takes substeps or largest_step, got both"),
+        ({"events": [(1.0, 2.0)]}, "events must be rows (time, amount, component of x), got [(1.0"),
+        ({"events": [(np.inf, 2.0, 0)]}, "each entry of events must be a finite number, got inf"),
+        ({"events": [(1.0, 2.0, 0.5)]}, "each entry of events must be an integer, got 0.5"),
     ],
 )
 def test_a_wrong_argument_is_one_line(arguments, message):
@@ -325,6 +408,8 @@ def test_a_wrong_equation_is_one_line_that_names_it():
         made(ode(lambda x, t, p: (x[0],)))
     with pytest.raises(ModelError, match=r"diffusion must give a row of noises = 1 numbers"):
         made(sde(linear, lambda x, t, p: (1.0, 1.0), noises=1))
+    with pytest.raises(ModelError, match=r"events must name components of x below 2, got 2"):
+        made(ode(linear, events=[(0.5, 1.0, 2)]))
     flow = sde(linear, lambda x, t, p: (1.0, 1.0), noises=2)
     with pytest.raises(ModelError, match=r"process_noise must have 20 entries.*got 3"):
         made(flow, process_noise=("normal",) * 3)
@@ -337,11 +422,15 @@ def test_instants_of_uneven_distances_need_a_clock():
         simulate(model, 2, range(1), 0)
 
 
-def test_too_many_steps_are_not_fewer_steps(monkeypatch):
+@pytest.mark.parametrize("events", [[], [(0.505, 0.0, 0)]], ids=["no event", "an event"])
+def test_too_many_steps_are_not_fewer_steps(events, monkeypatch):
     """A step that is too small for the largest number of steps gives no number."""
     monkeypatch.setattr(continuous, "MOST_STEPS", 100)
+    solved(ode(linear, largest_step=1 / (100 - len(events)), events=events), (0.0, 1.0))
     with pytest.raises(ModelError, match=r"must stay finite, got x\[0\] = nan at t = 1"):
-        solved(ode(linear, largest_step=1 / 101), (0.0, 1.0))
+        solved(ode(linear, largest_step=1 / (101 - len(events)), events=events), (0.0, 1.0))
+    with pytest.raises(ArgumentError, match="at most 100 substeps and events together, got 91"):
+        ode(linear, events=[(0.5, 0.0, 0)] * 91)
 
 
 def test_a_value_of_a_step_is_not_kept():

@@ -14,10 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LinearGaussian:
-    """x(t+1) = A x + B w, y = C x + D v, z = H x, x(0) = B0 w0; w, v, w0 standard normal.
-
-    D is square and diagonal.
-    """
+    """x(t+1) = A x + B w, y = C x + D v, z = H x, x(0) = B0 w0; w, v, w0 standard normal."""
 
     a: Array
     b: Array
