@@ -139,6 +139,11 @@ def by_functions(x, t, w, p):
     return (a + c, b + np.logaddexp(x[0], x[1]) + np.degrees(w[0]) + 2.0 ** x[0])
 
 
+def by_powers(x, t, w, p):
+    simple = [x[0] ** power for power in (-1, 0, 1, 2, 3, 4)]
+    return (sum(k * each for k, each in enumerate(simple, 1)), abs(x[1]) ** 0.5 + x[0] ** -2)
+
+
 def by_masks(x, t, w, p):
     both = (x[0] > 0) & ~(x[1] > 0) | (np.isnan(x[0]) ^ (x[1] < -1))
     return (both * x[0] + (x[1] != 0), np.where(both, x[1], w[0]))
@@ -161,7 +166,7 @@ def by_densities(x, t, w, p):
 WRITTEN = {
     by_dictionary: T_NUMBER, by_branch_on_t: T_NUMBER,
     by_neighbour: T_NUMBER, by_branch_on_parameter: NUMBERS, by_generator: SYMBOLS,
-    by_matrix: SYMBOLS, by_functions: SYMBOLS, by_masks: SYMBOLS,
+    by_matrix: SYMBOLS, by_functions: SYMBOLS, by_powers: SYMBOLS, by_masks: SYMBOLS,
     by_stack: SYMBOLS, by_table: SYMBOLS, by_table_of_two_dimensions: SYMBOLS,
     by_densities: SYMBOLS,
 }  # fmt: skip

@@ -15,5 +15,5 @@ def _save(to: Any, **_: Any) -> None:
 
 def undraw(patch: pytest.MonkeyPatch) -> None:
     """Save each figure as an empty picture."""
-    for module in ("pages.figure", "questions.pictures"):
+    for module in ("questions.pictures", "pages.figure"):  # the first imports from the second
         patch.setattr(f"pfdist.{module}.drawn", lambda _: SimpleNamespace(savefig=_save))

@@ -12,6 +12,7 @@ from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
+from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.written import clock_of, instants_written
 
@@ -121,6 +122,13 @@ def test_a_time_that_is_none_of_the_clocks_is_named_with_the_nearest(
 )
 def test_times_are_written_as_numbers_and_ranges(written: object, instants: list[int]) -> None:
     assert instants_written(written, UNEVEN) == instants
+
+
+def test_a_clock_may_have_one_step_and_has_at_least_one() -> None:
+    once = ProblemSection(horizon=0.5, time_step=0.5, measurement_budget=1)
+    assert once.clock.times == (0.0, 0.5)
+    with pytest.raises(ValueError, match="must be 1 to 32,000 steps"):
+        ProblemSection(horizon=0.5, time_step=2.0, measurement_budget=1)
 
 
 def test_the_horizon_must_be_a_multiple_of_the_step() -> None:

@@ -323,6 +323,11 @@ def test_those_nearest_to_a_time_that_costs_too_much_give_way_to_it() -> None:
     }
 
 
+def test_the_money_left_buys_the_times_that_are_farthest_from_the_rest() -> None:
+    feasible = Feasible(8, price=(1,) * 9, total_price=4)
+    assert feasible.completed((0,)) == (0, 2, 4, 8)  # 8, then the middle, then 2 before 6
+
+
 def test_many_sets_are_counted_exactly_and_drawn() -> None:
     """Choosing N of T+1 at least d apart is choosing N of T+1 - (N-1)(d-1)."""
     feasible = Feasible(300, 60, minimum_spacing=4)

@@ -68,6 +68,7 @@ def test_errors_are_those_of_the_plan_and_both_grids(planned: Path) -> None:
     assert found.judged == 3 * len(instants)
     assert found.noise == pytest.approx(0.01 / variance, rel=0.05)
     assert {*found.promises} == {*sets} - {"plan"}
+    assert {each.used for each in found.shown} == {plan}
     assert found.files == ()
 
 

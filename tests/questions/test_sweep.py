@@ -18,6 +18,7 @@ from pfdist.errors import PfdistError, RunMismatchError, SweepError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, Result
 from pfdist.problem.sweep import START_SECONDS, parts_that_pay
+from pfdist.questions.at_work import release_the_lock
 from pfdist.questions.sweep import foreseen
 from pfdist.runner.progress import Progress
 from pfdist.store import held
@@ -391,6 +392,11 @@ def test_an_error_of_the_table_or_the_figure_is_a_line_and_the_sweep_stands(
     assert sweep.files == (tmp_path / "other" / "points.csv",)
     assert sweep.figures == ()
     assert "ZeroDivisionError: a mistake (`pfdist plot " in said[-1]
+
+
+def test_a_single_point_whose_formulas_are_python_wants_processes_for_all() -> None:
+    assert release_the_lock(["compiled", "kalman"])
+    assert not release_the_lock(["compiled", "numpy"])
 
 
 @pytest.mark.usefixtures("undrawn")

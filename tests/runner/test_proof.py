@@ -149,6 +149,14 @@ def test_the_gap_of_a_set_bought_with_money_is_that_to_the_bound_of_all_of_the_m
     assert gap.gap == pytest.approx(0.2)
 
 
+def test_a_gap_without_a_bound_has_the_sets_error_and_no_other_number() -> None:
+    columns = GAP.refused("why").columns()
+    assert (columns["expected_mse"], columns["reason"]) == (10.0, "why")
+    assert (columns["budget"], columns["path"]) == (0, ())
+    numbers = ("bound", "gap", "gap_at_most", "relaxation", "estimate", "filter_model")
+    assert np.isnan([columns[name] for name in numbers]).all()
+
+
 def test_a_set_clearly_below_the_bound_has_no_bound_and_a_chance_excess_is_no_gap() -> None:
     alone = GapParts(Estimate(10.0, 0.1), both=Estimate(-0.1, 0.1))
 

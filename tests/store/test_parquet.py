@@ -193,6 +193,18 @@ def test_a_file_that_cannot_be_written_is_an_error_that_says_what_to_do(tmp_path
         Store(tmp_path).commit("draws", "genetic", _draws("a", 0, 1))
 
 
+def test_what_the_disk_did_not_take_gets_no_name(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(StoreError, match=r"cannot write .*Input/output error"):
+        store.commit("draws", "genetic", _draws("a", 0, 1))
+    assert not list(store.path.rglob("*.parquet"))
+
+
 def test_no_file_gets_a_second_name(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some file systems have no hard links: exFAT, and some in networks."""
 
