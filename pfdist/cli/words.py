@@ -111,6 +111,14 @@ def _part(text: str) -> tuple[int, int]:
         raise ValueError(f"must be K/N, as 3/200, got {shown(text)}") from error
 
 
+def _columns(text: str) -> dict[str, str]:
+    """The names of columns in ``y0=conc,t=time``."""
+    pairs = [each.partition("=") for each in text.split(",")]
+    if not all(equals for _, equals, _ in pairs):
+        raise ValueError(f"must be NAME=COLUMN, as y0=conc,t=time, got {shown(text)}")
+    return {name.strip(): column.strip() for name, _, column in pairs}
+
+
 def _sets_or_one(texts: list[str]) -> dict[str, str]:
     """Sets as `_sets` gives them; a single set needs no name."""
     if len(texts) > 1 or "=" in texts[0] or texts == [REGULAR]:
@@ -156,6 +164,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "block": _number("K"),
     "bound_draws": _number("K"),
     "browser": Word(bool, Parameter(negative="--no-browser")),
+    "columns": Word(Any, Parameter(metavar="NAME=COLUMN", converter=_each(_columns))),
     "changes": _texts("KEY=VALUE", name="--set", consume_multiple=1),
     "data": _file("DATA"),
     "draws": _number("K"),
@@ -198,6 +207,8 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "work": _number("STEPS", finite_number),
     "workers": _number("N"),
     "backtest.within": _number("TIME", finite_number),
+    "filter.within": _number("TIME", finite_number),
+    "next.within": _number("TIME", finite_number),
     "budget.measurements": Word(
         Any, Parameter(metavar="NUMBERS", converter=_each(lambda text: set(whole_numbers(text))))
     ),

@@ -106,6 +106,23 @@ class SensorPart(NamedTuple):
     v: slice  # variates of the measurement noise
 
 
+def repeated(model: "StateSpaceModel", repeats: int) -> "StateSpaceModel":
+    """The model whose y may have several rows of each sensor: the components of all, in turn."""
+    if repeats == 1:
+        return model
+    plain = Sensor(model.measurement, model.log_likelihood, model.measurement_noise)
+    each = [*model.sensors.values()] or [plain]
+    sensors = {f"row-{k}": each[k % len(each)] for k in range(repeats * len(each))}
+    return dataclasses.replace(
+        model,
+        measurement=formula_of_each_sensor,
+        log_likelihood=formula_of_each_sensor,
+        measurement_noise=(),
+        y_names=(),
+        sensors=sensors,
+    )
+
+
 @dataclass(frozen=True)
 class StateSpaceModel:
     """A system that can be simulated and measured.

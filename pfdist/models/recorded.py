@@ -135,6 +135,35 @@ def check_same_functions(model: StateSpaceModel, other: StateSpaceModel, instant
                     )
 
 
+def is_of_any_time(model: StateSpaceModel) -> bool:
+    """Whether a model on a clock can have further instants.
+
+    Its step depends on p.dt, and an instant later, with parameters that are an instant later, too,
+    its formulas give the same values: so they read t only in ``p.NAME[t]``.
+    """
+    given = {name: each for name, each in model.parameters.items() if isinstance(each, tuple)}
+    last = len(given["time"]) - 1
+    later = {name: (each[0], *each[:-1]) for name, each in given.items()}
+    longer = {"dt": tuple(2 * each for each in given["dt"])}
+    own, moved, slow = (
+        recorded(model.with_parameters(each), range(last + 1)) for each in ({}, later, longer)
+    )
+
+    def same(name: str, number: int, other: StateSpaceModel, at: int, shift: int) -> bool:
+        parts = own.parts[number].model, other.parts[number].model
+        here = _values(parts[0], name, at, slice(None))
+        return np.array_equal(here, _values(parts[1], name, at + shift, slice(None)), True)
+
+    names = [name for name in ARGUMENTS if name not in ("initial", "error")]
+    tried = {0, (last - 1) // 2, max(0, last - 2)} if last > 1 else set()
+    return not same("transition", 0, slow, 0, 0) and all(
+        same(name, number, moved, t, 1)
+        for number in range(len(own.parts))
+        for name in names
+        for t in tried
+    )
+
+
 def _values(model: StateSpaceModel, name: str, t: int, entries: slice) -> Array:
     formula, column = formula_of(model, name), 0
     given: dict[str, Any] = {"t": t, "p": model.p}

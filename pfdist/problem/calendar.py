@@ -74,6 +74,10 @@ class Calendar:
         """The time of a date and hour, in the unit."""
         return self._elapsed(moment) / timedelta(seconds=SECONDS[self.unit])
 
+    def since_epoch(self, seconds: float) -> float:
+        """The time of a number of seconds since 1970, in UTC, or else in the clock's local time."""
+        return (seconds - _in_utc(self.start).timestamp()) / SECONDS[self.unit]
+
     def written(self, time: float) -> str:
         """The date and hour of a time as a text; with its offset in an hour that occurs twice."""
         return self.shown(self.date(time))

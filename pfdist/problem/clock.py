@@ -215,6 +215,20 @@ class Clock:
             raise MeasurementTimesError(f"t must be whole numbers without a clock, got {t:.10g}")
         return int(t)
 
+    def nearest(self, times: Iterable[float]) -> list[int]:
+        """The instant nearest to each time."""
+        own = np.array(self.times, np.float64)
+        return [int(np.abs(own - time).argmin()) for time in times]
+
+    def of_table(self, times: Sequence[float]) -> list[float]:
+        """The times of a user's table in the clock's unit, if all can only be epoch seconds."""
+        first, last, given = self.times[0], self.times[-1], [*times]
+        if self.calendar and given and min(given) > 2 * last - first:
+            seconds = [self.calendar.since_epoch(t) for t in given]
+            if first - self.slack <= min(seconds) and max(seconds) <= last + self.slack:
+                return seconds
+        return given
+
     def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:
         """The columns t and, if the clock has a start, date of a table with these instants."""
         dates = {"date": [self.formatted(t) for t in instants]} if self.calendar else {}
@@ -241,7 +255,10 @@ class Clock:
         """
         if self.calendar is None or isinstance(time, str):
             return unrounded(time)
-        return self.calendar.written(time)
+        try:
+            return self.calendar.written(time)
+        except (OverflowError, ValueError):  # beyond the year 9999, or not finite
+            return unrounded(time)
 
     def listed(self, times: Iterable[Time | str], between: str = ", ") -> str:
         """Times, or measurements as users read them, as text with the unit if there is a unit.

@@ -1,26 +1,71 @@
 """Measured values of one system, checked one by one or read from a table."""
 
-from dataclasses import dataclass
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, pairwise
-from operator import itemgetter
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
+from pfdist.common.nearest import did_you_mean
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.one_filter import checked_instant, checked_measurement, made, plain_number
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
+from pfdist.models.parameters import CLOCK, Parameter
 from pfdist.problem.clock import Clock
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
 _FURTHER = 10_000  # rows
+_MOST_REPEATS = 8  # rows of a sensor at a time
+_NAMED = 8  # columns that are not read
+COMPONENT = re.compile(r"y\d+")
+_STEPS = "because the model's step does not read p.dt"
+RENAME = "columns of other names need --columns y0=NAME,t=NAME"
+
+
+class Reading(NamedTuple):
+    """How a user's table is read.
+
+    Parameters
+    ----------
+    columns : mapping of str to str
+        The names in the table of columns that have another name there.
+    within : float, optional
+        Largest distance from a time to the instant that is used instead, if there must be one.
+    any_time : callable
+        Whether the filter can have instants that the clock lacks.
+    note : callable
+        Receives lines about what was not read, moved or repeated.
+    may_repeat : bool
+        Whether a sensor may have several rows at a time.
+    """
+
+    columns: Mapping[str, str] = {}
+    within: float | None = None
+    any_time: Callable[[], bool] = lambda: False
+    note: Callable[[str], Any] = lambda line: None
+    may_repeat: bool = True
+
+    def moved(self, distance: float, clock: Clock) -> None:
+        """Note how far the furthest time moved, if any did."""
+        if distance:
+            unit = f" {clock.unit}" * bool(clock.unit)
+            self.note(
+                f"times of the table count at the nearest instants, at most {distance:.3g}{unit} "
+                f"away, {_STEPS}"
+            )
+
+
+PLAIN_READING = Reading()
 
 
 @dataclass(frozen=True)
@@ -28,100 +73,172 @@ class Measurements:
     """Measurements of one system, in the order of time."""
 
     t: tuple[int, ...]  # (K,); the instants that were measured
-    y: Array  # (K, m); NaN marks a component that is missing
-    missed: tuple[int, ...] = ()  # instants that have a row without any component
+    y: Array  # (K, R * m) with up to R rows for a sensor; NaN marks a component that is missing
+    missed: tuple[int, ...]  # instants that have a row without any component
+    clock: Clock  # of these instants: that of the job, or also with the times of the table
+    repeats: int = 1  # R
 
     def made_with(self, model: StateSpaceModel) -> Times:
         """The possible measurements that were made; without sensors, these are instants."""
-        rows = zip(self.t, self.y, strict=True)
+        rows = zip(self.t, self.y[:, : model.components[1]], strict=True)
         return tuple(chain.from_iterable(made(model, t, y) for t, y in rows))
 
 
 def read_measurements(
-    path: Path | pd.DataFrame, model: StateSpaceModel, clock: Clock, start: int = 0
+    path: Path | pd.DataFrame,
+    model: StateSpaceModel,
+    clock: Clock,
+    start: int = 0,
+    reading: Reading = PLAIN_READING,
 ) -> Measurements:
     """Measurements from a table with the columns t, y0, y1, ..., with rows in any order.
 
     The table is a file in CSV or Parquet, or in memory. If the model names the components of y,
-    columns may have the names: y_concentration. The column t has times on the clock, and `start` is
-    the first instant that can be measured. A row without any component is a time that was not
-    measured. Raises `MeasurementsError` if the file cannot be read, if its header does not fit, or
-    if a value is wrong.
+    columns may have the names: y_concentration. `start` is the first instant that can be measured.
+    A row without any component is a time that was not measured. Several rows for a sensor at a time
+    are repeats, which all count. A column of a parameter must have the values of the model; further
+    columns are not read. Raises `MeasurementsError` if the file cannot be read, if its header does
+    not fit, or if a value is wrong.
     """
     allowed, sensors = [["t", *names] for names in user_columns("y", model)], [*model.sensors]
     if sensors:
         most = max(part.model.components[1] for part in model.parts)
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
     try:
-        check = partial(_check_header, allowed)
-        # Each time has one row; the first of a few rows too many is named below.
-        most = _FURTHER + model.points.first(len(clock.times))
-        columns = read_user_table(path, check, (), {"sensor": sensors}, clock.readers(), most)
-        for row, t in enumerate(columns["t"].tolist(), 1):
-            try:
-                instant_on(clock, t, start)
-            except MeasurementsError as error:
-                raise MeasurementsError(f"{error} (row {row})") from error
-        if sensors:
-            columns = _side_by_side(columns, model, clock)
-            allowed = [["t", *(f"y{component}" for component in range(model.components[1]))]]
-        wanted = next(names for names in allowed if names[1] in columns)
-        components = _components_of_sensors(model) if sensors else wanted[1:]
-        times = [instant_on(clock, t, start) for t in columns["t"].tolist()]
-        for t, following in pairwise(sorted(times)):
-            if t == following:
-                repeated = clock.text(clock.times[t])
-                raise MeasurementsError(f"each time must have one row, got t = {repeated} twice")
-        table = np.stack([columns[name] for name in wanted[1:]], axis=1)
-        rows = [
-            (t, checked_measurement(table[row], model, clock.text(clock.times[t]), components))
-            for row, t in sorted(enumerate(times), key=itemgetter(1))
-        ]
+        own = {name: value for name, value in model.parameters.items() if name not in CLOCK}
+        known = {*chain(*allowed), *own}
+        check, most = partial(_check_header, allowed, own, reading), _FURTHER
+        most += _MOST_REPEATS * model.points.first(len(clock.times))
+        columns = read_user_table(path, check, known, {"sensor": sensors},
+                                  clock.readers(between=True), most, reading.columns)  # fmt: skip
+        times = clock.of_table(columns["t"].tolist())
+        of_rows, instants, moved = instants_of_table(times, clock, reading, start)
+        reading.moved(moved, clock)
+        if of_rows is not clock and (varied := [k for k, v in own.items() if isinstance(v, tuple)]):
+            reading.note(
+                f"{', '.join(varied)} of the model: constant from an instant of the job to the next"
+            )
+        for name, value in own.items():
+            _check_parameter(name, columns.get(name), value, times, clock)
+        wanted = next(names for names in allowed if names[-1] in columns)[1 + bool(sensors) :]
+        table = np.stack([columns[name] for name in wanted], axis=1)
+        ways = columns["sensor"].astype(int).tolist() if sensors else [0] * len(times)
+        rows = zip(instants, ways, table, strict=True)
+        values = _placed(rows, model, wanted, of_rows, reading)
     except (MeasurementsError, ValueError) as error:
         where = "measurements" if isinstance(path, pd.DataFrame) else path
         raise MeasurementsError(f"{where}: {error}") from error
     except OSError as error:
         raise MeasurementsError(f"cannot read {path}: {error.strerror or error}") from error
-    measured = {t: y for t, y in rows if y is not None}
-    return Measurements(
-        tuple(measured),
-        np.array(list(measured.values())).reshape(-1, model.components[1]),
-        tuple(t for t, y in rows if y is None),
-    )
+    measured, repeats = sorted({t for t, _, _ in values}), 1 + max(k for *_, k in [(0,), *values])
+    if more := sum(k > 0 for *_, k in values):
+        repeat = "1 row repeats" if more == 1 else f"{more} rows repeat"
+        reading.note(f"{repeat} a time of the table: the filter weighs each row")
+    place = {t: k for k, t in enumerate(measured)}
+    y = np.full((len(measured), repeats, model.components[1]), np.nan)
+    for (t, way, number), each in values.items():
+        y[place[t], number, model.parts[way].y] = each
+    missed = tuple(sorted({*instants} - {*measured}))
+    together = y.reshape(len(measured), repeats * model.components[1])
+    return Measurements(tuple(measured), together, missed, of_rows, repeats)
 
 
-def _components_of_sensors(model: StateSpaceModel) -> list[str]:
-    """The components of y as a table names them: by their column and the sensor of their row."""
-    return [
-        f"y{column} of {part.name}"
-        for part in model.parts
-        for column in range(part.model.components[1])
-    ]
-
-
-def _side_by_side(
-    columns: dict[str, Array], model: StateSpaceModel, clock: Clock
-) -> dict[str, Array]:
-    """Columns with a row for each time, and all components of y, from a row for each sensor."""
-    times = np.unique(columns["t"])
-    y = np.full((times.size, model.components[1]), np.nan)
-    seen = set[tuple[float, int]]()
-    for row, (t, sensor) in enumerate(zip(columns["t"].tolist(), columns["sensor"], strict=True)):
-        name, alone, own, _ = model.parts[int(sensor)]
-        count = alone.components[1]
-        given = np.array([column[row] for key, column in columns.items() if key[0] == "y"])
-        if (t, sensor) in seen:
+def _placed(
+    rows: Iterable[tuple[int, int, Array]],
+    model: StateSpaceModel,
+    columns: Sequence[str],
+    clock: Clock,
+    reading: Reading,
+) -> dict[tuple[int, int, int], Array]:
+    """The measurement of each instant, sensor and repeat."""
+    values, count = dict[tuple[int, int, int], Array](), Counter[tuple[int, int]]()
+    most = _MOST_REPEATS if reading.may_repeat else 1
+    for t, way, row in rows:
+        text, name = clock.text(clock.times[t]), model.parts[way].name
+        y = _of_sensor(model, way, row, columns, text)
+        if y is None:
+            continue
+        if count[t, way] == most:
+            rule = "one row" if most == 1 else f"at most {most} rows"
+            remedy = ": only filter, next and fit count repeats" * (most == 1)
+            of_sensor = f" of {name}" * bool(name)
             raise MeasurementsError(
-                f"a sensor must have one row for each time, got {name} at t = {clock.text(t)} twice"
+                f"each time must have {rule}{of_sensor}, got more at t = {text}{remedy}"
             )
-        if not np.isnan(given[count:]).all():
-            raise MeasurementsError(
-                f"the sensor {name} must have {count} components of y, got more at t = "
-                f"{clock.text(t)}"
-            )
-        seen.add((t, sensor))
-        y[times == t, own] = given[:count]
-    return {"t": times} | {f"y{component}": y[:, component] for component in range(y.shape[1])}
+        values[t, way, count[t, way]] = y
+        count[t, way] += 1
+    return values
+
+
+def _of_sensor(
+    model: StateSpaceModel, way: int, row: Array, columns: Sequence[str], t: str
+) -> Array | None:
+    """The checked measurement of a row; None if all is missing."""
+    name, alone, own, _ = model.parts[way]
+    count = own.stop - own.start
+    if not np.isnan(row[count:]).all():
+        raise MeasurementsError(
+            f"the sensor {name} must have {count} components of y, got more at t = {t}"
+        )
+    names = [f"{column} of {name}" if name else column for column in columns[:count]]
+    return checked_measurement(row[:count], alone, t, names)
+
+
+def _check_parameter(
+    name: str, given: Any, own: Parameter, times: Sequence[float], clock: Clock
+) -> None:
+    """Raise `MeasurementsError` if a column has other values of a parameter than the model."""
+    if given is None:
+        return
+    here = np.array(covariate_at(own, clock, times)) if isinstance(own, tuple) else own
+    if not (np.isnan(given) | np.isclose(given, here, rtol=1e-6)).all():
+        raise MeasurementsError(
+            f"column {name}: the filter has the job's value of this parameter, got another: only "
+            "backtest and fit read parameters from tables"
+        )
+
+
+def covariate_at(
+    values: Sequence[float], clock: Clock, times: Iterable[float]
+) -> tuple[float, ...]:
+    """The values of a covariate at times: from each instant of the clock on until the next."""
+    at = np.searchsorted(np.array(clock.times) - clock.slack, [*times], side="right") - 1
+    return tuple(np.array(values)[at.clip(0)].tolist())
+
+
+def instants_of_table(
+    times: Sequence[float], clock: Clock, reading: Reading, start: int = 0, *, alone: bool = False
+) -> tuple[Clock, list[int], float]:
+    """The clock of a table, the instant of each of its times on it, and the largest distance.
+
+    It is the job's clock if that has all times, or if the filter can have no others; they are then
+    moved to the nearest instants. Else it has the instants of the job, or if `alone` only the
+    first, and the times of the table. Raises `MeasurementsError` for a time before the instant
+    `start` or after the last, or too far from all instants.
+    """
+    exact, has_others = list[float](), False
+    for row, t in enumerate(times, 1):
+        try:
+            exact.append(clock.times[instant_on(clock, t, start)])
+        except MeasurementsError as error:
+            if not clock.times[start] <= t <= clock.times[-1]:
+                raise MeasurementsError(f"{error} (row {row})") from error
+            exact.append(t)
+            has_others = True
+    if has_others and not clock.counts and reading.any_time():
+        first = clock.times[:1] if alone else clock.times
+        clock = replace(clock, times=tuple(sorted({*first, *exact})))
+    instants = clock.nearest(exact)
+    distances = [abs(clock.times[k] - t) for k, t in zip(instants, exact, strict=True)]
+    moved, within = max(distances, default=0.0), reading.within
+    if within is not None and moved > within + clock.slack:
+        far = exact[distances.index(moved)]
+        raise MeasurementsError(
+            f"t must be at most {within:g} from an instant, {_STEPS}, got {clock.text(far)}, "
+            f"{moved:.3g} from the nearest: allow more (--within), or write the step with p.dt, as "
+            "pfdist.ode does"
+        )
+    return clock, instants, moved
 
 
 def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
@@ -144,13 +261,28 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
     return instant
 
 
-def _check_header(allowed: list[list[str]], header: list[str]) -> None:
-    if sorted(header) in map(sorted, allowed):
+def _check_header(
+    allowed: list[list[str]], parameters: Collection[str], reading: Reading, header: list[str]
+) -> None:
+    given = [name for name in header if name in chain(*allowed) or COMPONENT.fullmatch(name)]
+    if sorted(given) in map(sorted, allowed):
+        note_unread([each for each in header if each not in (*given, *parameters)], reading)
         return
     choices = " or ".join(map(", ".join, allowed))
     text = f"the columns must be {choices}, got {shown(', '.join(header))}"
-    if len(header) == 1 and any(separator in header[0] for separator in ";\t|"):
+    if len(header) == 1 and any(separator in header[0] for separator in "\t|"):
         text += f"; {SEPARATORS}"
     elif header and header[0][:1].isdigit():
         text += "; the first line must name the columns"
+    else:
+        text += f"; {RENAME}"
     raise MeasurementsError(text)
+
+
+def note_unread(columns: Sequence[str], reading: Reading, known: Iterable[str] = ()) -> None:
+    """Note the columns of a table that are not read, and names that they may mean."""
+    if columns:
+        names = [f"{each}{did_you_mean(each, [*known])}" if each else "one without a name"
+                 for each in columns[:_NAMED]]  # fmt: skip
+        more = f" and {len(columns) - _NAMED} more" * (len(columns) > _NAMED)
+        reading.note(f"columns of the table that are not read: {', '.join(names)}{more}")

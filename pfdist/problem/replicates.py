@@ -1,7 +1,7 @@
 """Measurements of many systems, the replicates, read from one long table."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,21 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
-from pfdist.common.nearest import did_you_mean, must_be
+from pfdist.common.nearest import must_be
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import CLOCK, Parameter
 from pfdist.problem.clock import Clock
-from pfdist.problem.measurements import instant_on, read_measurements
+from pfdist.problem.measurements import (
+    COMPONENT,
+    PLAIN_READING,
+    RENAME,
+    Reading,
+    instants_of_table,
+    note_unread,
+    read_measurements,
+)
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
@@ -35,7 +43,7 @@ class Replicate:
     clock : Clock
         That of the job, or of the replicate's own times.
     y : array of float64, (T+1, m)
-        Measurements; NaN marks a component that was not measured.
+        Measurements; NaN marks a component that was not measured. Repeats follow each other.
     z : array of float64, (T+1, q), optional
         Known values of the quantity of interest, NaN elsewhere.
     parameters : mapping of str to float or tuple of float
@@ -97,7 +105,7 @@ class Replicate:
 
 def read_replicates(
     source: Path | pd.DataFrame, column: str, model: StateSpaceModel, clock: Clock,
-    parameters: Sequence[str],
+    parameters: Sequence[str], reading: Reading = PLAIN_READING,
 ) -> list[Replicate]:  # fmt: skip
     """The replicates of a long table in the order of their first rows.
 
@@ -114,6 +122,7 @@ def read_replicates(
         That of the job. A replicate with other times has a clock of its own.
     parameters : sequence of str
         Names of parameters that a column may hold.
+    reading : Reading, optional
 
     Raises
     ------
@@ -122,9 +131,15 @@ def read_replicates(
     """
     where = "data" if isinstance(source, pd.DataFrame) else source
     try:
-        table, column = _table(source, column, model, [*parameters], clock.readers(between=True))
-        groups = table.groupby(column, sort=False)
-        return [_replicate(str(name), rows, model, clock, column) for name, rows in groups]
+        table, column = _table(source, column, model, [*parameters], clock, reading)
+        found, distances = list[Replicate](), [0.0]
+        quiet = reading._replace(note=lambda line: None, columns={})
+        for name, rows in table.groupby(column, sort=False):
+            each, moved = _replicate(str(name), rows, model, clock, column, quiet)
+            found.append(each)
+            distances.append(moved)
+        reading.moved(max(distances), clock)
+        return found
     except OSError as error:
         raise MeasurementsError(f"cannot read {source}: {error.strerror or error}") from error
     except (MeasurementsError, ValueError) as error:
@@ -136,7 +151,8 @@ def _table(
     column: str,
     model: StateSpaceModel,
     parameters: list[str],
-    readers: Mapping[str, Callable[[str], float]],
+    clock: Clock,
+    reading: Reading,
 ) -> tuple[pd.DataFrame, str]:
     """The checked table, and the name of the column of replicates."""
     sensors = ["sensor"] if model.sensors else []
@@ -144,24 +160,29 @@ def _table(
     y = [f"y{k}" for k in range(most)]
     named = [*chain.from_iterable(user_columns("y", model))] if not sensors else y
     own = ["t", *sensors, *named, *chain.from_iterable(user_columns("z", model)), TRAIN]
-    own += [name for name in parameters if name not in CLOCK]
+    covariates = [name for name in parameters if name not in CLOCK]
+    own += covariates
+    read = {*own}
 
     def check(header: list[str]) -> list[str]:
-        name, named = column or "".join(header[:1]), [each for each in header if each not in own]
-        separated = f"; {SEPARATORS}" if any(mark in "".join(header) for mark in ";\t|") else ""
+        name, named = (
+            column or next(filter(None, header), ""),
+            [each for each in header if each and each not in own],
+        )
+        separated = f"; {SEPARATORS}" if any(mark in "".join(header) for mark in "\t|") else ""
         if name not in named:
             rule = f"a column with names of systems: {', '.join(named) or 'the table has none'}"
             raise MeasurementsError(must_be("replicate", rule, name, named) + separated)
-        for each in header:
-            if each not in own and each != name:
-                meant = did_you_mean(each, own) or "."
-                raise MeasurementsError(
-                    f"unknown column {shown(each)}{meant} Columns: {name}, {', '.join(own)}"
-                )
+        others = [each for each in header if each not in own and each != name]
+        for each in filter(COMPONENT.fullmatch, others):
+            columns = f"{name}, {', '.join(own)}"
+            raise MeasurementsError(f"unknown column {shown(each)}. Columns: {columns}")
         for each in ("t", *sensors):
             if each not in header:
-                got = f"got {', '.join(header)}{separated}"
+                got = f"got {', '.join(header)}{separated or f'; {RENAME}'}"
                 raise MeasurementsError(f"the column {each} is missing, {got}")
+        note_unread(others, reading, covariates)
+        read.add(name)
         known = [each for each in header if each in chain(*user_columns("z", model))]
         if known and sorted(known) not in map(sorted, user_columns("z", model)):
             rule = " or ".join(map(", ".join, user_columns("z", model)))
@@ -169,17 +190,22 @@ def _table(
         return [name]
 
     names = {"sensor": [*model.sensors]} if sensors else {}
-    columns = read_user_table(source, check, names=names, readers=readers)
+    columns = read_user_table(
+        source, check, read, names, clock.readers(between=True), renamed=reading.columns
+    )
     if not columns["t"].size:
         raise MeasurementsError("the table must have rows, got none")
-    return pd.DataFrame(columns), column or next(iter(columns))
+    columns["t"] = np.array(clock.of_table(columns["t"].tolist()))
+    return pd.DataFrame(columns), column or next(each for each in columns if each not in own)
 
 
 def _replicate(
-    name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str
-) -> Replicate:
+    name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str,
+    reading: Reading,
+) -> tuple[Replicate, float]:  # fmt: skip
+    """A replicate, and how far the furthest of its times was moved."""
     try:
-        return _checked_replicate(name, rows, model, clock, column)
+        return _checked_replicate(name, rows, model, clock, column, reading)
     except (MeasurementsError, MeasurementTimesError, ValueError) as error:
         # Rows would be counted from the first row of this replicate.
         reason = str(error).removeprefix("measurements: ").partition(" (row ")[0]
@@ -187,20 +213,19 @@ def _replicate(
 
 
 def _checked_replicate(
-    name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str
-) -> Replicate:
+    name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str,
+    reading: Reading,
+) -> tuple[Replicate, float]:  # fmt: skip
     most = max(part.model.components[1] for part in model.parts)
     columns = {"t", "sensor", *(f"y{k}" for k in range(most)), *chain(*user_columns("y", model))}
     given = [each for each in rows.columns if each in columns]
-    own = _own_clock(rows["t"].tolist(), clock)
-    on = own or clock
-    table = rows[given].reset_index(drop=True)
+    on, at, moved = instants_of_table(rows["t"].tolist(), clock, reading, alone=True)
+    table = rows[given].reset_index(drop=True).assign(t=on.times_of(at))
     if model.sensors:
         table["sensor"] = [[*model.sensors][int(number)] for number in table["sensor"]]
-    measurements = read_measurements(table, model, on)
-    y = np.full((len(on.times), model.components[1]), np.nan)
+    measurements = read_measurements(table, model, on, reading=reading)
+    y = np.full((len(on.times), measurements.y.shape[1]), np.nan)
     y[[*measurements.t]] = measurements.y
-    at = [instant_on(on, t) for t in rows["t"].tolist()]
     known = next((names for names in user_columns("z", model) if names[0] in rows), [])
     series = [_series(each, rows[each].to_numpy(), at, on) for each in known]
     z = np.stack(series, axis=1) if known else None
@@ -209,21 +234,8 @@ def _checked_replicate(
     train = rows[TRAIN].to_numpy(np.float64) if TRAIN in rows else np.zeros(1)
     if len({*train}) > 1 or train[0] not in (0.0, 1.0):
         raise MeasurementsError(f"{TRAIN} must be 0 or 1 in all rows, got {shown(train.tolist())}")
-    return Replicate(name, on, y, z, parameters, bool(train[0]), own is not None)
-
-
-def _own_clock(times: list[float], clock: Clock) -> Clock | None:
-    """The clock of a replicate's own times; None if they are all on the job's clock."""
-    if clock.counts:
-        return None
-    try:
-        for time in times:
-            clock.instant(time)
-    except MeasurementTimesError:
-        for time in times:
-            clock.check_is_within(time, "t")
-        return replace(clock, times=tuple(sorted({clock.times[0], *times})))
-    return None
+    own = on is not clock
+    return Replicate(name, on, y, z, parameters, bool(train[0]), own), moved
 
 
 def _parameter(name: str, values: Array, at: list[int], clock: Clock) -> Parameter:

@@ -35,6 +35,7 @@ from pfdist.questions.planned_run import (
     UserTable,
     files_beside,
     planned_run,
+    reading_of,
     table_argument,
 )
 from pfdist.questions.report import write_page
@@ -193,6 +194,7 @@ def backtest(
     times: Mapping[str, OneSet] | None = None,
     planned: str = "",
     plan_each: bool = False,
+    columns: Mapping[str, str] | None = None,
     within: Annotated[Number, Field(ge=0.0, allow_inf_nan=False)] | None = None,
     block: Annotated[Whole, Field(ge=1, le=10_000)] = 1,
     out: str | Path = "",
@@ -230,8 +232,11 @@ def backtest(
         expected MSE.
     plan_each : bool
         Plan for each replicate among its own measurements; then no run is needed.
+    columns : mapping of str to str, optional
+        Names of the table's columns that have other names there, as ``t=time,y0=conc``.
     within : float, optional
-        Largest distance from a wanted time to the nearest measured time, which is used instead; by
+        Largest distance from a wanted time to the nearest measured time, which is used instead, and
+        from a measured time to the nearest instant if the model's step does not read p.dt; by
         default half a step of the clock.
     block : int
         Number of consecutive replicates that may depend on each other, such as 7 days.
@@ -284,7 +289,9 @@ def backtest(
         execution = built.job.with_changes(settings={"execution": chosen.execution}).execution
         model, clock = built.evaluator.model, built.job.problem.clock
         names = [*model.parameters, *built.evaluator.believed.parameters]
-        replicates = read_replicates(table, replicate, model, clock, [*dict.fromkeys(names)])
+        reading = reading_of(built, columns, within, chosen.say)._replace(may_repeat=False)
+        names = [*dict.fromkeys(names)]
+        replicates = read_replicates(table, replicate, model, clock, names, reading)
         _check_columns(built, replicates)
         if within is None:
             within = (clock.times[-1] - clock.times[0]) / clock.horizon / 2

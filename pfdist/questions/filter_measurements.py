@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
@@ -38,7 +38,9 @@ from pfdist.questions.planned_run import (
     UserTable,
     files_beside,
     filter_of,
+    on_clock_of,
     planned_run,
+    reading_of,
     table_argument,
 )
 from pfdist.questions.report import write_page
@@ -69,7 +71,7 @@ class FilteredMeasurements(Shown):
     name : str
         Name of the compared set whose times were planned.
     measured : tuple of int or float
-        Times with a measurement, on the clock of the job, as all times below.
+        Times with a measurement, on the clock, as all times below.
     missing, extra, to_come : tuple of int or float
         Planned times up to the last measurement that were not measured, measured times that were
         not planned, and planned times after the last measurement.
@@ -82,7 +84,7 @@ class FilteredMeasurements(Shown):
     files : tuple of Path
         The table, the figure, and the report if it was wanted; none for a DataFrame without `out`.
     clock : Clock
-        That of the job.
+        That of the job, with the times of the table if the filter can have them.
     collapsed : int or float, optional
         The first time at which the effective sample size falls below 5, if it does. From it on, the
         estimate is that of a few particles, not the model's.
@@ -176,6 +178,8 @@ def filter_measurements(
     *,
     planned: str = "",
     prior: UserTable | Prior | ArrayLike = "",
+    columns: Mapping[str, str] | None = None,
+    within: float | None = None,
     out: str | Path = "",
     results: str | Path | None = None,
     changes: Iterable[str] = (),
@@ -198,14 +202,20 @@ def filter_measurements(
         A job file, whose run is meant, or the folder of a run.
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
-        DataFrame. An empty cell is a missing component, a row without any value a missed time. If
-        the model has sensors, the column sensor names that of a row.
+        DataFrame, at any times. An empty cell is a missing component, a row without any value a
+        missed time, a second row at a time a repeat, which counts, too. If the model has sensors,
+        the column sensor names that of a row.
     planned : str, optional
         Name of the compared set whose times were planned; by default the found set with the lowest
         expected MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
         Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), and
         optionally weight, and t, their time (by default the first).
+    columns : mapping of str to str, optional
+        Names of the table's columns that have other names there, as ``t=time,y0=conc``.
+    within : float, optional
+        Largest distance from a time to the instant that is used instead, if the model's step does
+        not read p.dt; by default half a step.
     out : str or Path, optional
         Folder of the table, the figure and the report; by default that of the measurements, and
         none for a DataFrame.
@@ -242,27 +252,34 @@ def filter_measurements(
     table = table_argument("measurements", measurements)
     files = files_beside(table, out, "measurements", "filtered")[: 3 if report else 2]
     plan = planned_run(job, results, changes, say, planned, prior)
-    points = plan.built.job.problem.points
-    clock = points.clock
-    columns = time_columns(points)
-    believed = plan.built.evaluator.believed
+    of_job, believed = plan.built.job.problem.points, plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
-    check_table = partial(check_table_replaceable, schema=columns.schema(schema))
+    check_table = partial(check_table_replaceable, schema=time_columns(of_job).schema(schema))
     checks: Sequence[Callable[[Path], None]]
     checks = check_table, filtered.check_figure_replaceable, check_page_replaceable
     for file, check in zip(files, checks, strict=False):
         check(file)
     filtering = filter_of(plan.built, plan.prior)
-    rows = read_measurements(table, believed, clock, filtering.now.t)
+    reading = reading_of(plan.built, columns, within, say)
+    rows = read_measurements(table, believed, of_job.clock, filtering.now.t, reading)
+    if rows.clock is not of_job.clock or rows.repeats > 1:
+        plan = on_clock_of(plan, rows)
+        filtering = filter_of(plan.built, plan.prior, repeats=rows.repeats)
+    clock, points = rows.clock, replace(of_job, clock=rows.clock)
     made = rows.made_with(believed)
-    wanted = [t for t in plan.times if t >= points.first(filtering.now.t)]
+    # A planned time was measured if the nearest instant of the job to a measurement is that.
+    places = [clock.instant(t) for t in of_job.clock.times]
+    wanted = [points.first(places[of_job.instant(t)]) + of_job.way(t) for t in plan.times]
+    wanted = [t for t in wanted if t >= points.first(filtering.now.t)]
+    nearest = of_job.clock.nearest(clock.times[points.instant(t)] for t in made)
+    meant = [points.first(places[k]) + points.way(t) for k, t in zip(nearest, made, strict=True)]
     filtered_estimates, lag = [*_estimates(filtering, rows)], plan.built.evaluator.lag
     smoothed = list[FilterEstimate]()
     if len(filtered_estimates) <= filtering.unmeasured.most_smoothed:
         smoothed = filtering.smoothed(filtering.horizon, lag or None)
     estimates = _table(filtered_estimates, smoothed, quantities, believed.is_angle, schema)
-    estimates = columns.table(estimates)
+    estimates = time_columns(points).table(estimates)
     collapsed = filtering.now.collapsed
     after = points.first(max((*rows.t, *rows.missed), default=-1) + 1)
     result = FilteredMeasurements(
@@ -270,9 +287,9 @@ def filter_measurements(
         Path("measurements") if isinstance(table, pd.DataFrame) else table,
         plan.name,
         tuple(points.written_of(made)),
-        tuple(points.written_of(t for t in wanted if t < after and t not in made)),
-        tuple(points.written_of(t for t in made if t not in wanted)),
-        tuple(points.written_of(t for t in wanted if t >= after)),
+        tuple(points.written_of(t for t in wanted if t < after and t not in meant)),
+        tuple(points.written_of(t for t, m in zip(made, meant, strict=True) if m not in wanted)),
+        tuple(points.written_of(t for t in wanted if t >= after and t not in meant)),
         frame_of(estimates),
         filtering.log_evidence,
         filtering.why_no_evidence,

@@ -22,15 +22,16 @@ from pfdist.filters.evidence import exact_log_evidence, log_evidence
 from pfdist.filters.work import PLAIN
 from pfdist.kernels.variates import generator
 from pfdist.models import StateSpaceModel
+from pfdist.models.base import repeated
 from pfdist.pools.base import Pool
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.options import Chosen, Options, following, with_options
-from pfdist.questions.planned_run import UserTable, table_argument
+from pfdist.questions.planned_run import UserTable, reading_of, table_argument
 from pfdist.questions.subject import number_of
 from pfdist.runner.backtesting import evaluator_for, outcomes
-from pfdist.runner.build import build
+from pfdist.runner.build import Built, build
 from pfdist.runner.progress import Progress, Show
 
 Array = NDArray[np.float64]
@@ -140,6 +141,8 @@ def fit(
     parameters: Sequence[str] | Mapping[str, tuple[float, float]],
     *,
     replicate: str = "",
+    columns: Mapping[str, str] | None = None,
+    within: float | None = None,
     particles: Annotated[Whole, Field(ge=1, le=1_000_000)] | None = None,
     evaluations: Annotated[Whole, Field(ge=1, le=100_000)] = 3000,
     changes: Iterable[str] = (),
@@ -158,11 +161,16 @@ def fit(
     ----------
     job : Problem, Job, str or Path
     data : str, Path or DataFrame
-        As for `pfdist.backtest`.
+        As for `pfdist.backtest`; repeats count, too.
     parameters : sequence of str, or mapping of str to (float, float)
         Names of the parameters, if wanted with the lowest and the highest value.
     replicate : str, optional
         Column with the name of the replicate; by default the first.
+    columns : mapping of str to str, optional
+        Names of the table's columns that have other names there, as ``{"y0": "conc"}``.
+    within : float, optional
+        Largest distance from a time to the instant that is used instead, if the model's step does
+        not read p.dt; by default half a step.
     particles : int, optional
         Number of particles; by default filter.particles of the job.
     evaluations : int
@@ -197,19 +205,16 @@ def fit(
     start, bounds = _start(believed, parameters)
     names = [*built.evaluator.model.parameters, *believed.parameters]
     replicates = read_replicates(
-        table, replicate, built.evaluator.model, built.job.problem.clock, [*dict.fromkeys(names)]
-    )
+        table, replicate, built.evaluator.model, built.job.problem.clock, [*dict.fromkeys(names)],
+        reading_of(built, columns, within, chosen.say),
+    )  # fmt: skip
     used = [each for each in replicates if each.is_training] or replicates
     if both := sorted({*start} & {name for each in used for name in each.parameters}):
         raise ArgumentError(f"parameters must have no column in the table, got {both[0]}")
     groups = dict[Any, list[Replicate]]()
     for each in used:
         groups.setdefault(each.key, []).append(each)
-    grouped = [
-        _Group(evaluator_for(built, those[0], is_predicted=False).believed,
-               np.stack([each.y for each in those]))
-        for those in groups.values()
-    ]  # fmt: skip
+    grouped = [_group(built, those) for those in groups.values()]
     number = (particles or built.comparing.particles) if built.evaluator.has_particles else 0
     with (
         following(chosen.progress, chosen.say) as (show, tell),
@@ -217,6 +222,15 @@ def fit(
     ):
         fitting = _Fitting(grouped, number, built.job.seed, pool, start, bounds)
         return fitting.fitted(evaluations, show)
+
+
+def _group(built: Built, replicates: Sequence[Replicate]) -> _Group:
+    """Replicates of the same key, whose measurements have as many rows of each sensor."""
+    most = max(each.y.shape[1] for each in replicates)
+    y = [np.pad(each.y, ((0, 0), (0, most - each.y.shape[1])), constant_values=np.nan)
+         for each in replicates]  # fmt: skip
+    believed = evaluator_for(built, replicates[0], is_predicted=False).believed
+    return _Group(repeated(believed, most // believed.components[1]), np.stack(y))
 
 
 class _Found(NamedTuple):

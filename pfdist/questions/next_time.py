@@ -1,8 +1,8 @@
 """The time to measure next, from a run and the measurements so far."""
 
 import warnings
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import chain
 from numbers import Real
@@ -20,12 +20,21 @@ from pfdist.common.shown import Shown
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Measurements, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, few_at
-from pfdist.questions.planned_run import UserTable, planned_run, table_argument
+from pfdist.questions.planned_run import (
+    PlannedRun,
+    UserTable,
+    filter_of,
+    on_clock_of,
+    planned_run,
+    reading_of,
+    table_argument,
+)
 from pfdist.questions.planner import Planner
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
@@ -182,6 +191,8 @@ def next_time(
     now: Time | str | datetime | None = None,
     planned: str = "",
     prior: UserTable | Prior | ArrayLike = "",
+    columns: Mapping[str, str] | None = None,
+    within: float | None = None,
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     say: Say = silent,
@@ -194,8 +205,9 @@ def next_time(
         A job file, whose run is meant, or the folder of a run.
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
-        DataFrame. It may have no rows. An empty cell is a missing component, a row without any
-        value a missed time. If the model has sensors, the column sensor names that of a row.
+        DataFrame, at any times. It may have no rows. An empty cell is a missing component, a row
+        without any value a missed time, a second row at a time a repeat, which counts, too. If the
+        model has sensors, the column sensor names that of a row.
     now : int, float, str or datetime, optional
         The last time that has passed, or its date, if nothing was measured at the end. Times
         planned up to it are planned again for later.
@@ -205,6 +217,11 @@ def next_time(
     prior : str, Path, DataFrame, Cloud or array, optional
         Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), and
         optionally weight, and t, their time (by default the first).
+    columns : mapping of str to str, optional
+        Names of the table's columns that have other names there, as ``t=time,y0=conc``.
+    within : float, optional
+        Largest distance from a time to the instant that is used instead, if the model's step does
+        not read p.dt; by default half a step.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if only that holds a run.
@@ -236,14 +253,18 @@ def next_time(
     planner = Planner(plan.built, points.written_of(plan.times), prior=plan.prior)
     feasible = planner.feasible
     start = clock.instant(planner.estimate().t)
-    rows = read_measurements(table, believed, clock, start)
+    reading = reading_of(plan.built, columns, within, say)
+    rows = read_measurements(table, believed, clock, start, reading)
+    made, is_own = rows.made_with(believed), rows.clock is clock and rows.repeats == 1
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
-        last, surprise = _tell(planner, rows)
-    if now is not None:
-        instant = _instant_now(now, max(last, start), clock)
-        if instant > last:
-            planner.missed(clock.time(instant))
-        last = instant
+        last, surprise = _tell(planner, rows) if is_own else (-1, None)
+        if not is_own:
+            last, surprise = _tell_all(planner, plan, rows, now)
+        elif now is not None:
+            instant = _instant_now(now, max(last, start), clock)
+            if instant > last:
+                planner.missed(clock.time(instant))
+            last = instant
     left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
     first = points.first(max(last + 1, start))
     before = tuple(time for time in plan.times if time >= first)[:left]
@@ -254,7 +275,7 @@ def next_time(
     result = NextTime(
         plan.run.path,
         plan.name,
-        planner.measured,
+        tuple(replace(points, clock=rows.clock).written_of(made)),
         planner.estimate().t,
         planner.plan(),
         left,
@@ -287,17 +308,45 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     float or None
         The p-value of the most surprising among all measurements.
     """
-    surprises, clock = list[float](), planner.clock
+    estimates, clock = list[FilterEstimate](), planner.clock
     missed = ((t, None) for t in rows.missed)
     instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=itemgetter(0))
     for t, y in instants:
         if y is None:
             planner.missed(clock.time(t))
         else:
-            estimate = planner.update(y, clock.time(t))
-            surprises += [] if estimate.surprise is None else [estimate.surprise]
-    surprise = min(1.0, len(surprises) * min(surprises)) if surprises else None
-    return instants[-1][0] if instants else -1, surprise
+            estimates.append(planner.update(y, clock.time(t)))
+    return instants[-1][0] if instants else -1, _surprise_of(estimates)
+
+
+def _tell_all(
+    planner: Planner, plan: PlannedRun, rows: Measurements, now: Any
+) -> tuple[int, float | None]:
+    """Add measurements whose clock has further instants, or that are repeated; as `_tell`.
+
+    The job's instants count: the plan goes on from the first that no measurement follows.
+    """
+    clock, points = planner.clock, plan.built.job.problem.points
+    end = rows.clock.times[max((*rows.t, *rows.missed))]
+    until = len(clock.between(clock.times[0], end))
+    if passed := abs(clock.times[until - 1] - end) <= clock.slack:
+        until -= 1
+    if now is not None and (instant := _instant_now(now, until - (not passed), clock)) >= until:
+        until, passed = instant, True
+    on = replace(points, clock=rows.clock)
+    made = rows.made_with(plan.built.evaluator.believed)
+    near = clock.nearest(rows.clock.times[on.instant(t)] for t in made)
+    taken = sorted(points.first(k) + points.way(t) for k, t in zip(near, made, strict=True))
+    fine = on_clock_of(plan, rows)
+    filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
+    estimates = planner._follow(filtering, rows, tuple(taken), until, passed=passed)
+    return until - (not passed), _surprise_of(estimates)
+
+
+def _surprise_of(estimates: Iterable[FilterEstimate]) -> float | None:
+    """The p-value of the most surprising among all measurements (Bonferroni)."""
+    surprises = [each.surprise for each in estimates if each.surprise is not None]
+    return min(1.0, len(surprises) * min(surprises)) if surprises else None
 
 
 def _instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:

@@ -1,6 +1,8 @@
 """Real measurements: the run that planned them, the tables of a user, and the filter."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,17 +12,20 @@ from numpy.typing import ArrayLike
 from pfdist.common.arguments import path_argument
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import must_be
-from pfdist.errors import JobError
+from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
+from pfdist.models.base import repeated
+from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.problem import JobSource
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.results import Run
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import measured_of
+from pfdist.runner.backtesting import evaluator_on, follows_clock
 from pfdist.runner.build import Built
-from pfdist.runner.progress import Say
+from pfdist.runner.progress import Say, heard
 from pfdist.store.user_tables import is_parquet
 
 UserTable = str | Path | pd.DataFrame
@@ -124,7 +129,34 @@ def _planned_set(run: Run, name: str) -> str:
     return best_first(rows_of_sets(run))[0]
 
 
-def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter:
+def reading_of(
+    built: Built, columns: Mapping[str, str] | None, within: float | None, say: Say
+) -> Reading:
+    """How tables of a user are read: names of columns, and times that the job's clock lacks."""
+    wrong = [
+        each for each in (columns or {}).items() if not all(isinstance(k, str) and k for k in each)
+    ]
+    if wrong:
+        name, got = wrong[0]
+        raise ArgumentError(
+            f"columns must be NAME=COLUMN, as y0=conc, got {shown(name)}: {shown(got)}",
+            argument="columns",
+        )
+    any_time = cache(partial(follows_clock, built))
+    return Reading(columns or {}, within, any_time, partial(heard, say))
+
+
+def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:
+    """The planned run, whose evaluator and prior are on the clock of a table; the job stays."""
+    own = plan.built.job.problem.clock
+    if rows.clock is own:
+        return plan
+    built, prior = replace(plan.built, evaluator=evaluator_on(plan.built, rows.clock)), plan.prior
+    at = None if prior is None else replace(prior, t=rows.clock.instant(own.times[prior.t]))
+    return plan._replace(built=built, prior=at)
+
+
+def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: int = 1) -> Filter:
     """The filter of a job for one system, with the job's [model.filter], [filter] and seed.
 
     Parameters
@@ -134,6 +166,8 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
         The distribution of x(s), instead of the model's `initial`.
     draw : int
         Number of the system, which keys the noise.
+    repeats : int
+        Number of rows of each sensor in a measurement.
 
     Raises
     ------
@@ -152,7 +186,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
             f"is unknown, got 'told' ({job.path})"
         )
     return Filter(
-        built.evaluator.believed,
+        repeated(built.evaluator.believed, repeats),
         job.filter.particles,
         job.seed,
         resampling=job.filter.resampling,
@@ -160,5 +194,5 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
         engine=built.evaluator.engine,
         prior=prior,
         draw=draw,
-        horizon=job.problem.feasible.horizon,
+        horizon=built.evaluator.horizon,
     )

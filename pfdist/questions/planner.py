@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,13 @@ from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Cloud, Prior
 from pfdist.filters.criterion import Judging
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.one_filter import again, filter_of_truths, made, with_truths
 from pfdist.filters.user_prior import as_prior
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.measurements import instant_on
+from pfdist.problem.measurements import Measurements, instant_on
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.options import ComparedDraws, other_criterion
@@ -99,6 +101,7 @@ class Planner:
         self._built, self._draw = built, int(draw)
         self._now, self._taken = Now(start), ()
         self._seen = list[tuple[int, NDArray[np.float64] | None]]()
+        self._times = self.clock  # of the filter's instants
         if planned is None:
             first = replace(self._replanner, planning=first_planning(planning))
             planned = first.plan(self._now, (), (), self._draw)
@@ -234,6 +237,7 @@ class Planner:
         if self._seen and isinstance(self._now.prior, Cloud):
             filters = range(min(_CLOUDS, draws))
             clouds = [again(self._filter.unmeasured, self._seen, number) for number in filters]
+            clouds = [_at(self._now.t, each) for each in clouds]
         evaluations = self._replanner.expected(
             self._now, wanted, draws, self._built.comparing, self._draw, clouds
         )
@@ -243,8 +247,8 @@ class Planner:
         ]
 
     def _on_clock(self, estimate: FilterEstimate) -> FilterEstimate:
-        time: Any = self.clock.time(estimate.t)
-        few: Any = None if estimate.collapsed is None else self.clock.time(estimate.collapsed)
+        time: Any = self._times.time(estimate.t)
+        few: Any = None if estimate.collapsed is None else self._times.time(estimate.collapsed)
         return replace(estimate, t=time, collapsed=few)
 
     def _time(self, t: Time | None) -> int:
@@ -265,6 +269,33 @@ class Planner:
             )
         return self._points.instant(self._plan[0])
 
+    def _follow(
+        self, filtering: Filter, rows: Measurements, taken: Times, until: int, *, passed: bool
+    ) -> list[FilterEstimate]:
+        """Take all measurements of a table, whose clock may have more instants, and plan once.
+
+        `filtering` is a new filter on the clock of the table. `taken` are the points of the job
+        that count as measured, sorted, and `until` is the first instant of the job that no
+        measurement follows; if it has `passed`, it can no longer be measured.
+        """
+        self._filter, self._truths = filtering, filter_of_truths(filtering.unmeasured)
+        self._times, self._taken, estimates = rows.clock, taken, list[FilterEstimate]()
+        seen: dict[int, Any] = dict.fromkeys(
+            (*rows.missed, rows.clock.instant(self.clock.times[until]))
+        )
+        seen |= dict(zip(rows.t, rows.y, strict=True))
+        for t, y in sorted(seen.items(), key=itemgetter(0)):
+            nothing = np.full(filtering.model.components[1], np.nan)
+            estimates.append(filtering.update(t, nothing if y is None else y))
+            prior, self._truths = with_truths(filtering.cloud, self._truths, t, y)
+            self._seen.append((t, y))
+        self._now = Now(_at(until, prior), passed)
+        first = self._points.first(self._now.first)
+        left = tuple(planned for planned in self._plan if planned >= first)
+        taken = tuple(sorted((*self._before, *taken)))
+        self._plan = self._replanner.plan(self._now, taken, left, self._draw)
+        return estimates
+
     def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
         """Plan the remaining times after an instant, which was measured if y is given."""
         prior, self._truths = with_truths(self._filter.cloud, self._truths, time, y)
@@ -273,6 +304,13 @@ class Planner:
         left = tuple(planned for planned in self._plan if self._points.instant(planned) > time)
         taken = (*self._before, *self._taken)
         self._plan = self._replanner.plan(self._now, taken, left, self._draw)
+
+
+def _at(t: int, prior: Prior | None) -> Any:
+    """A prior at an instant of another clock at the same time."""
+    truths = prior.truths if isinstance(prior, Cloud) else None
+    more: Any = {} if truths is None else {"truths": replace(truths, t=t)}
+    return None if prior is None else replace(prior, t=t, **more)
 
 
 def first_planning(planning: Planning) -> Planning:

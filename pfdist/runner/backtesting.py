@@ -3,8 +3,9 @@
 Real and simulated measurements pass the same filters, and are judged at the same instants.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,9 +21,14 @@ from pfdist.filters.predicted import predicted
 from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
+from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
+from pfdist.models.parameters import Parameter
+from pfdist.models.recorded import is_of_any_time
 from pfdist.pools.base import Pool, Task
+from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.measurements import covariate_at
 from pfdist.problem.replicates import Replicate
 from pfdist.runner.build import Built, evaluator_of, models_of_job
 from pfdist.runner.online_work import seen
@@ -216,6 +222,14 @@ def _difference(values: Array, estimates: Array, is_angle: tuple[bool, ...]) -> 
 # --- evaluators and plans of replicates -----------------------------------------------------------
 
 
+def follows_clock(built: Built) -> bool:
+    """Whether the models of a job can have instants that its clock lacks."""
+    job, (truth, believed) = built.job, models_of_job(built.job)
+    models = [truth] if believed == truth else [truth, believed]
+    times = job.problem.clock.times
+    return job.problem.has_clock and all(is_of_any_time(each.on_clock(times)) for each in models)
+
+
 def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> Evaluator:
     """The evaluator of a job with the clock and the parameters of a replicate.
 
@@ -226,9 +240,23 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     is_predicted : bool
         Whether its quantity of interest is a measurement; see `pfdist.filters.predicted`.
     """
-    job = built.job
-    if replicate.has_own_clock:
-        clock = replicate.clock
+    clock = replicate.clock if replicate.has_own_clock else None
+    return evaluator_on(built, clock, replicate.parameters, is_predicted=is_predicted)
+
+
+def evaluator_on(
+    built: Built,
+    clock: Clock | None,
+    parameters: Mapping[str, Parameter] = MappingProxyType({}),
+    *,
+    is_predicted: bool = False,
+) -> Evaluator:
+    """The evaluator of a job with another clock, if there is one, and with other parameters.
+
+    Covariates of the job are constant from each of its instants to the next.
+    """
+    job, own = built.job, built.job.problem.clock
+    if clock is not None:
         problem = {"times": [*clock.times], "measurement_budget": 1}
         problem |= {"time_unit": clock.unit or None}
         problem |= {"sensors": [*job.problem.points.sensors] or None}
@@ -242,12 +270,15 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
         others["comparison"] = compared
         job = job.with_changes(sections={"problem": given, **others})
     truth, believed = models_of_job(job)
-    models = [
-        each.with_parameters({
-            name: value for name, value in replicate.parameters.items() if name in each.parameters
-        })
-        for each in ([truth] if believed == truth else [truth, believed])
-    ]  # fmt: skip
+
+    def changed(model: StateSpaceModel) -> StateSpaceModel:
+        values = {name: each for name, each in parameters.items() if name in model.parameters}
+        for name, each in model.parameters.items():
+            if clock is not None and isinstance(each, tuple):
+                values.setdefault(name, covariate_at(each, own, clock.times))
+        return model.with_parameters(values)
+
+    models = [*map(changed, [truth] if believed == truth else [truth, believed])]
     if is_predicted:
         models = [*map(predicted, models)]
     evaluator = evaluator_of(job, models[0], models[-1])

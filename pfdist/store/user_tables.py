@@ -31,6 +31,9 @@ _LONGEST_LINE, _LONGEST_TEXT = 1_000_000, 250  # of a header or comment; of a ce
 _CELLS = 1_000_000  # that are read at once
 _NONE: Mapping[str, Sequence[str]] = {}  # no column holds texts
 NO_READERS: Mapping[str, Callable[[str], float]] = {}  # all numbers are written as numbers
+NO_NAMES: Mapping[str, str] = {}  # all columns have the names that pfdist reads
+_DECIMAL = r"[+-]?\d*[.,]\d+(?:[eE][+-]?\d+)?"  # a number with a decimal point or comma
+_GROUPED = r"[+-]?\d{1,3}[.,]\d{3}"  # such a number that may be a whole one, in thousands
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 SEPARATORS = "columns must be separated by commas; decimals have a point"
 
@@ -42,17 +45,21 @@ def read_user_table(
     names: Mapping[str, Sequence[str]] = _NONE,
     readers: Mapping[str, Callable[[str], float]] = NO_READERS,
     most_rows: int = MOST_NUMBERS,
+    renamed: Mapping[str, str] = NO_NAMES,
 ) -> dict[str, Any]:
     """The columns of a table of numbers by name; a missing number is NaN.
 
     `names` has the texts that some columns may hold; such a column becomes indices of its texts.
-    `readers` has what reads the texts and dates of some columns as numbers.
+    `readers` has what reads the texts and dates of some columns as numbers. `renamed` has the name
+    in the table of columns that have another name there.
 
     A file is Parquet if its name ends in ``.parquet``, else CSV. The first line of CSV names the
-    columns; lines before it that begin with ``#`` are comments. The index of a table in memory
-    counts as a column if it has a name. `check_header` raises an error if the names of the columns
-    are wrong, and may return those that hold texts. With `only`, other columns are left out, and
-    may hold anything. Errors count rows from 1, without the line of names and blank lines.
+    columns; lines before it that begin with ``#`` are comments. Columns are separated by commas, or
+    by semicolons; then decimals may have a comma, unless a number could be one of thousands. The
+    index of a table in memory counts as a column if it has a name. `check_header` raises an error
+    if the names of the columns are wrong, and may return those that hold texts. With `only`, other
+    columns are left out, and may hold anything. Errors count rows from 1, without the line of
+    names and blank lines.
 
     The names of the columns, and of Parquet the types and sizes, are checked before any row is
     read. Rows become numbers a part at a time, so memory grows with the numbers alone.
@@ -61,22 +68,28 @@ def read_user_table(
     numbers. Raises `OSError` if it cannot be read.
     """
     any_text: Collection[str] = ()
+    back = {column: name for name, column in renamed.items()}
 
     def wanted(header: list[str]) -> list[str]:
         nonlocal any_text
-        for name, count in Counter(header).items():
-            if count > 1:
-                rule = "the columns must have different names"
-                raise ValueError(f"{rule}, got {shown(name)} twice")
+        for column in back:
+            if column not in header:
+                rule = f"columns of the table, {', '.join(header)}"
+                raise ValueError(must_be("columns", rule, column, header))
+        named = [back.get(column, column) for column in header]
         if len(header) > MOST_COLUMNS:
             rule = f"a table must have at most {MOST_COLUMNS:,} columns"
             raise ValueError(f"{rule}, got {len(header):,}")
-        any_text = check_header(header) or ()
-        return [name for name in header if not only or name in only]
+        any_text = check_header(named) or ()
+        for name, count in Counter(named).items():
+            if count > 1 and (not only or name in only):
+                rule = "the columns must have different names"
+                raise ValueError(f"{rule}, got {shown(name)} twice")
+        return [each for each in header if not only or back.get(each, each) in only]
 
     columns, rows = defaultdict[Any, list[NDArray[Any]]](list), 0
     for part in _parts(source, wanted, most_rows):
-        table = part.set_axis(pd.RangeIndex(rows, rows + len(part)))
+        table = part.set_axis(pd.RangeIndex(rows, rows + len(part))).rename(columns=back)
         rows += len(table)
         _check_rows(rows, table.shape[1], most_rows)
         for name in table.columns:
@@ -139,19 +152,41 @@ def _in_csv(path: Path, wanted: Callable[[list[str]], list[str]]) -> Iterator[pd
             raise ValueError(f"the first line must be shorter than {_LONGEST_LINE:,} letters")
         if not line:
             raise ValueError("a table must have a line that names the columns, got none")
-        header = [name.strip("\ufeff ") for name in next(csv.reader(chain([line], lines)))]
-        kept, start = wanted(header), 1
+        separator = ";" if ";" in line and "," not in line else ","
+        names = next(csv.reader(chain([line], lines), delimiter=separator))
+        header = [name.strip("\ufeff ") for name in names]
+        kept, start, mark = wanted(header), 1, ""
         file.seek(0)
         for _ in range(above):
             file.readline(_LONGEST_LINE)
         # With a header, pandas would rename equal columns and make an index of further values; with
         # `usecols`, it would take lines of any length.
         with pd.read_csv(
-            file, header=None, dtype=str, keep_default_na=False, chunksize=_CELLS // len(header)
-        ) as parts:
+            file, sep=separator, header=None, dtype=str, keep_default_na=False,
+            chunksize=_CELLS // len(header),
+        ) as parts:  # fmt: skip
             for part in parts:
-                yield part.set_axis(header, axis=1)[kept].iloc[start:]
+                table = part.set_axis(header, axis=1)[kept].iloc[start:]
+                if separator == ";":
+                    table, mark = _with_points(table, mark)
+                yield table
                 start = 0
+
+
+def _with_points(table: pd.DataFrame, mark: str) -> tuple[pd.DataFrame, str]:
+    """Texts between semicolons, with decimal points; and the mark of decimals, empty if unknown."""
+    cells = pd.Series(table.to_numpy().ravel(), dtype=object).dropna().astype(str).str.strip()
+    numbers = cells[cells.str.fullmatch(_DECIMAL)]
+    marks = {*numbers.str.extract("([.,])")[0], *mark}
+    if len(marks) > 1 or (marks and not mark and numbers.str.fullmatch(_GROUPED).all()):
+        raise ValueError(
+            "decimals between semicolons must all have a comma or all a point, and one number must "
+            f"show that it is not thousands, got {shown(', '.join(numbers.unique()[:2]))}: "
+            f"{SEPARATORS}"
+        )
+    if "," in marks:
+        table = table.replace(r"^\s*([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)\s*$", r"\1.\2", regex=True)
+    return table, next(iter(marks), "")
 
 
 def _in_parquet(

@@ -15,6 +15,7 @@ from oracles.lake import lake
 from oracles.two_platforms import two_platforms
 from pfdist.errors import MeasurementsError
 from pfdist.problem.clock import Clock
+from pfdist.problem.measurements import Reading
 from pfdist.problem.replicates import Replicate, read_replicates
 from pfdist.store import user_tables
 
@@ -27,11 +28,12 @@ def read(
     text: str | pd.DataFrame, folder: Path, clock: Clock = COUNTS, model: Any = MODEL, column="",
 ) -> list[Replicate]:  # fmt: skip
     """The replicates of a CSV table, whose header may be left out."""
+    reading = Reading(any_time=lambda: True, may_repeat=False)
     if isinstance(text, pd.DataFrame):
-        return read_replicates(text, column, model, clock, [*model.parameters])
+        return read_replicates(text, column, model, clock, [*model.parameters], reading)
     path = folder / "days.csv"
     path.write_text(text, encoding="utf-8")
-    return read_replicates(path, column, model, clock, [*model.parameters])
+    return read_replicates(path, column, model, clock, [*model.parameters], reading)
 
 
 def test_a_table_has_the_replicates_in_their_order(tmp_path: Path) -> None:
@@ -125,23 +127,22 @@ COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
     [
         ("", "a table must have a line that names the columns, got none"),
         (HEAD, "the table must have rows, got none"),
-        ("day;t;y0\na;0;1", "the column t is missing, got day;t;y0; columns must be separated by "
+        ("day|t|y0\na|0|1", "the column t is missing, got day|t|y0; columns must be separated by "
                             "commas; decimals have a point"),
         (f"{HEAD}\n,0,1", "column 'day' must not be empty, got nothing in row 1"),
         ("day,y0\na,1", "the column t is missing, got day, y0"),
-        (f"{HEAD},nois\na,0,1,1", f"unknown column 'nois'; did you mean 'noise'? Columns: "
-                                  f"{COLUMNS}"),
+        (f"{HEAD},y1\na,0,1,1", f"unknown column 'y1'. Columns: {COLUMNS}"),
         ("t,y0\n0,1", "replicate must be a column with names of systems: the table has none, got "
                       "'t'"),
         (f"{HEAD},z0,z_turbidity\na,0,1,1,1", "columns of z must be z0 or z_turbidity, got z0, "
                                               "z_turbidity"),
         (f"{HEAD},z0\na,0,1,inf", "replicate 'a': z0 must have one finite value at each time, got "
                                   "inf at t = 0"),
-        (f"{HEAD}\na,0,1\nb,1,1\nb,1,2", "replicate 'b': each time must have one row, got t = 1 "
-                                         "twice"),
+        (f"{HEAD}\na,0,1\nb,1,1\nb,1,2", "replicate 'b': each time must have one row, got more "
+                                         "at t = 1: only filter, next and fit"),
         (f"{HEAD}\na,0,inf", "replicate 'a': a measurement must be finite, or NaN where a "
                              "component is missing, got y0 = inf at t = 0"),
-        (f"{HEAD}\na,1.5,1", "replicate 'a': t must be an integer, got 1.5"),
+        (f"{HEAD}\na,-1,1", "replicate 'a': t must lie in 0..4, got -1"),
         (f"{HEAD}\na,0,1\na,5,1", "replicate 'a': t must lie in 0..4, got 5"),
         (f"{HEAD},train\na,0,1,0\na,1,1,1", "train must be 0 or 1 in all rows, got [0.0, 1.0]"),
         (f"{HEAD},noise\na,0,1,\na,1,1,1", "replicate 'a': noise must be a finite number in all "
@@ -165,8 +166,8 @@ def test_a_wrong_table_is_one_line(text: str, said: str, tmp_path: Path) -> None
         ("day,t,y0\na,0,1", "the column sensor is missing, got day, t, y0"),
         ("day,t,sensor,y0\na,0,stil,1", "column 'sensor' in row 1: got 'stil'; did you mean "
                                         "'still'?"),
-        ("day,t,sensor,y0\na,0,still,1\na,0,still,2", "replicate 'a': a sensor must have one row "
-                                                      "for each time, got still at t = 0 twice"),
+        ("day,t,sensor,y0\na,0,still,1\na,0,still,2", "replicate 'a': each time must have one row "
+                                                      "of still, got more at t = 0"),
         ("day,t,sensor,y0,z0,z1\na,0,still,1,1,1\na,0,moving,1,1,2",
          "replicate 'a': z1 must have one finite value at each time, got 1.0 and 2.0 at t = 0"),
         ("day,t,sensor,y0,range_sd\na,0,still,1,1\na,0,moving,1,2", "range_sd must have one finite "
