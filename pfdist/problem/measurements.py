@@ -1,5 +1,6 @@
 """Measured values of one system, checked one by one or read from a table."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -15,13 +16,14 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import did_you_mean
+from pfdist.common.sensing import Sensing
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.one_filter import checked_instant, checked_measurement, made, plain_number
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import CLOCK, Parameter
 from pfdist.problem.clock import Clock
-from pfdist.store.user_tables import SEPARATORS, read_user_table
+from pfdist.store.user_tables import SEPARATORS, number_of_cell, read_user_table
 
 Array = NDArray[np.float64]
 _FURTHER = 10_000  # rows
@@ -47,6 +49,8 @@ class Reading(NamedTuple):
         Receives lines about what was not read, moved or repeated.
     may_repeat : bool
         Whether a sensor may have several rows at a time.
+    limits : tuple of Sensing
+        The sensors of the job, whose limits censored readings name.
     """
 
     columns: Mapping[str, str] = {}
@@ -54,6 +58,36 @@ class Reading(NamedTuple):
     any_time: Callable[[], bool] = lambda: False
     note: Callable[[str], Any] = lambda line: None
     may_repeat: bool = True
+    limits: tuple[Sensing, ...] = ()
+
+    def readers(self, names: Iterable[str]) -> dict[str, Callable[[str], float]]:
+        """A reader of the cells of each measured column: numbers, and readings beyond a limit."""
+        if all(math.isinf(end) for each in self.limits for end in (each.low, each.high)):
+            return {}
+        return dict.fromkeys({*names} - {"t", "sensor"}, self._read)
+
+    @property
+    def low(self) -> float:
+        """The limit below which readings are censored, of all sensors."""
+        (low, *others) = {each.low for each in self.limits} or {-math.inf}
+        if others or math.isinf(low):
+            raise MeasurementsError(
+                "a column NAME_below needs one limit of all sensors: problem.sensor.limit"
+            )
+        return low
+
+    def _read(self, text: str) -> float:
+        if text[:1] not in ("<", ">"):
+            return number_of_cell(text)
+        ends = {each.low if text[0] == "<" else each.high for each in self.limits}
+        beyond = number_of_cell(text[1:].strip())
+        if len(ends) == 1 and beyond in ends:
+            return beyond
+        known = ", ".join(f"{text[0]}{end:g}" for end in sorted(ends) if math.isfinite(end))
+        raise MeasurementsError(
+            f"a cell beyond a limit must be that of all sensors, {known or 'which have none'}, got "
+            f"{shown(text)}: limit or limits of problem.sensor say what a sensor reads"
+        )
 
     def moved(self, distance: float, clock: Clock) -> None:
         """Note how far the furthest time moved, if any did."""
@@ -106,11 +140,13 @@ def read_measurements(
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
     try:
         own = {name: value for name, value in model.parameters.items() if name not in CLOCK}
-        known = {*chain(*allowed), *own}
+        below = {f"{name}_below": name for name in chain(*allowed)}
+        known = {*chain(*allowed), *own, *below}
         check, most = partial(_check_header, allowed, own, reading), _FURTHER
         most += _MOST_REPEATS * model.points.first(len(clock.times))
-        columns = read_user_table(path, check, known, {"sensor": sensors},
-                                  clock.readers(between=True), most, reading.columns)  # fmt: skip
+        readers = clock.readers(between=True) | reading.readers(chain(*allowed))
+        columns = read_user_table(path, check, known, {"sensor": sensors}, readers, most,
+                                  reading.columns)  # fmt: skip
         times = clock.of_table(columns["t"].tolist())
         of_rows, instants, moved = instants_of_table(times, clock, reading, start)
         reading.moved(moved, clock)
@@ -121,6 +157,10 @@ def read_measurements(
         for name, value in own.items():
             _check_parameter(name, columns.get(name), value, times, clock)
         wanted = next(names for names in allowed if names[-1] in columns)[1 + bool(sensors) :]
+        for name in {*below} & {*columns}:  # an empty cell, known to be below
+            censored = np.isnan(columns[below[name]]) & (columns[name] == 1.0)
+            if censored.any():
+                columns[below[name]][censored] = reading.low
         table = np.stack([columns[name] for name in wanted], axis=1)
         ways = columns["sensor"].astype(int).tolist() if sensors else [0] * len(times)
         rows = zip(instants, ways, table, strict=True)
@@ -266,7 +306,9 @@ def _check_header(
 ) -> None:
     given = [name for name in header if name in chain(*allowed) or COMPONENT.fullmatch(name)]
     if sorted(given) in map(sorted, allowed):
-        note_unread([each for each in header if each not in (*given, *parameters)], reading)
+        below = {f"{name}_below" for name in given}
+        read = {*given, *parameters, *below}
+        note_unread([each for each in header if each not in read], reading)
         return
     choices = " or ".join(map(", ".join, allowed))
     text = f"the columns must be {choices}, got {shown(', '.join(header))}"

@@ -190,9 +190,10 @@ def _table(
         return [name]
 
     names = {"sensor": [*model.sensors]} if sensors else {}
-    columns = read_user_table(
-        source, check, read, names, clock.readers(between=True), renamed=reading.columns
-    )
+    most = max(part.model.components[1] for part in model.parts)
+    measured = {*(f"y{k}" for k in range(most)), *chain(*user_columns("y", model))}
+    readers = clock.readers(between=True) | reading.readers(measured)
+    columns = read_user_table(source, check, read, names, readers, renamed=reading.columns)
     if not columns["t"].size:
         raise MeasurementsError("the table must have rows, got none")
     columns["t"] = np.array(clock.of_table(columns["t"].tolist()))

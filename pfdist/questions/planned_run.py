@@ -143,7 +143,8 @@ def reading_of(
             argument="columns",
         )
     any_time = cache(partial(follows_clock, built))
-    return Reading(columns or {}, within, any_time, partial(heard, say))
+    limits = tuple(built.job.problem.sensings.values())
+    return Reading(columns or {}, within, any_time, partial(heard, say), limits=limits)
 
 
 def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:

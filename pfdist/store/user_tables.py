@@ -1,6 +1,7 @@
 """Tables of numbers from a user, in CSV or Parquet, and tables for the user."""
 
 import csv
+import math
 import stat
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -270,13 +271,23 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
     return numbers.to_numpy(np.float64, copy=True, na_value=np.nan)
 
 
+def number_of_cell(text: str) -> float:
+    """The number of a cell, NaN if it is empty; raises ValueError if it is anything else."""
+    if text.lower() in _MISSING:
+        return math.nan
+    try:
+        return float(text)
+    except ValueError as error:
+        raise ValueError(f"a cell must be a number, got {shown(text)}") from error
+
+
 def _as_read(read: Callable[[str], float], column: "pd.Series[Any]") -> Array:
     """The numbers of a column of texts or dates."""
     numbers = list[float]()
     for row, value in zip(column.index, column, strict=True):
         try:
             numbers.append(read(str(as_text(value)).strip()))
-        except PfdistError as error:
+        except (PfdistError, ValueError) as error:
             raise ValueError(f"{error} (row {row + 1})") from error
     return np.array(numbers, np.float64)
 

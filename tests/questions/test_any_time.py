@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -246,3 +247,34 @@ def test_parameters_in_a_table_must_be_those_of_the_job(jobs: Path) -> None:
     assert pfdist.filter_measurements("model.toml", table, report=False).measured == (1,)
     with pytest.raises(MeasurementsError, match="column rate: the filter has the job's value"):
         pfdist.filter_measurements("model.toml", table.assign(rate=0.4))
+
+
+def test_readings_below_the_limit_are_cells_that_say_so(tmp_path: Path) -> None:
+    """``<1.0``, or an empty cell beside 1 in ``y0_below``; another limit is refused."""
+    model = pfdist.load_model("random_walk")
+    model = replace(
+        model,
+        linear_gaussian=False,
+        log_tails=lambda y, x, t, p: pfdist.densities.normal_log_tails(
+            y[0], x[0], p.measurement_sd
+        ),
+    )
+    problem = pfdist.Problem(
+        model, horizon=6, measurement_budget=2, particles=200, sensor={"limit": 1.0}
+    )
+    run = pfdist.plan(
+        problem, tmp_path / "run", bound_draws=0, changes=["comparison.draws=100"], figures=False
+    )
+    tables = [
+        pd.DataFrame({"t": [1, 4], "y0": ["2.5", "<1.0"]}),
+        pd.DataFrame({"t": [1, 4], "y0": ["2.5", "< 1"]}),
+        pd.DataFrame({"t": [1, 4], "y0": [2.5, math.nan], "y0_below": [0, 1]}),
+        pd.DataFrame({"t": [1, 4], "y0": [2.5, 1.0]}),
+    ]
+    means = [
+        pfdist.filter_measurements(run.path, each).table["mean_0"].to_numpy() for each in tables
+    ]
+    for each in means[1:]:
+        np.testing.assert_array_equal(each, means[0])
+    with pytest.raises(MeasurementsError, match="must be that of all sensors, <1, got '<2'"):
+        pfdist.filter_measurements(run.path, pd.DataFrame({"t": [1], "y0": ["<2"]}))
