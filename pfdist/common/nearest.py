@@ -23,12 +23,15 @@ def nearest_name(word: object, names: Iterable[str]) -> str:
     'survivors'
     >>> nearest_name("Genetic", ["genetic"]), nearest_name("x", ["genetic"]), nearest_name(3, ["3"])
     ('genetic', '', '')
+    >>> nearest_name("budget", ["horizon", "measurement_budget"])
+    'measurement_budget'
     """
     if not isinstance(word, str) or len(word) > _LONGEST:
         return ""
     by_lower_case = {name.lower(): name for name in names}
     matches = difflib.get_close_matches(word.lower(), by_lower_case, n=1)
-    return by_lower_case[matches[0]] if matches else ""
+    matches = matches or [name for name in by_lower_case if word.lower() in name.split("_")]
+    return by_lower_case[matches[0]] if len(matches) == 1 else ""
 
 
 def did_you_mean(word: object, names: Iterable[str]) -> str:

@@ -25,6 +25,8 @@ MOST_BYTES_OF_MODELS = 256_000_000  # of the model.json of a run
 MOST_LEVELS = 16  # a job has four, model.json eleven
 _INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
 _DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-9]{1,2})?")
+_LINE = re.compile(r"at line (\d{1,9}),")  # in an error of tomllib
+_WITHOUT_SECONDS = re.compile(r"""(?<!["'\w.-])\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?![\d:])""")
 _LONGEST = 80  # characters of a key that an error shows
 _NESTED = (dict, list)
 
@@ -59,7 +61,15 @@ def read_text(path: Path) -> str:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """The data of a TOML text, within the limits of this module, with texts for dates."""
-    data: dict[str, Any] = with_texts(_parsed(tomllib.loads, text))
+    try:
+        data: dict[str, Any] = with_texts(_parsed(tomllib.loads, text))
+    except ValueError as error:
+        number = _LINE.search(str(error))
+        line = text.splitlines()[int(number[1]) - 1 :][:1] if number else []
+        if found := _WITHOUT_SECONDS.search("".join(line)):
+            hint = f"a date needs seconds, {found[0]}:00, or quotes"
+            raise ValueError(f"{error}: {hint}") from error
+        raise
     return data
 
 

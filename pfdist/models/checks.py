@@ -24,6 +24,7 @@ from pfdist.models.mistakes import (
     is_interrupt,
     place_of,
     place_of_function,
+    refusal,
     remedy,
 )
 from pfdist.models.parameters import Parameter, named_parameters, values_of_parameter
@@ -220,7 +221,7 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
         if is_interrupt(failure):
             raise
         if isinstance(error, RefusedError):  # it says what to write instead
-            failed = f"{error}{place_of(error)}"
+            failed = f"{refusal(error)}{place_of(error)}"
         else:
             advice = _advice(model, name, arguments, failure)
             failed = f"{error_line(failure)}{advice}{place_of(failure)}"

@@ -4,7 +4,8 @@ import functools
 import inspect
 import sysconfig
 from pathlib import Path
-from types import CodeType
+from traceback import walk_tb
+from types import CodeType, FrameType
 from typing import Any
 
 import numba
@@ -43,13 +44,27 @@ def text_of_mistake(error: BaseException) -> str:
 
 def place_of(error: BaseException) -> str:
     """An error's innermost place in a model as `` (file:line)``; empty if there is none."""
-    place, trace = "", error.__traceback__
-    while trace is not None:
-        file = trace.tb_frame.f_code.co_filename
-        if is_a_models(file):
-            place = f" ({file}:{trace.tb_lineno})"
-        trace = trace.tb_next
-    return place
+    lines, place, _ = _steps_of(error)
+    return f" ({lines[place][0].f_code.co_filename}:{lines[place][1]})" if place >= 0 else ""
+
+
+def _steps_of(error: BaseException) -> tuple[list[tuple[FrameType, int]], int, str]:
+    """Frames and lines of a traceback, the place of the model's innermost one, and its package.
+
+    Libraries that an installed model calls are not its own.
+    """
+    steps, place, own = [*walk_tb(error.__traceback__)], -1, ""
+    for number, (frame, _) in enumerate(steps):
+        file = frame.f_code.co_filename
+        if is_a_models(file) and (place < 0 or _package(file) in ("", own)):
+            place, own = number, own if place >= 0 else _package(file)
+    return steps, place, own
+
+
+def _package(file: str) -> str:
+    """The installed package of a file; empty if the file is not installed."""
+    _, _, inside = file.replace("\\", "/").rpartition("/site-packages/")
+    return inside.partition("/")[0]
 
 
 def code_of(function: Any) -> CodeType | None:
@@ -76,7 +91,7 @@ def is_a_models(file: str) -> bool:
     User code is all code in files other than those of pfdist, Python, NumPy and Numba.
     """
     path = Path(file)
-    if file.startswith("<"):
+    if file.startswith("<") or path.suffix == ".pyx":
         return False
     if path.is_relative_to(_PACKAGE):
         return path.parent.name == "library"
@@ -133,6 +148,31 @@ def density_named(name: str) -> str:
     name = name.lower().removesuffix("_gen")
     name = _ELSEWHERE.get(name, name)
     return name if name in DENSITIES else ""
+
+
+BATCHED = "declare functions of arrays as a pfdist.BatchedModel, see docs/simulators.md"
+"""The advice where a formula cannot be traced."""
+RANDOM = "a formula takes randomness from the noise it is given, and changes nothing outside"
+
+
+def refusal(error: BaseException) -> str:
+    """The text of a refusal; or what a model writes instead of a library that got a symbol."""
+    steps, place, own = _steps_of(error)
+    if not 0 <= place < len(steps) - 1:
+        return str(error)
+    frame, _ = steps[place + 1]
+    file, function = frame.f_code.co_filename, frame.f_code.co_name
+    if file.startswith("numpy/random"):
+        return f"{RANDOM}: write x[0] + p.sd * w[0], or {BATCHED}"
+    library = _package(file)
+    if library in ("", own) or Path(file).is_relative_to(_PACKAGE):
+        return str(error)
+    density = density_named(type(frame.f_locals.get("self")).__name__)
+    if library == "scipy" and density:
+        instead = f"write pfdist.densities.{DENSITIES[density].log_density.__name__}"
+    else:
+        instead = f"write pfdist.ode, or {BATCHED}" if function == "solve_ivp" else BATCHED
+    return f"{function} of {library} takes numbers, and not values of particles: {instead}"
 
 
 def remedy(error: BaseException) -> str:

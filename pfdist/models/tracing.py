@@ -21,10 +21,13 @@ from pfdist.common.stopping import check
 from pfdist.common.telling import Waiting
 from pfdist.errors import ModelError, TraceError
 from pfdist.models.mistakes import (
+    BATCHED,
+    RANDOM,
     error_line,
     is_interrupt,
     place_of,
     place_of_function,
+    refusal,
     remedy,
 )
 from pfdist.models.parameters import Parameter, named_parameters
@@ -416,8 +419,8 @@ def _check_same(formula: Formula, first: Program, second: Program, t: int | None
         at = "" if t is None else f" at t = {t}"
         raise TraceError(
             f"model {formula.model}: {formula.name} must compute the same whenever it is called, "
-            f"got two different programs{at}: a formula takes randomness from the noise it is "
-            f"given, and changes nothing outside{place_of_function(formula.function)}"
+            f"got two different programs{at}: {RANDOM}; a simulator that takes its noise from w "
+            f"is a pfdist.BatchedModel, see docs/simulators.md{place_of_function(formula.function)}"
         )
 
 
@@ -474,13 +477,13 @@ def untraceable(
             f"compiled; write f.py_func instead of f{place_of(error)}"
         )
     known = isinstance(error, RefusedError | _DiffersError)
-    what = str(error) if known else f"{error_line(error)}{remedy(error)}"
+    what = refusal(error) if known else f"{error_line(error)}{remedy(error)}"
     at = "" if t is None else f" at t = {t}"
     if fails:
         return ModelError(f"model {model}: {formula} failed: {what}{at}{place_of(error)}")
     if isinstance(error, IndexError) and "only integers" in str(error):
         what = f"{error_line(error)}: by a value of particles it is take(table, value.astype(int))"
+    advice = "" if BATCHED in what else f"; {BATCHED}"
     return TraceError(
-        f"model {model}: {formula} cannot be traced{at}: {what}{place_of(error)}; "
-        "declare functions of arrays as a pfdist.BatchedModel, see docs/simulators.md"
+        f"model {model}: {formula} cannot be traced{at}: {what}{place_of(error)}{advice}"
     )

@@ -12,7 +12,16 @@ from matplotlib.axes import Axes
 
 from pfdist.common.component_names import Component
 from pfdist.pages.figure import Plot, save_plot
-from pfdist.pages.panel import label_instants, legend_above, marker, thin, verbatim
+from pfdist.pages.panel import (
+    axes_for,
+    chosen,
+    label_instants,
+    legend_above,
+    marker,
+    table_of,
+    thin,
+    verbatim,
+)
 from pfdist.pages.style import BLUE, GREY, OCHRE, RED
 from pfdist.problem.clock import Clock
 from pfdist.store.files import begins_with, check_replaceable
@@ -20,6 +29,7 @@ from pfdist.store.files import begins_with, check_replaceable
 _TITLE = "pfdist: backtest"
 _START = 4096  # number of bytes at the start of a file that contain its title
 _WIDE = 10.0  # ratio of two errors that needs a logarithmic axis
+_IN_INTERVAL = 1.92  # half of the 95 % quantile of chi-squared with 1 degree of freedom
 _SETS = ((RED, "o"), (BLUE, "s"), (GREY, "^"), (OCHRE, "D"))  # the plan, the grids, another set
 
 
@@ -40,6 +50,39 @@ def by_replicate(table: pd.DataFrame, sets: Mapping[str, str]) -> Plot:
         f"{len(plan)} replicates."
     )
     return Plot(2.9, lambda panels: _errors(table, sets, panels[0]), title=title)
+
+
+def likelihood_profile(
+    profile: pd.DataFrame | Any, parameter: str | None = None, *, ax: Axes | None = None
+) -> Axes:
+    """Draw the profile of a fitted parameter: the log-likelihood below its maximum.
+
+    At each value, the other parameters have their best values. The 95 % interval is where the
+    profile lies above the dotted line, at -1.92.
+
+    Parameters
+    ----------
+    profile : DataFrame, or result of `pfdist.fit`
+        The table ``profile`` of a result.
+    parameter : str, optional
+        By default the first.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    table = table_of(profile, "profile", "profile")
+    names = [*dict.fromkeys(table["parameter"])]
+    parameter = chosen(parameter or names[0], names, "parameter")
+    rows = table[table["parameter"] == parameter]
+    ax = axes_for(ax)
+    ax.plot(rows[parameter], -rows["below"], "o-", color=BLUE, lw=thin(), ms=marker(0.6))
+    ax.axhline(-_IN_INTERVAL, color=GREY, ls=":", lw=thin())
+    ax.set_xlabel(verbatim(parameter))
+    ax.set_ylabel("log-likelihood - maximum")
+    return ax
 
 
 def _errors(table: pd.DataFrame, sets: Mapping[str, str], ax: Axes) -> None:

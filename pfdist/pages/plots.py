@@ -1,15 +1,16 @@
 """`pfdist.plots`: functions that draw one panel, from tables to axes.
 
 The functions `belief`, `bound`, `budget`, `comparison`, `degenerate_draws`,
-`effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
-`online_shares`, `particle_losses`, `sampling_windows`, `searches`, `times` and `worth` each draw a
-run, or tables, into ``ax`` or into a new figure of pyplot, and return the axes. So does `against`,
-which draws a table of many runs.
+`effective_sample_size`, `error_profile`, `gain`, `likelihood_profile`, `one_draw`, `online_gain`,
+`online_raster`, `online_shares`, `particle_losses`, `sampling_windows`, `searches`, `times` and
+`worth` each draw a run, or tables, into ``ax`` or into a new figure of pyplot, and return the axes.
+So does `against`, which draws a table of many runs.
 ``plt.style.use("pfdist.pages.print")`` gives the look of printed figures, and
 ``pfdist.pages.screen`` that of figures on a screen.
 """
 
 from pfdist.pages import style  # noqa: F401  first: it decides how Matplotlib is imported
+from pfdist.pages.backtested import likelihood_profile
 from pfdist.pages.bounds import bound, budget, draw_target
 from pfdist.pages.figure import draw_figures, draw_missing_figures
 from pfdist.pages.filtered import belief, draw_filtered, filtered_plot
@@ -37,6 +38,7 @@ __all__ = [
     "error_profile",
     "filtered_plot",
     "gain",
+    "likelihood_profile",
     "one_draw",
     "online_gain",
     "online_raster",

@@ -204,7 +204,11 @@ class Clock:
         calendar = self.calendar
         if calendar is None:
             return {}
-        read = calendar.elapsed if between else lambda text: self.times[self.instant(text, "t")]
+
+        def read(text: str) -> float:
+            time = calendar.elapsed(text)  # raises if a cell has anything else than a date
+            return time if between else self.times[self.instant(text, "t")]
+
         return {"t": read}
 
     def instant_of_t(self, t: float) -> int:

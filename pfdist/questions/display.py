@@ -155,15 +155,15 @@ class Display:
         return [f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s"]
 
     def _time_left(self, state: State, now: float) -> str:
-        """The time left at the pace of this phase, without work that may be left out."""
+        """The time left at the pace of this phase; a limit if some work may be left out."""
         if not self._answered or state.done <= self._start.done:
             return ""
         seconds_each = (now - self._start_time) / (state.done - self._start.done)
-        seconds = seconds_each * max(0.0, state.total - state.optional - state.done)
+        seconds = seconds_each * max(0.0, state.total - state.done)
         if now - self._left_time >= LINE_SECONDS:
             self._grown = self._grown + 1 if seconds > self._left else 0
             self._left, self._left_time = seconds, now
-        minutes, about = f"{seconds / 60:,.0f} min", "at least" if state.optional else "about"
+        minutes, about = f"{seconds / 60:,.0f} min", "at most" if state.optional else "about"
         amount = f"{seconds:,.0f} s" if seconds < _LONGEST_IN_SECONDS else minutes
         return f"{about} {amount} left" if self._grown < _GROWN else ""
 

@@ -462,8 +462,8 @@ def evaluated(
         A job file, as jobs/plan.toml, or the folder of a run.
     times : mapping of str to str
         Measurement times: numbers and ranges FIRST:LAST or FIRST:LAST:STEP, both ends included, as
-        0:60:3 or 0,6,12, on the clock of the job, if it has one. NAME=TIMES, given several times,
-        evaluates several sets on the same draws.
+        0:60:3 or 0,6,12, on the clock of the job, if it has one; or regular, the job's regular
+        times. Several sets have names, as in --times mine=0,6,12 --times regular, and share draws.
     draws : int, optional
         Number of draws; by default evaluation.draws of the job.
     particles : int, optional

@@ -1,12 +1,13 @@
 """Fit parameters of a model to measurements of many systems, by maximum likelihood."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Annotated, Any, NamedTuple, Unpack
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import minimize
@@ -30,11 +31,13 @@ from pfdist.questions.at_work import at_work
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.planned_run import UserTable, reading_of, table_argument
 from pfdist.questions.subject import number_of
+from pfdist.results.columns import records_of
 from pfdist.runner.backtesting import evaluator_for, outcomes
 from pfdist.runner.build import Built, build
 from pfdist.runner.progress import Progress, Show
 
 Array = NDArray[np.float64]
+Loss = Callable[[Array], float]
 _STEP = 0.5  # between the first values that are tried: a factor of 1.6, or half the start
 _REACH = 1.5  # of starts around the job's values: a factor of 4.5, or 1.5 times the start
 _STARTS = 64  # points among which each start is the one farthest from all starts and results
@@ -42,6 +45,12 @@ _AGREE = 0.1  # of log-likelihoods: so far two results may differ that are the s
 _NEAR = 0.1  # of a start: so close to a bound, the bound is tried, too
 _REPEATS = 8  # estimates under other noise, from which the error of the likelihood follows
 _LARGE = 2.0  # an error of a log-likelihood
+_FAR = 3.0  # below the maximum: so far the profile of a parameter is drawn
+_NEAREST = 4  # values on each side of a profile, which give the correlation
+_SMALL = 1e-2  # of a scale: a first step along a profile
+_MOST_VALUES = 16  # of a profile on each side
+_EACH = 80  # likelihoods for each other parameter at a value of a profile
+_CONFOUNDED = 0.95  # correlation of two estimates
 _TOLERANCE = {"xatol": 1e-3, "fatol": 1e-2}
 
 
@@ -73,6 +82,13 @@ class Fitted(Shown):
         Number of searches. The first starts at the values of the job.
     on_bound : tuple of str
         Parameters that lie on a bound.
+    profile : DataFrame, optional
+        The largest log-likelihood at values of each parameter: columns ``parameter`` (which has a
+        given value), one for each parameter, and ``below`` (how far below the maximum).
+        `pfdist.plots.likelihood_profile` draws it.
+    correlation : DataFrame, optional
+        The correlation of each two estimates near the maximum, from the profiles; logarithms of
+        parameters that cannot be negative.
     """
 
     parameters: dict[str, float]
@@ -84,10 +100,14 @@ class Fitted(Shown):
     replicates: int
     starts: int
     on_bound: tuple[str, ...]
+    profile: pd.DataFrame | None = None
+    correlation: pd.DataFrame | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The fields as JSON values."""
-        return vars(self)
+        profile = None if self.profile is None else records_of(self.profile)
+        correlation = None if self.correlation is None else self.correlation.to_dict()
+        return {**vars(self), "profile": profile, "correlation": correlation}
 
     def _page(self) -> Page:
         values = ", ".join(f"{name} = {rounded(each)}" for name, each in self.parameters.items())
@@ -97,7 +117,7 @@ class Fitted(Shown):
         facts = [("log-likelihood", f"{likelihood} (at the start: {rounded(self.started_at)})"),
                  ("evaluations", f"{self.evaluations:,}, from {number_of(self.starts, 'start')}"),
                  ("replicates", str(self.replicates))]  # fmt: skip
-        warnings = list[str]()
+        warnings, names = list[str](), [*self.parameters]
         alarms = [
             "The search has not converged, because no two distant starts found the same maximum: "
             "start at its result, or allow more evaluations."
@@ -107,6 +127,13 @@ class Fitted(Shown):
             "larger beyond it."
             for name in self.on_bound
         ]
+        if self.correlation is not None:
+            both = self.correlation.to_numpy()
+            warnings += [
+                f"{names[a]} and {names[b]} are hard to tell apart: the correlation of their "
+                f"estimates is {both[a, b]:.2f}."
+                for a, b in np.argwhere(np.triu(np.abs(both) > _CONFOUNDED, 1))
+            ]
         if self.error > _LARGE:
             warnings.append(
                 f"The log-likelihood has an error of {self.error:.1f}: take more particles. With "
@@ -145,6 +172,7 @@ def fit(
     within: float | None = None,
     particles: Annotated[Whole, Field(ge=1, le=1_000_000)] | None = None,
     evaluations: Annotated[Whole, Field(ge=1, le=100_000)] = 3000,
+    profile: bool = False,
     changes: Iterable[str] = (),
     **options: Unpack[Options],
 ) -> Fitted:
@@ -174,7 +202,10 @@ def fit(
     particles : int, optional
         Number of particles; by default filter.particles of the job.
     evaluations : int
-        Largest number of evaluations of the likelihood.
+        Largest number of evaluations of the likelihood, without those of the profiles.
+    profile : bool
+        Whether to follow the likelihood from its maximum along each parameter, with the largest
+        likelihood over the others: it shows what the data leave open.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3``.
     options
@@ -221,7 +252,7 @@ def fit(
         at_work(built.job.execution, [built.evaluator.engine], tell) as pool,
     ):
         fitting = _Fitting(grouped, number, built.job.seed, pool, start, bounds)
-        return fitting.fitted(evaluations, show)
+        return fitting.fitted(evaluations, show, profile=profile)
 
 
 def _group(built: Built, replicates: Sequence[Replicate]) -> _Group:
@@ -255,7 +286,7 @@ class _Fitting:
     start: Mapping[str, float]
     bounds: Array  # (K, 2)
 
-    def fitted(self, evaluations: int, show: Show) -> Fitted:
+    def fitted(self, evaluations: int, show: Show, *, profile: bool) -> Fitted:
         """The best result of searches from distant starts, until the best two agree."""
         tried, found = 0, list[_Found]()
 
@@ -283,13 +314,8 @@ class _Fitting:
                 start, starts = starts[apart.argmax()], np.delete(starts, apart.argmax(), axis=0)
                 if loss(start, repeat) == math.inf:
                     continue
-            up, down = ends[1] - start, start - ends[0]
-            steps = np.clip(np.where(up >= down, up, -down), -_STEP, _STEP)  # to the larger side
-            options: Any = {"initial_simplex": np.vstack([start, start + np.diag(steps)]),
-                            "maxfev": evaluations - tried, **_TOLERANCE}  # fmt: skip
-            searched = minimize(loss, start, (repeat,), method="Nelder-Mead",
-                                bounds=[*zip(*ends, strict=True)], options=options)  # fmt: skip
-            point, least = searched.x, float(searched.fun)
+            left = evaluations - tried
+            point, least = _least(partial(loss, repeat=repeat), start, ends, _STEP, left)
             away = np.abs(self.bounds.T - [*self._values(point).values()])
             for side, k in np.argwhere(away <= _NEAR * np.abs(self._begin)):
                 there = np.where(np.arange(point.size) == k, ends[side], point)
@@ -307,8 +333,32 @@ class _Fitting:
         is_on_bound = (point == np.array(ends)).any(axis=0)
         on_bound = tuple(np.array([*self.start])[is_on_bound].tolist())
         replicates = sum(len(group.y) for group in self.groups)
-        return Fitted(self._values(point), likelihood, error, started_at, tried, _agree(found),
-                      replicates, len(found), on_bound)  # fmt: skip
+        fitted = Fitted(self._values(point), likelihood, error, started_at, tried, _agree(found),
+                        replicates, len(found), on_bound)  # fmt: skip
+        return self._profiled(fitted, point, ends, partial(loss, repeat=0)) if profile else fitted
+
+    def _profiled(self, fitted: Fitted, best: Array, ends: Sequence[Array], loss: Loss) -> Fitted:
+        """A result with its profiles, and the correlation that follows from them.
+
+        Where the profile of k is a parabola, the others move along it by cov(j, k) / var(k).
+        """
+        names, rows = [*self.start], list[dict[str, Any]]()
+        slopes, least = np.eye(best.size), loss(best)
+        for k, name in enumerate(names):
+            sides = [[*_along(k, way, best, least, ends, loss)] for way in (-_SMALL, _SMALL)]
+            points = [*reversed(sides[0]), (best, least), *sides[1]]
+            rows += [
+                {"parameter": name, **self._values(point), "below": value - least}
+                for point, value in points
+            ]
+            number = len(points) if self.particles else _NEAREST  # near ones drown in the noise
+            near = [point - best for side in sides for point, _ in side[:number]]
+            moved = np.array([*near, np.zeros(best.size)])
+            with np.errstate(invalid="ignore"):
+                slopes[:, k] = moved[:, k] @ moved / (moved[:, k] @ moved[:, k])
+        both = np.sqrt(np.maximum(slopes * slopes.T, 0.0)) * np.sign(slopes + slopes.T)
+        correlation = pd.DataFrame(both.clip(-1.0, 1.0), names, names)
+        return replace(fitted, profile=pd.DataFrame(rows), correlation=correlation)
 
     @cached_property
     def _begin(self) -> Array:
@@ -344,6 +394,48 @@ class _Fitting:
                 parts.append(_Part(changed, some, first, self.particles, stream))
         totals = dict(outcomes(self.pool, _evidence, parts, "the fit"))
         return math.fsum(totals.values())
+
+
+def _least(
+    loss: Loss, start: Array, ends: Sequence[Array], step: float | Array, evaluations: int
+) -> tuple[Array, float]:
+    """The least value of a function between two ends, and where it is, by Nelder and Mead."""
+    up, down = ends[1] - start, start - ends[0]
+    steps = np.clip(np.where(up >= down, up, -down), -step, step)  # to the larger side
+    options: Any = {"initial_simplex": np.vstack([start, start + np.diag(steps)]),
+                    "maxfev": evaluations, **_TOLERANCE}  # fmt: skip
+    found = minimize(loss, start, method="Nelder-Mead", bounds=[*zip(*ends, strict=True)],
+                     options=options)  # fmt: skip
+    return found.x, float(found.fun)
+
+
+def _along(
+    k: int, way: float, best: Array, least: float, ends: Sequence[Array], loss: Loss
+) -> Iterator[tuple[Array, float]]:
+    """Points with values of a parameter on one side of the best, and their least losses."""
+    others, point = np.arange(best.size) != k, best
+    near = np.where(others, best, np.clip(best + way, *ends))
+    rise = loss(near) - least
+    way *= 0.5 / math.sqrt(2 * rise) if 0.0 < rise < math.inf else 10.0  # half a deviation
+    for _ in range(_MOST_VALUES):
+        # The others begin where the way so far points.
+        start = np.clip(best + math.sqrt(2) * (point - best), *ends)
+        start[k] = np.clip(best[k] + way, ends[0][k], ends[1][k])
+        if start[k] == point[k]:  # an end
+            return
+
+        def rest(moved: Array, start: Array = start) -> float:
+            return loss(np.insert(moved, k, start[k]))
+
+        point, value = start, loss(start)
+        if others.any():
+            between, count = [end[others] for end in ends], _EACH * int(others.sum())
+            moved, value = _least(rest, start[others], between, abs(way) / 2, count)
+            point = np.insert(moved, k, start[k])
+        yield point, value
+        if value - least >= _FAR:
+            return
+        way *= math.sqrt(2)
 
 
 def _agree(found: Sequence[_Found]) -> bool:

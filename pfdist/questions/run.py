@@ -30,7 +30,7 @@ from pfdist.runner.driver import drive
 from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
 from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.information_prover import prover_of
-from pfdist.runner.progress import Say, Show, heard
+from pfdist.runner.progress import Detail, Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
 from pfdist.store import add_to_provenance, forget_pages, listed_pages, read_run, record_pages
@@ -199,16 +199,16 @@ def compute(
         return
     forget_pages(path, *[] if unfinished else [REPORT])
     note_machine(path, built, say)
-    if prover is not None:
-        session.reporter.foresee(prover.steps, prover.steps)
+    foreseen = prover.steps if prover and _minutes(built, run, prover) <= _PATIENCE else 0.0
+    session.reporter.foresee(foreseen, foreseen)
     with noted(session):
         yield from drive(session)
         _note_few_lines(built, run)
         proves = prover is not None and not _is_long(session, run, prover)
-        if proves or is_alone:
-            session.reporter.note(optional=0.0)
-            if not is_scanned:
-                yield from compare_evenly_spaced(session, run)
+        proof = prover.steps if prover is not None and proves else 0.0
+        session.reporter.foresee(proof - foreseen, -foreseen)
+        if (proves or is_alone) and not is_scanned:
+            yield from compare_evenly_spaced(session, run)
         if prover is not None and proves:
             publish_sets(run)
             if line := answer_in_a_line(run):
@@ -236,7 +236,7 @@ def _prover(session: RunSession, settings: BoundSettings | None) -> Prover | Non
 
 def _is_long(session: RunSession, run: Run, prover: Prover) -> bool:
     """Whether a bound would take too long beside other results; a message says so."""
-    minutes = prover.steps * _seconds_a_step(session.built, run) / 60
+    minutes = _minutes(session.built, run, prover)
     if minutes > _PATIENCE and "bound" not in run.tables:
         command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
         _unproved(session, f"{command} takes about {minutes:,.0f} minutes of one core")
@@ -262,14 +262,15 @@ def _unproved(session: RunSession, reason: str) -> None:
     if read_run(session.store.path)[0]["provenance"].get("unproved") != reason:
         add_to_provenance(session.store.path, {"unproved": reason})
         forget_pages(session.store.path, REPORT)
-    heard(session.say, f"Not proved: {reason}.")
+    heard(session.say, Detail(f"Not proved: {reason}."))  # the answer says so, too
 
 
-def _seconds_a_step(built: Built, run: Run) -> float:
-    """Seconds that a particle-step of the comparison has taken; a guess if there was none."""
+def _minutes(built: Built, run: Run, prover: Prover) -> float:
+    """Minutes that a bound takes at the pace of the comparison; a guess if there was none."""
     timings = run.table("timings") if "timings" in run.tables else None
     steps = comparison_steps(built) * run.draws_compared / built.job.comparison.draws
-    if timings is None or not steps:
-        return built.evaluator.seconds_a_step
-    compared = timings["task"].str.startswith(f"{COMPARISON}:")
-    return float(timings.loc[compared, "seconds"].sum()) / steps or built.evaluator.seconds_a_step
+    seconds_a_step = 0.0
+    if timings is not None and steps:
+        compared = timings["task"].str.startswith(f"{COMPARISON}:")
+        seconds_a_step = float(timings.loc[compared, "seconds"].sum()) / steps
+    return prover.steps * (seconds_a_step or built.evaluator.seconds_a_step) / 60

@@ -3,15 +3,15 @@
 import contextlib
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from pfdist.common.arguments import path_argument
-from pfdist.errors import RunMismatchError, StoreError
+from pfdist.errors import JobError, RunMismatchError, StoreError
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.results import Run, open_run
 from pfdist.results.stored_run import job_of
 from pfdist.runner.build import Built, build, say_model_files
@@ -103,19 +103,30 @@ def run_and_job(
         results = source.path if results is None else results
         source = job_of(source) or source.path
     job = as_job(source)
-    path, sections = folder_of(job, results), _AS_DEFAULT
+    path = folder_of(job, results)
     if not holds_run(path):
         planned = folder_of(job, results, PLANNED)
         if not (job.origin.names_searches and holds_run(planned)):
             raise _no_run(job, results)
-        path, sections = planned, searched_by(DEFAULT_METHOD)
-    job = as_job(source, changes, sections, {"execution": execution})
+        path = planned
     run = finished_run(path)
+    job = _job_of(run, partial(as_job, source, changes, settings={"execution": execution}))
     check_same_job(path, run.job, job)
     say_model_files([job], say)
     built = build(job.with_changes(sections=run.job), path)  # with the draws of the run
     check_same_models(path, built)
     return run, built
+
+
+def _job_of(run: Run, job_with: Callable[..., Job]) -> Job:
+    """The job with the one search of its plan if the run is a plan, else with its own searches."""
+    searches = run.job["search"]
+    if len(searches) == 1:
+        with contextlib.suppress(JobError):
+            planned = job_with(sections=searched_by(searches[0]["method"]))
+            if planned.identity()["search"] == searches:
+                return planned
+    return job_with()
 
 
 def _no_run(job: Job, results: str | Path | None) -> StoreError:

@@ -165,14 +165,16 @@ def test_a_time_left_that_only_grows_is_no_forecast_and_the_share_stays(
     assert left[-1]  # it falls again
 
 
-def test_the_time_left_leaves_out_what_may_be_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_left_is_of_the_steps_of_the_share_and_a_limit_if_some_may_be_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     states = [
-        (10.0 * (done + 1), Progress("a", done, 100.0, evaluations=done, optional=90.0))
+        (6.0 * (done + 1), Progress("a", done, 20.0, evaluations=done, optional=18.0))
         for done in range(6)
     ]
     *_, last = _lines_of(monkeypatch, states)
-    assert last.startswith("  5.0 %")
-    assert last.endswith("  at least 50 s left")
+    assert last.startswith(" 25.0 %")
+    assert last.endswith("  at most 90 s left")
 
 
 def test_progress_that_nobody_asked_for_begins_after_some_seconds(

@@ -8,6 +8,8 @@ import types
 import numpy as np
 import pytest
 from numba import njit
+from scipy import stats
+from scipy.integrate import solve_ivp
 
 from oracles.clocked import with_clock
 from oracles.in_turn import in_turn
@@ -316,7 +318,36 @@ def takes_bytes(x, t, w, p):
     return ((x[0] * 100).astype(np.uint8) + w[0], x[1])
 
 
+def calls_a_density_of_scipy(x, t, w, p):
+    return (stats.norm.logpdf(x[0], x[1], 0.5), x[1])
+
+
+def calls_an_array_of_scipy(x, t, w, p):
+    return (stats.multivariate_normal.logpdf(x, x, 0.25), x[1])
+
+
+class Tank:
+    """A simulator, which a formula cannot be."""
+
+    def __init__(self):
+        self.rng = np.random.default_rng(1)
+
+    def solves(self, x, t, w, p):
+        solved = solve_ivp(lambda _, level: -level, (0.0, 1.0), [x[0]])
+        return (solved.y[0, -1] + w[0], x[1])
+
+    def draws(self, x, t, w, p):
+        return (self.rng.normal(x[0], 1.0), x[1])
+
+
+SIMULATED = "declare functions of arrays as a pfdist.BatchedModel, see docs/simulators.md"
 REFUSED = {
+    calls_a_density_of_scipy: "logpdf of scipy takes numbers, and not values of particles: write "
+    "pfdist.densities.normal_logpdf",
+    calls_an_array_of_scipy: f"logpdf of scipy takes numbers, and not values of particles: "
+    f"{SIMULATED}",
+    Tank().solves: f"write pfdist.ode, or {SIMULATED}",
+    Tank().draws: f"write x[0] + p.sd * w[0], or {SIMULATED}",
     looks_up: "take(table, value.astype(int))",
     gives_text: "must give numbers, got str",
     adds_conditions: "add of two conditions: write a.astype(int)",
@@ -325,7 +356,7 @@ REFUSED = {
     looks_at_types: "it computes something else with numbers than with symbols",
     sums_one_component: "np.sum of a single value",
     counts_calls: "must compute the same whenever it is called",
-    is_random: "takes randomness from the noise it is given",
+    is_random: "noise from w is a pfdist.BatchedModel, see docs/simulators.md",
     takes_minimum: "np.minimum",
     indexes: "it is take(table, value.astype(int))",
     loops: "pfdist.where(condition, a, b)",

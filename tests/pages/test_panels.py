@@ -160,6 +160,9 @@ def test_with_more_sensors_than_markers_the_markers_come_again() -> None:
     assert shapes["s00"] == shapes["s08"] == shapes["s16"] != shapes["s01"]
 
 
+FALLS = pd.DataFrame({"parameter": "sd", "sd": [0.5, 0.7, 1.1], "below": [2.5, 0.0, 3.1]})
+
+
 def _trajectory() -> pd.DataFrame:
     columns = {f"estimate_{name}_0": np.arange(10) + 0.5 for name in SETS}
     return pd.DataFrame({"draw": 3, "t": range(10), "z_0": np.arange(10.0), **columns})
@@ -204,6 +207,7 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
             call(plain, beside="survivors"),
             call(plain.table("comparison"), "genetic", reference="survivors"),
         ],
+        "likelihood_profile": [call(FALLS, "sd"), call(SimpleNamespace(profile=FALLS), "sd")],
         "one_draw": [call(plain, "survivors", draw=4), call(_trajectory(), sets)],
         "online_gain": [call(proved)],
         "online_raster": [call(proved)],
@@ -225,7 +229,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 18
+    assert len(NAMES) == 19
 
 
 @every

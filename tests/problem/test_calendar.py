@@ -183,6 +183,22 @@ def test_sensors_follow_the_dates_of_their_entry() -> None:
     assert "2026-04-04 ct" not in barred
 
 
+@in_turn(
+    ("cell", "message"),
+    [
+        ("24/10/2026 08:00", "^t must be a date, as 2026-04-01 or 2026-04-01T08:00, got '24/10/20"),
+        ("mon..fri", "^t must be a date"),
+        ("2026-04-02 8:00 PM", "^t must be a date"),
+        ("1792821600", "^t must lie in 2026-04-01..2026-05-01, got 1792821600$"),
+    ],
+)
+def test_a_cell_of_a_table_is_a_date_or_a_number_of_the_horizon(cell: str, message: str) -> None:
+    read = section().clock.readers()["t"]
+    assert read("2026-04-03") == read("2") == 2
+    with pytest.raises(MeasurementTimesError, match=message):
+        read(cell)
+
+
 def test_the_horizon_and_the_times_of_a_clock_may_be_dates() -> None:
     assert section(horizon="2026-04-11").clock.horizon == 10
     uneven = section(horizon=None, times=["2026-04-01", "2026-04-08", 10])

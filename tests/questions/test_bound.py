@@ -443,7 +443,9 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(proved: Pat
     assert main(["verify", str(proved)]) == 0
 
 
-def test_work_that_may_be_left_out_is_told_apart(walk: Path) -> None:
+def test_work_that_may_be_left_out_is_told_apart(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The proof of a plan may take too long, and draws beyond a look may not be needed."""
     seen = list[Progress]()
     again: Any = {"figures": False, "pool": "serial", "progress": seen.append}
@@ -454,6 +456,12 @@ def test_work_that_may_be_left_out_is_told_apart(walk: Path) -> None:
     assert phases["random"].optional == phases["comparison"].optional
     assert phases["lower bound"].optional == 0
     assert seen[-1].done == seen[-1].total
+    seen.clear()
+    monkeypatch.setattr("pfdist.questions.run._PATIENCE", 0.0)  # the bound would take too long
+    with pytest.warns(PfdistWarning, match="Not proved: `pfdist bound"):
+        pfdist.run(job, walk.parent / "without", bound_draws=LEAST_DRAWS, **again)
+    assert {each.optional for each in seen} == {0}
+    assert max(each.done / each.total for each in seen if each.phase == "random") > 0.1
     seen.clear()
     bound(walk, 2 * LEAST_DRAWS, within=1e-4, progress=seen.append)
     looks = [each.optional for each in seen if each.phase == "lower bound" and each.evaluations]

@@ -19,6 +19,7 @@ from pfdist.questions.budget import budget
 from pfdist.questions.evaluate import evaluated
 from pfdist.questions.run_page import answer_of
 from pfdist.runner.build import build
+from pfdist.runner.progress import Detail
 
 HORIZON, QUANTILE = 9, "quantile 0.9"
 RESTLESS = WALK.with_parameters({"early": 1.5, "late": 0.4})
@@ -187,7 +188,7 @@ def test_the_criterion_of_the_job_leads_and_columns_say_which_quantile(job: str)
 @pytest.mark.parametrize(
     ("also", "message"),
     [
-        ("worst", "must be 'expected_mse', 'worst_instant'"),
+        ("worst", "got 'worst'; did you mean 'worst_instant'"),
         ("quantile 1.5", "got 'quantile 1.5'"),
         ("quantile 0.5,quantile 0.9", "one run has one quantile"),
     ],
@@ -204,6 +205,7 @@ def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> No
         job, tmp_path / "run", changes=changes, say=said.append, search="random", **OPTIONS
     )
     assert "Not proved: no bound is known for the expected error at the worst instant" in str(said)
+    assert all(isinstance(line, Detail) for line in said)  # the answer says so, too
     head = "expected error at the worst instant"
     assert head in " ".join("\n".join(lines_of(answer_of(run))).split())
     refused: dict[str, Callable[[], Any]] = {

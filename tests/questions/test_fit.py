@@ -1,5 +1,6 @@
 """Maximum likelihood: the exact optimum for a linear-Gaussian model, by Kalman's likelihood."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -58,24 +59,80 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
     data: pd.DataFrame, fitted: Fitted
 ) -> None:
     """Another search of the same likelihood, with derivatives, ends at the same place."""
-    y = np.full((SYSTEMS, HORIZON + 1, 1), np.nan)
-    y[data["system"], data["t"], 0] = data["y0"]
-
-    model = model_with(**START)
-    recorded = recorded_evaluator(model, model, horizon=HORIZON).model
-
-    def loss(values: np.ndarray) -> float:
-        there = recorded.with_parameters(dict(zip(START, values.tolist(), strict=True)))
-        return -float(exact_log_evidence(there, y).sum())
-
-    bounds = [(0, 0.99), (0.1, 5), (0.1, 5)]
-    best = minimize(loss, [*TRUE.values()], method="L-BFGS-B", bounds=bounds, tol=1e-7)
+    loss = loss_of(data)
+    bounds = [(-9, np.log(0.99)), (-2, 2), (-2, 2)]
+    best = minimize(loss, np.log([*TRUE.values()]), method="L-BFGS-B", bounds=bounds, tol=1e-7)
     assert fitted.is_converged
     assert fitted.error == 0.0
     assert fitted.log_likelihood == pytest.approx(-best.fun, abs=0.02)
-    assert [*fitted.parameters.values()] == pytest.approx(best.x.tolist(), abs=0.02)
+    assert [*fitted.parameters.values()] == pytest.approx(np.exp(best.x).tolist(), abs=0.02)
     assert fitted.log_likelihood > fitted.started_at
-    assert fitted.log_likelihood >= -loss(np.array([*TRUE.values()]))
+    assert fitted.log_likelihood >= -loss(np.log([*TRUE.values()]))
+
+
+def test_profiles_and_correlation_are_those_of_the_likelihood(data: pd.DataFrame) -> None:
+    """Near the maximum by its second derivatives; far from it by a search with another method."""
+    fitted = pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial", profile=True)
+    loss, best = loss_of(data), np.log([*fitted.parameters.values()])
+    unit = 2e-3 * np.eye(3)
+    curved = [
+        [sum(s * r * loss(best + s * a + r * b) for s in (1, -1) for r in (1, -1)) for b in unit]
+        for a in unit
+    ]
+    covariance = np.linalg.inv(curved)
+    deviation = np.sqrt(np.diag(covariance))
+    assert fitted.profile is not None
+    assert fitted.correlation is not None
+    expected = covariance / np.outer(deviation, deviation)
+    np.testing.assert_allclose(fitted.correlation, expected, atol=0.1)
+    far = fitted.profile.groupby("parameter").tail(1).set_index("parameter")
+    for k, name in enumerate(START):
+        held = np.log(far.loc[name, name])
+        least = minimize(
+            lambda rest, k=k, held=held: loss(np.insert(rest, k, held)), np.delete(best, k),
+            method="L-BFGS-B", bounds=[(-6, 2)] * 2,
+        ).fun - loss(best)  # fmt: skip
+        assert far.loc[name, "below"] == pytest.approx(least, abs=0.1)
+        assert far.loc[name, "below"] > 1.92
+    assert len(fitted.as_json()["profile"]) == len(fitted.profile)
+
+
+def test_what_data_cannot_tell_apart_is_named() -> None:
+    """The measurements have the variance a^2 + b^2, and nothing else depends on a and b."""
+    model = one_state(
+        "two noises",
+        initial=lambda w, p: (0.0 * w[0],),
+        transition=lambda x, t, w, p: (0.0 * x[0] + 0.0 * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + p.a * v[0] + p.b * v[1],),
+        log_likelihood=lambda y, x, t, p: pfdist.densities.normal_logpdf(
+            y[0], x[0], np.sqrt(p.a**2 + p.b**2)
+        ),
+        measurement_noise=("normal", "normal"),
+        parameters={"a": 1.0, "b": 1.0},
+        parameter_ranges={"a": (0.01, 9.0), "b": (0.01, 9.0)},
+        linear_gaussian=True,
+        normalised=True,
+    )
+    y = np.random.default_rng(1).standard_normal(9)
+    table = pd.DataFrame({"system": 0, "t": range(9), "y0": y})
+    job = pfdist.Problem(model, horizon=8, measurement_budget=4, engine="kalman")
+    fitted = pfdist.fit(job, table, ["a", "b"], pool="serial", profile=True)
+    assert "a and b are hard to tell apart: the correlation of their estimates is -" in str(fitted)
+
+
+def loss_of(data: pd.DataFrame) -> Callable[[np.ndarray], float]:
+    """Kalman's likelihood, with its sign changed, by the logarithms of all parameters."""
+    y = np.full((SYSTEMS, HORIZON + 1, 1), np.nan)
+    y[data["system"], data["t"], 0] = data["y0"]
+    model = model_with(**START)
+    recorded = recorded_evaluator(model, model, horizon=HORIZON).model
+
+    def loss(logs: np.ndarray) -> float:
+        values = np.minimum(np.exp(logs), [0.99, 10.0, 10.0]).tolist()
+        there = recorded.with_parameters(dict(zip(START, values, strict=True)))
+        return -float(exact_log_evidence(there, y).sum())
+
+    return loss
 
 
 def test_particles_find_nearly_the_same(data: pd.DataFrame) -> None:

@@ -98,6 +98,21 @@ def test_a_plan_is_found_if_the_job_was_not_run(there: Path, error: Callable[...
     assert why("jobs/small.toml", changes=changes).run == made.path
 
 
+@in_turn("search", ["random", "exchange"])
+def test_a_named_folder_may_hold_a_plan_of_a_job_that_lists_searches(
+    search: str, there: Path, error: Callable[..., str]
+) -> None:
+    changes = [*QUICK[:2], "comparison.draws=20"]
+    made = pfdist.plan("jobs/small.toml", search, search, changes, figures=False, bound_draws=0)
+    of_plan = {"results": search, "changes": changes}
+    assert why("jobs/small.toml", **of_plan).run == made.path
+    found = pfdist.filter_measurements("jobs/small.toml", "y.csv", report=False, **of_plan)
+    assert len(found.table) == 13
+    assert error(
+        "why", "jobs/small.toml", "--results", search, "--set", *changes, "filter.particles=7"
+    ).endswith("In the run -> now: filter.particles: 40 -> 7")
+
+
 @in_turn("command", ASK)
 def test_another_job_than_that_of_the_run_is_refused(
     command: str, there: Path, error: Callable[..., str]
