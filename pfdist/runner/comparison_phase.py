@@ -403,8 +403,9 @@ def _of_draws(
     estimation: Estimation,
     *,
     knows_truth: bool,
-    draws: int = LOSS_DRAWS,
+    draws: int | None = None,
 ) -> FirstDraws:
+    """A table of a set's errors by another estimation, on the first draws, by default a few."""
     evaluator = built.evaluator.truth if knows_truth else built.evaluator
     evaluator.compile(estimation)  # before the first task, whose time is limited
     stream, sets = (
@@ -415,7 +416,7 @@ def _of_draws(
         work,
         ends=work.ends[:1] * sets,
         filter_streams=(stream,) * sets,  # sets share the noise, and so their common prefixes
-        draws=(0, min(draws, built.job.comparison.draws)),
+        draws=(0, min(draws or LOSS_DRAWS, built.job.comparison.draws)),
         estimation=estimation,
         knows_truth=knows_truth,
     )
