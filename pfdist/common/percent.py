@@ -140,16 +140,16 @@ def gap_sentence(
 def nats_sentence(gap: Mapping[str, Any], measurements: int) -> str:
     """The sentence that says how much more other times can tell; the arguments of `gap_sentence`.
 
-    >>> gap = {"expected_mse": -2.0, "budget": 4, "gap": 0.0, "bound_error": 0.0}
+    >>> gap = {"expected_mse": -2.0, "budget": 4, "gap_at_most": 0.0, "bound_error": 0.1}
     >>> nats_sentence(gap, 4)
     'Proved: no other 4 times give more nats.'
-    >>> nats_sentence({**gap, "gap": 0.25, "gap_at_most": 0.25}, 3)
+    >>> nats_sentence({**gap, "gap_at_most": 0.25, "bound_error": 0.0}, 3)
     'Proved: no other times that are no more expensive give more than a further 0.50 nats.'
     """
     times, gives = ("time", "gives") if measurements == 1 else (f"{measurements} times", "give")
     if gap["budget"] != measurements:
         times, gives = "times that are no more expensive", "give"
-    if not gap["bound_error"] and gap["gap"] < _ROUNDING:
+    if gap["gap_at_most"] < _ROUNDING:
         return f"Proved: no other {times} {gives} more nats."
     more = rounded(rounded_up(-gap["expected_mse"] * gap["gap_at_most"]), 2)
     sure = f" ({100 * gap['confidence']:.3g} % confidence)" if gap["bound_error"] else ""

@@ -194,10 +194,9 @@ def times_inches(sets: int) -> float:
 
 def _forbidden_times(run: Run) -> list[float]:
     """The times at which nothing may be measured."""
-    barred, points = {*problem_of(run).feasible.forbidden}, problem_of(run).points
-    return [
-        points.clock.times[t] for t in points.instants(barred) if barred.issuperset(points.at(t))
-    ]
+    problem = problem_of(run)
+    allowed = problem.points.made({*range(problem.points.number)} - {*problem.feasible.forbidden})
+    return [time for t, time in enumerate(problem.clock.times) if t not in allowed]
 
 
 def _clock_of(times: Iterable[float], last: float) -> Clock:

@@ -120,7 +120,7 @@ def bound_page(
         if each["reason"]
     ]
     drawn = f"on {answer['draws']:,} draws" if answer["particles"] else "exact"
-    line = f"{answer['run']}: lower bound, {drawn}"
+    line = f"{answer['run']}: {'upper' if answer['sign'] < 0 else 'lower'} bound, {drawn}"
     return Page("", "", [Section("", blocks)], [*warnings, *reasons], place=line)
 
 

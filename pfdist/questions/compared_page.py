@@ -29,6 +29,7 @@ _OF_A_SET = (
     *CRITERIA_SHOWN,
 )  # fmt: skip
 _WIDE = 0.1  # of an information: its two sides are far from each other
+_ABOVE = "above the best by, %"  # in expected MSE
 _PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
 _SETS_MEANING = (
     "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
@@ -52,17 +53,17 @@ def compared(subject: Subject) -> Section | None:
     best_is_reference = ranks[0].name == subject.reference_row.name
     last = f"lower than {subject.reference_row.label} by, %"
     heads = (subject.heads.get(name, COLUMNS[name].head) for name in _OF_A_SET)
-    head = [*heads, "above the best by, %", last]
+    head = [*heads, _ABOVE, last]
     cells = [_set_row(subject, row, pairs, ranks[0].name) for row in ranks]
     caption = f"Best first, on {number_of(run.draws_compared, 'draw')}"
-    if subject.of_the_estimate:
+    is_mean = subject.criterion.is_mean
+    if subject.of_the_estimate or not is_mean:
         caption += f", by {subject.error}"
     sets = Table(caption, head, cells, optional=[last])
-    sets = without_column(sets, *([last] if best_is_reference else []))
+    sets = without_column(sets, *[last] * best_is_reference, *[_ABOVE] * (not is_mean))
     rows = [_pair_row(subject, pair) for pair in pairs]
     best = ""
     if not subject.found_rows:
-        is_mean = subject.criterion.is_mean
         best = _best(subject, ranks, pairs) if is_mean else _least(subject, ranks[0].name)
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),
@@ -221,7 +222,7 @@ def criterion_effect(subject: Subject, row: Row) -> str | None:
     bits, side = rounded(value / math.log(2), 3), "more" if gain >= 0 else "less"
     told = Judged(value, low, high).text(subject.criterion.unit)
     more = Judged(abs(gain), *_signed(gain, ends)).text(subject.criterion.unit)
-    wide = " The interval is wide because the particles are few: more of them narrow it."
+    wide = " The interval is wide: more particles, or more draws, narrow it."
     return (
         f"They give {told} of information about the path ({bits} bits), "
         f"{more} {side} than {subject.reference}."

@@ -154,8 +154,11 @@ class Subject:
         """A sentence about the figures of the other sets, if there are others."""
         others = len(self.others) - len(self.shown)
         shown = number_of(len(self.shown), "found set" if self.found_rows else "set")
+        best = "with the lowest expected MSE"
+        if not self.criterion.is_mean:
+            best = f"that is best by {self.error}"
         text = (
-            f"Figures are shown of {shown} with the lowest expected MSE. Those of the other "
+            f"Figures are shown of {shown} {best}. Those of the other "
             f"{number_of(others, 'set')} are in the folder figures of the run."
         )
         return [Text(text)] if others else []

@@ -68,7 +68,7 @@ def _rows(run: "Run", measured: Times) -> Rows:
     if "sampling_windows" in run.tables:
         moved = run.table("sampling_windows")
         of_plan = moved[moved["name"] == best.name].to_dict("records")
-        allowed = points.instants(problem.feasible.allowed)
+        allowed = points.made(problem.feasible.allowed)
         order = {instant: place for place, instant in enumerate(allowed)}
         for percent in (STRICT, WIDE):
             for window in windows_of(of_plan, percent, clock):

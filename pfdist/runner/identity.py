@@ -4,7 +4,7 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -108,7 +108,13 @@ def time_columns(points: Points) -> TimeColumns:
     `pfdist.pages.panel.clock_of_table` reads it.
     """
     clock = points.clock
-    written = points.written_of(range(points.number)) if points.sensors or clock.has_dates else ()
+    written: Sequence[Any] = ()
+    if points.sensors or clock.has_dates:
+        written = points.written_of(range(points.number))
+    elif points.delays:
+        written = [
+            float(clock.times[max(0, points.made_at(each))]) for each in range(points.number)
+        ]
     dates = map(clock.text, clock.times) if clock.has_dates else ()
     return TimeColumns(clock.times, clock.time_unit, tuple(written), tuple(dates), clock.counts)
 
@@ -116,7 +122,7 @@ def time_columns(points: Points) -> TimeColumns:
 def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
     """The store of a run of this job, whose tables have times on the job's clock."""
     points = built.job.problem.points
-    if points.clock.counts and not points.sensors:
+    if points.clock.counts and not (points.sensors or points.delays):
         return Store(path, run_key)
     return Store(path, run_key, time_columns(points))
 

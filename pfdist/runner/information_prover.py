@@ -139,9 +139,12 @@ class InformationProver(Prover):
         gains = np.sort(high[:, 1:-1] - low[:, :1], axis=1)[:, ::-1][:, :extra]
         by_gains, by_all = told + gains.sum(axis=1), high[:, -1]
         bounds = by_gains if by_gains[0] <= by_all[0] else by_all
-        bound, more, scale = jackknifed(bounds), jackknifed(bounds - told), 1 / -own.value
+        bound, more = jackknifed(bounds), jackknifed(bounds - told)
         if not math.isfinite(bound.value):
             return Gap(name, times, own, "a measurement tells infinitely much to so few particles")
+        if not own.value:
+            return Gap(name, times, own, "its measurements tell nothing")
+        scale = 1 / -own.value
         spent = self._most if self._built.job.problem.feasible.counted else 0
         gap, at_most = more.value * scale, more.at_most(self.confidence) * scale
         return Gap(

@@ -54,6 +54,8 @@ class Settings:
         estimator = ESTIMATORS[deciding.estimator]
         if own.by_variance and variance_is_error and estimator is SQUARED_ERROR:
             estimator = TWO_CLOUDS if job.problem.instants_of_lag else FILTER_VARIANCE
+        # Information is a lower side only beside the truth, which other schemes do not hold.
+        scheme = None if estimator is INFORMATION else own.resampling
         return cls(
             own.draws or job.evaluation.draws,
             (own.noise or job.evaluation.noise) == "common",
@@ -61,7 +63,7 @@ class Settings:
             replace(
                 deciding,
                 particles=own.particles_of(job.filter.particles),
-                resampling=own.resampling or deciding.resampling,
+                resampling=scheme or deciding.resampling,
                 estimator=estimator.name,
             ),
         )

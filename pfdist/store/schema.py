@@ -470,13 +470,13 @@ def backtest_schema() -> pa.Schema:
 class TimeColumns:
     """A converter of columns of instants to columns of times.
 
-    With `written`, columns of sets of measurements become columns of these texts. With `dates`, a
-    column ``date`` follows the column t.
+    With `written`, columns of sets of measurements become columns of these texts or times. With
+    `dates`, a column ``date`` follows the column t.
     """
 
     times: tuple[float, ...]  # (T+1,); the time of each instant
     unit: str  # for the metadata of the columns
-    written: tuple[str, ...] = ()  # the text of each possible measurement
+    written: tuple[Any, ...] = ()  # the text or the time of each possible measurement
     dates: tuple[str, ...] = ()  # (T+1,); the text of each instant
     counts: bool = False  # whether the time of an instant is its number: such columns stay
 
@@ -485,7 +485,7 @@ class TimeColumns:
         for field in rows.schema:
             index = rows.schema.get_field_index(field.name)
             if self._is_changed(field):
-                values = self.written if self._has_texts(field) else self.times
+                values = self.written if self._is_written(field) else self.times
                 column = rows.column(index).combine_chunks()
                 rows = rows.set_column(index, self._field(field), _valued(column, values))
                 if self.dates and field.name == "t":
@@ -501,17 +501,18 @@ class TimeColumns:
                     schema = schema.insert(schema.get_field_index("t") + 1, _DATE)
         return schema
 
-    def _has_texts(self, field: pa.Field) -> bool:
+    def _is_written(self, field: pa.Field) -> bool:
         return field.name in _MEASUREMENTS and bool(self.written)
 
     def _is_changed(self, field: pa.Field) -> bool:
-        if self._has_texts(field):
+        if self._is_written(field):
             return _holds_numbers(field)
         columns = () if self.counts else (*_INSTANTS, *_MEASUREMENTS)
         return field.name in columns and _holds_numbers(field)
 
     def _field(self, field: pa.Field) -> pa.Field:
-        kind = pa.string() if self._has_texts(field) else pa.float64()
+        has_texts = self._is_written(field) and isinstance(self.written[0], str)
+        kind = pa.string() if has_texts else pa.float64()
         kind = pa.list_(kind) if pa.types.is_list(field.type) else kind
         metadata = dict(field.metadata or {}) | {b"unit": self.unit.encode()}
         return pa.field(field.name, kind, metadata=metadata)

@@ -22,7 +22,11 @@ from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.models.sensed import sensed
+from pfdist.pages.terminal import lines_of
+from pfdist.pages.times_axis import _forbidden_times
 from pfdist.questions.measured import normalised
+from pfdist.questions.run_page import answer_of
+from pfdist.results.export import export_plan
 from pfdist.runner.likelihood import Within, likelihood
 
 
@@ -260,6 +264,63 @@ def meter_and_laboratory() -> StateSpaceModel:
         linear_gaussian=True,
         sensors={"bedside": sensor(1.0), "lab": sensor(0.2)},
     )
+
+
+def late_walk() -> StateSpaceModel:
+    """A walk whose sensor is twice as good at some instants."""
+    return StateSpaceModel(
+        name="late walk",
+        initial=lambda w, p: (2.0 * w[0],),
+        transition=lambda x, t, w, p: (0.95 * x[0] + 0.6 * w[0],),
+        measurement=lambda x, t, v, p: ((1.0 + (3 * t) % 5) * x[0] + v[0],),
+        log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - (1.0 + (3 * t) % 5) * x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        linear_gaussian=True,
+    )
+
+
+def of_late_walk(made: tuple[int, ...], delay: int, horizon: int) -> float:
+    """The expected MSE by conditioning on the measurements that have arrived."""
+    variance = np.full(horizon + 1, 4.0)
+    for t in range(horizon):
+        variance[t + 1] = 0.95**2 * variance[t] + 0.36
+    s, t = np.meshgrid(np.arange(horizon + 1), np.arange(horizon + 1))
+    joint, total = variance[np.minimum(s, t)] * 0.95 ** abs(s - t), 0.0
+    for now in range(horizon + 1):
+        known = [each for each in made if each + delay <= now]
+        gains = np.array([1.0 + (3 * each) % 5 for each in known])
+        seen = np.outer(gains, gains) * joint[np.ix_(known, known)] + np.eye(len(known))
+        both = gains * joint[now, known]
+        total += joint[now, now] - both @ np.linalg.solve(seen, both)
+    return float(total) / (horizon + 1)
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+@pytest.mark.parametrize("step", [None, 2])
+def test_tables_pages_and_exports_have_the_times_at_which_a_single_late_sensor_measures(
+    tmp_path: Path, delay: int, step: int | None
+) -> None:
+    size = step or 1
+    clock = {} if step is None else {"time_step": step, "time_unit": "h"}
+    problem = Problem(
+        late_walk(), horizon=8 * size, measurement_budget=2, sensor={"delay": delay * size},
+        forbidden=[size], engine="kalman", **clock,
+    )  # fmt: skip
+    run = pfdist.plan(problem, tmp_path / "run", changes=["comparison.draws=100"], figures=False)
+    times = [t for t in range(9 - delay) if t != 1]
+    each = {made: of_late_walk(made, delay, 8) for made in combinations(times, 2)}
+    best = min(each, key=lambda made: each[made])
+    assert run.best.measurement_times == [size * t for t in best]
+    assert run.best.expected_mse == pytest.approx(each[best], rel=1e-9)
+    assert not run.table("bound")["reason"].any()
+    text = " ".join(lines_of(answer_of(run)))
+    assert f"Measure at t = {best[0] * size}, {best[1] * size}" in text
+    export_plan(run, tmp_path / "plan.csv")
+    assert (tmp_path / "plan.csv").read_text().splitlines()[2] == f"2,{best[1] * size}"
+    assert _forbidden_times(run) == [size * t for t in range(9) if t not in times]
 
 
 LATE = {"bedside": {"price": 1}, "lab": {"price": 3, "delay": 2}}

@@ -5,6 +5,7 @@ Beal, "NONMEM users guide", part V, 1994 (theophylline).
 """
 
 import math
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,11 @@ from pfdist import Problem, Run, StateSpaceModel, linear_gaussian
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Information
 from pfdist.filters.evaluator import Evaluator
+from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.pages.terminal import lines_of
+from pfdist.problem.problem import as_job
 from pfdist.questions.run_page import answer_of
+from pfdist.runner.build import build
 
 HORIZON, COUNT = 9, 4
 SETS = [*combinations(range(HORIZON + 1), COUNT)]
@@ -88,6 +92,12 @@ def test_particles_find_a_set_within_a_percent_and_a_bound_above_all_sets(
     assert best.criterion_value == -best.information
 
 
+def test_the_search_has_the_truth_among_its_particles(by_particles: Run) -> None:
+    [search] = build(as_job(by_particles.path)).searches
+    for each in search.all_settings:
+        assert ALL_SCHEMES[each.estimation.resampling].holds_truth
+
+
 def test_the_answer_is_in_nats_and_bits(by_particles: Run) -> None:
     text = " ".join(lines_of(answer_of(by_particles)))
     best = results_of(by_particles)["relaxation"]
@@ -104,9 +114,21 @@ def test_the_same_draws_judge_named_sets_by_information_too(tmp_path: Path) -> N
         problem, times=sets, results=tmp_path / "run", draws=1000, also="information", figures=False
     )
     rows = results_of(run)
+    assert "above the best by" in "\n".join(lines_of(answer_of(run)))
     for name, times in sets.items():
         exact = told(turning(0.5), [tuple(times)])[0]
         assert rows[name].information_low < exact < rows[name].information_high
+
+
+def test_sets_that_are_ranked_by_information_have_no_column_of_other_ranks(tmp_path: Path) -> None:
+    problem = Problem(turning(0.5), horizon=HORIZON, measurement_budget=COUNT, particles=200)
+    sets = {"early": [0, 1, 2, 3], "spread": [0, 3, 6, 9]}
+    run = pfdist.compare(
+        problem, times=sets, results=tmp_path / "run", draws=100, changes=[NATS], figures=False
+    )
+    text = "\n".join(lines_of(answer_of(run)))
+    assert "Best first, on 100 draws, by the information" in text
+    assert "above the best by" not in text
 
 
 @pytest.mark.parametrize(
@@ -122,6 +144,21 @@ def test_what_has_no_information_is_refused(tmp_path: Path, change: str, needed:
     changes = [change, "budget.most=2"] if "budget" in change else [change]
     with pytest.raises(JobError, match=needed):
         planned(tmp_path / "run", 0.5, *changes)
+
+
+def test_measurements_that_tell_nothing_are_not_proved(tmp_path: Path) -> None:
+    blind = replace(
+        turning(0.5),
+        measurement=lambda x, t, v, p: (v[0],),
+        log_likelihood=lambda y, x, t, p: -0.5 * y[0] ** 2 + 0.0 * x[0],
+        linear_gaussian=False,
+    )
+    problem = Problem(blind, horizon=HORIZON, measurement_budget=COUNT, particles=50)
+    run = pfdist.plan(
+        problem, tmp_path / "run", changes=[NATS, "comparison.draws=100"], figures=False
+    )
+    assert run.best.information == 0.0
+    assert {*run.table("bound")["reason"]} == {"its measurements tell nothing"}
 
 
 # --- parameters alone -----------------------------------------------------------------------------
