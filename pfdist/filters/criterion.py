@@ -342,11 +342,16 @@ class WorstInstant(Judging):
         return self._between(sample, sample.errors.size)
 
     def change(self, sample: Sample, other: Sample) -> Judged:
-        """The share by which a set's largest error is lower, from limits that hold together."""
+        """The share by which a set's largest error is lower, from limits that hold together.
+
+        No error is below 0, even if a limit is.
+        """
         limits = sample.errors.size + other.errors.size
         value, low, high = self._between(sample, limits)
         of_other, least, most = self._between(other, limits)
-        return Judged(1 - value / of_other, 1 - high / least, 1 - low / most)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.divide([value, high, max(low, 0.0)], [of_other, max(least, 0.0), most])
+        return Judged(*(1 - ratios).tolist())
 
     def _between(self, sample: Sample, limits: int) -> Judged:
         if not sample.errors.size:
@@ -380,19 +385,30 @@ class Information(Judging):
     def judged(self, sample: Sample) -> Judged:
         """The lower side, from the lower end of its interval to the upper end of the upper side."""
         below = Estimate.of_mean(sample.information)
-        return self._between(below, below, below.plus(Estimate.of_mean(sample.gap)))
+        return self._between(below, below, _and_mean(sample.information, sample.gap))
 
     def change(self, sample: Sample, other: Sample) -> Judged:
         """The nats that a set gives more than another."""
-        more = Estimate.of_mean(sample.information - other.information)
-        low, high = Estimate.of_mean(other.gap).times(-1.0), Estimate.of_mean(sample.gap)
-        return self._between(more, more.plus(low), more.plus(high))
+        more = sample.information - other.information
+        low, high = _and_mean(more, -other.gap), _and_mean(more, sample.gap)
+        return self._between(Estimate.of_mean(more), low, high)
 
     @staticmethod
     def _between(value: Estimate, below: Estimate, above: Estimate) -> Judged:
         if value.degrees == math.inf:  # exact: a single draw
             return Judged(value.value, value.value, value.value)
-        return Judged(value.value, below.interval()[0], above.interval()[1])
+        low, high = (
+            each.interval()[place] if math.isfinite(each.value) else each.value
+            for place, each in enumerate((below, above))
+        )
+        return Judged(value.value, low, high)
+
+
+def _and_mean(values: Array, others: Array) -> Estimate:
+    """The sum of two means, if the other one may be that of the first draws alone."""
+    if others.size == values.size:
+        return Estimate.of_mean(values + others)
+    return Estimate.of_mean(values).plus(Estimate.of_mean(others))
 
 
 _NAMED: dict[str, Criterion] = {e.name: e for e in (MEAN, WorstInstant(), Information())}

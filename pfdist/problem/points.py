@@ -149,7 +149,7 @@ class Points(PointNumbers):
                     raise MeasurementTimesError(
                         f"{name} must be measured so that values arrive by "
                         f"{clock.formatted(clock.horizon)}, got {clock.formatted(t)}, whose value "
-                        f"arrives {self.delay(way)} instants later"
+                        f"arrives {self.delay(way)} instant{'s' * (self.delay(way) != 1)} later"
                     )
 
     @cached_property

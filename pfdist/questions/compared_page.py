@@ -64,7 +64,7 @@ def compared(subject: Subject) -> Section | None:
     rows = [_pair_row(subject, pair) for pair in pairs]
     best = ""
     if not subject.found_rows:
-        best = _best(subject, ranks, pairs) if is_mean else _least(subject, ranks[0].name)
+        best = _best(subject, ranks, pairs) if is_mean else _least(subject, ranks)
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),
         without_empty_columns(sets),
@@ -81,11 +81,16 @@ def _minimised(row: Row) -> float:
     return math.inf if value is None else float(value)
 
 
-def _least(subject: Subject, best: str) -> str:
-    """The best set by a criterion other than the expected MSE, in sentences."""
-    row = subject.rows[best]
-    said = f"Best by {subject.error}: {phrase_of(row.label)}"
-    return f"{said}. {criterion_effect(subject, row) or ''}".rstrip()
+def _least(subject: Subject, ranks: Sequence[Row]) -> str:
+    """The best set by a criterion other than the expected MSE, in sentences.
+
+    It is compared with the reference; if it is the reference, the second is.
+    """
+    best, second, *_ = (subject.rows[each.name] for each in ranks)
+    said = f"Best on these draws by {subject.error}: {phrase_of(best.label)}."
+    if best.name == subject.reference_row.name:
+        best, said = second, f"{said} Second: {phrase_of(second.label)}."
+    return f"{said} {criterion_effect(subject, best) or ''}".rstrip()
 
 
 def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:

@@ -156,7 +156,7 @@ class Subject:
         shown = number_of(len(self.shown), "found set" if self.found_rows else "set")
         best = "with the lowest expected MSE"
         if not self.criterion.is_mean:
-            best = f"that is best by {self.error}"
+            best = f"that rank first by {self.error}"
         text = (
             f"Figures are shown of {shown} {best}. Those of the other "
             f"{number_of(others, 'set')} are in the folder figures of the run."

@@ -120,7 +120,10 @@ def named_search(
 
     Raises `JobError` if the optimiser cannot search this problem.
     """
-    settings = Settings.from_job(job, section.evaluation, variance_is_error)
+    additive = METHODS[section.method].additive
+    # The variance of particles has the mean of the errors, not their quantiles.
+    by_variance = variance_is_error and (additive or not job.criterion.needs_draws)
+    settings = Settings.from_job(job, section.evaluation, by_variance)
     if not METHODS[section.method].online:  # it asks for errors of instants, block by block
         settings = replace(settings, draws=-(-settings.draws // BLOCK) * BLOCK)
     check_memory(job, section, settings.draws)
@@ -136,7 +139,6 @@ def named_search(
         estimation=replace(settings.estimation, estimator=estimator.name),
     )
     racing = racing_of(job, _RACE_DRAWS)
-    additive = METHODS[section.method].additive
     polishing_or_none = polishing if section.polish else None
     return NamedSearch(
         section.name, optimiser, settings, polishing_or_none, racing, additive, job.criterion

@@ -17,6 +17,7 @@ from pfdist.filters import kalman
 from pfdist.filters.criterion import (
     MEAN,
     Criterion,
+    Information,
     Judging,
     Quantile,
     Sample,
@@ -194,6 +195,15 @@ def _sample(errors: Any) -> Sample:
     return Sample(np.empty(0), errors.mean(axis=0), stats.sem(errors), len(errors) - 1)
 
 
+def test_a_change_from_few_draws_has_no_end_beyond_what_errors_allow() -> None:
+    """Limits from two draws lie below 0, and an error does not."""
+    own, other = _sample(np.array([[0.5], [0.9]])), _sample(np.array([[0.8], [1.4]]))
+    assert WORST_INSTANT.judged(own).low < 0.0
+    value, low, high = WORST_INSTANT.change(own, other)
+    assert (low, high) == (-math.inf, 1.0)
+    assert value == pytest.approx(1 - 0.7 / 1.1)
+
+
 def test_the_worst_instant_of_groups_and_its_jackknife() -> None:
     """If one instant is the worst of both sets, the jackknife is the paired test of its groups."""
     low, first, second = np.random.default_rng(1).normal(size=(3, 20, 1))
@@ -252,3 +262,27 @@ def test_a_search_minimises_a_criterion_that_no_other_module_knows(
     assert [each.expected_mse for each in found.values()] == [
         np.median(each.mse) for each in found.values()
     ]
+
+
+# --- information ----------------------------------------------------------------------------------
+
+NATS = Information()
+
+
+def test_an_upper_side_that_is_infinite_is_an_infinite_end() -> None:
+    told = np.random.default_rng(1).normal(2.0, 1.0, 50)
+    infinite, none = np.where(np.arange(20) < 1, math.inf, 0.1), np.zeros(20)
+    collapsed, other = Sample(told, information=told, gap=infinite), Sample(told, gap=none)
+    value, low, high = NATS.judged(collapsed)
+    assert low < value < high == math.inf
+    other = replace(other, information=told - 1.0)
+    assert NATS.change(collapsed, other).high == math.inf
+    assert NATS.change(other, collapsed).low == -math.inf
+
+
+def test_the_upper_end_holds_if_both_sides_are_of_the_same_draws() -> None:
+    """The sides have a correlation of 1, so their errors add up."""
+    draws = _draws(200) - 1.0
+    judged = [NATS.judged(Sample(each, information=5.0 + each, gap=1.0 + each)) for each in draws]
+    for found, own in zip(judged, draws, strict=True):
+        assert found.high == pytest.approx(Estimate.of_mean(6.0 + 2.0 * own).interval()[1])

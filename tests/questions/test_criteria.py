@@ -119,6 +119,18 @@ def test_a_search_finds_a_set_of_the_least_quantile_on_many_draws_of_all_sets(
     assert row["search_mse"] == pytest.approx(row["quantile"], rel=0.2)
 
 
+@pytest.mark.parametrize("method", ["exchange", "exhaustive"])
+def test_a_quantile_is_not_that_of_the_variance_of_particles(method: str, tmp_path: Path) -> None:
+    """These searches judge means by it."""
+    run = pfdist.plan(
+        _problem(RESTLESS, QUANTILE, "compiled"), tmp_path / "run", search=method,
+        changes=["comparison.draws=500"], bound_draws=0, **OPTIONS,
+    )  # fmt: skip
+    row = run.table("sets").iloc[-1]
+    assert row["search_mse"] == pytest.approx(row["quantile"], rel=0.25)
+    assert row["search_mse"] > 1.25 * row["expected_mse"]
+
+
 # --- evaluate, and what is not accepted -----------------------------------------------------------
 
 ALSO = f"worst_instant,{QUANTILE}"

@@ -128,6 +128,15 @@ def test_sets_that_are_ranked_by_information_have_no_column_of_other_ranks(tmp_p
     )
     text = "\n".join(lines_of(answer_of(run)))
     assert "Best first, on 100 draws, by the information" in text
+    said = " ".join(text.split())
+    assert said.startswith("Best on these draws by the information: the set spread. They give")
+    sets = dict(reversed(sets.items()))
+    run = pfdist.compare(
+        problem, times=sets, results=tmp_path / "again", draws=100, changes=[NATS], figures=False
+    )
+    said = " ".join(" ".join(lines_of(answer_of(run))).split())
+    assert "the set spread. Second: the set early. They give" in said
+    assert "less than the set spread" in said
     assert "above the best by" not in text
 
 
