@@ -82,6 +82,11 @@ class ExplorerSession:
         self.run, self.built = _opened(source, say)
         if isinstance(self.built.job.criterion, Judging):
             raise other_criterion(self.built.job)
+        if self.built.job.problem.points.delays:
+            raise JobError(
+                "times of a sensor with a delay cannot be moved by hand: pfdist evaluate gives "
+                f"their expected MSE ({self.built.job.path})"
+            )
         self._source = source if isinstance(source, str | Path) else None
         self.job, self.feasible = self.built.job, self.built.feasible
         self._points = self.job.problem.points

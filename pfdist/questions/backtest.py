@@ -33,6 +33,7 @@ from pfdist.questions.evaluate import OneSet, instants_evaluated
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.planned_run import (
     UserTable,
+    check_no_delay,
     files_beside,
     planned_run,
     reading_of,
@@ -281,6 +282,7 @@ def backtest(
             built, plan = found.built, found.times
             measured = measured_of(found.run)
             even = {EVEN: measured[EVEN]} if EVEN in measured else {}
+        check_no_delay(built.job)
         if built.evaluator.told:
             raise JobError(
                 "scenarios.filter must be 'nominal' or 'learned', got 'told': the scenario of a "

@@ -17,6 +17,7 @@ from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
+from pfdist.problem.job import Job
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.problem import JobSource
 from pfdist.questions.run_of_job import run_and_job
@@ -157,6 +158,15 @@ def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:
     return plan._replace(built=built, prior=at)
 
 
+def check_no_delay(job: Job) -> None:
+    """Raise `JobError` if a value of a real measurement arrives later."""
+    if job.problem.points.delays:
+        raise JobError(
+            "real measurements of a sensor with a delay are not read: give the job of the filter "
+            f"estimate = 'smoothed', which waits for all values ({job.path})"
+        )
+
+
 def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: int = 1) -> Filter:
     """The filter of a job for one system, with the job's [model.filter], [filter] and seed.
 
@@ -176,11 +186,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
         The prior does not fit the model.
     """
     job = built.job
-    if job.problem.points.delays:
-        raise JobError(
-            "real measurements of a sensor with a delay are not read: give the job of the filter "
-            f"estimate = 'smoothed', which waits for all values ({job.path})"
-        )
+    check_no_delay(job)
     if built.evaluator.told:
         raise JobError(
             "scenarios.filter must be 'nominal' or 'learned' for real measurements, whose scenario "

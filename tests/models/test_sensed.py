@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 from scipy.special import log_ndtr
@@ -18,6 +19,7 @@ import pfdist
 from pfdist import Filter, Problem, Sensor, StateSpaceModel, densities
 from pfdist.common.sensing import Sensing
 from pfdist.errors import JobError, ModelError
+from pfdist.explorer.session import ExplorerSession
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
@@ -364,6 +366,25 @@ def test_an_analysis_afterwards_waits_for_late_values() -> None:
         for each in (LATE, own)
     )
     assert late.expected_mse == pytest.approx(at_once.expected_mse, rel=1e-12)
+
+
+def test_times_are_not_chosen_while_values_are_in_flight() -> None:
+    problem = Problem(late_walk(), horizon=8, measurement_budget=2, sensor={"delay": 3})
+    search = [{"method": "relaxation"}]
+    with pytest.raises(JobError, match="online needs sensors without a delay"):
+        problem.job(search=search, online={"draws": 20})
+    with pytest.raises(JobError, match="a delay cannot be moved by hand"):
+        ExplorerSession(problem.job(search=search))
+
+
+def test_tables_of_real_measurements_with_a_delay_are_not_read(tmp_path: Path) -> None:
+    problem = Problem(late_walk(), horizon=8, measurement_budget=2, sensor={"delay": 3})
+    run = pfdist.plan(
+        problem, tmp_path / "run", changes=["comparison.draws=100"], bound_draws=0, figures=False
+    )
+    rows = [{"replicate": "a", "t": t, "y0": 0.1 * t} for t in range(9)]
+    with pytest.raises(JobError, match="of a sensor with a delay are not read"):
+        pfdist.backtest(run, pd.DataFrame(rows), figures=False, report=False)
 
 
 @pytest.mark.parametrize(
