@@ -88,11 +88,11 @@ def of_failures(times: tuple[int, ...], horizon: int, fails: float, sd: float) -
 
 def test_failed_measurements_are_those_of_all_patterns(tmp_path: Path) -> None:
     """Published case: 3.3761 with times 0, 3, 6, 8 and a detection probability of 0.6."""
-    problem = Problem(walk(), horizon=12, measurement_budget=4, particles=1000)
-    changes = ["problem.sensor.fails=0.4", "comparison.draws=2000"]
+    problem = Problem(walk(), horizon=12, measurement_budget=4, particles=300)
+    changes = ["problem.sensor.fails=0.4", "comparison.draws=1000"]
     run = pfdist.plan(problem, tmp_path / "run", changes=changes, figures=False)
     assert of_failures((0, 3, 6, 8), 12, 0.4, 0.7) == pytest.approx(3.3761, abs=5e-5)
-    found = pfdist.evaluate(run.path, [0, 3, 6, 8], draws=8000)
+    found = pfdist.evaluate(run.path, [0, 3, 6, 8], draws=6000)
     apart = found.expected_mse - of_failures((0, 3, 6, 8), 12, 0.4, 0.7)
     assert abs(apart) < 3.5 * found.standard_error
     best = of_failures(tuple(run.best.measurement_times), 12, 0.4, 0.7)

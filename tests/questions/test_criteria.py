@@ -119,7 +119,7 @@ def test_a_search_finds_a_set_of_the_least_quantile_on_many_draws_of_all_sets(
     assert row["search_mse"] == pytest.approx(row["quantile"], rel=0.2)
 
 
-@pytest.mark.parametrize("method", ["exchange", "exhaustive"])
+@pytest.mark.parametrize("method", [pytest.param("exchange", marks=pytest.mark.slow), "exhaustive"])
 def test_a_quantile_is_not_that_of_the_variance_of_particles(method: str, tmp_path: Path) -> None:
     """These searches judge means by it."""
     run = pfdist.plan(

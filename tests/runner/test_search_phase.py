@@ -80,7 +80,9 @@ def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
     assert f"{DEFAULT_METHOD}.polish" not in set(run.table("evaluations")["phase"])
 
 
-@pytest.mark.parametrize("criterion", ["expected_mse", "worst_instant"])
+@pytest.mark.parametrize(
+    "criterion", ["expected_mse", pytest.param("worst_instant", marks=pytest.mark.slow)]
+)
 def test_a_default_search_that_was_cut_short_ends_with_the_same_bytes(
     small_job: Job, tmp_path: Path, cut_short: Callable[..., None], criterion: str
 ) -> None:
