@@ -33,7 +33,7 @@ from pfdist.pools.kinds import POOLS
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
-from pfdist.problem.problem_section import ClockSection, ProblemSection, SensorSection
+from pfdist.problem.problem_section import ClockSection, ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.search_section import CommonNoiseSettings, EvaluationSettings, SearchSection
 from pfdist.problem.sections import (
@@ -47,6 +47,7 @@ from pfdist.problem.sections import (
     Model,
     Until,
 )
+from pfdist.problem.sensor_section import SensorSection
 from pfdist.problem.sweep import SweepFile
 from pfdist.results.columns import COLUMNS as SET_COLUMNS
 from pfdist.results.run import COMPUTED

@@ -47,12 +47,12 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
         "linear_gaussian": model.linear_gaussian
         and all(dataclasses.replace(s, repeats=1, delay=0) == PLAIN for s in sensings.values()),
         "missing_components": model.missing_components or may_fail,
+        "log_tails": None,
+        **(_remembering(model, remembered) if remembered else {}),
     }
     if not model.sensors and sensings[""].repeats == 1:
         own = {name: getattr(parts[""], name) for name in (*MEASURING, "measurement_noise")}
-        if remembered:
-            changes |= _remembering(model, remembered)
-        return dataclasses.replace(model, log_tails=None, **own, **changes)
+        return dataclasses.replace(model, **own, **changes)
     sensors = {
         repeat: dataclasses.replace(parts[name], price=_price(model, name))
         for name in parts
@@ -60,10 +60,7 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
     }
     fields = StateSpaceModel.__dataclass_fields__
     changes |= {name: fields[name].default for name in (*MEASURING, "measurement_noise")}
-    changes |= {"sensors": sensors, "log_tails": None, "y_names": ()}
-    if remembered:
-        changes |= _remembering(model, remembered)
-    return dataclasses.replace(model, **changes)
+    return dataclasses.replace(model, sensors=sensors, y_names=(), **changes)
 
 
 def _remembering(model: StateSpaceModel, instants: int) -> dict[str, Any]:

@@ -4,7 +4,6 @@ The keys have the names of the parameters of `Constraints`. An error about such 
 its name, and this module puts ``problem.`` before it.
 """
 
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import replace
@@ -14,8 +13,6 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
-    AfterValidator,
-    AliasChoices,
     Field,
     ValidationInfo,
     field_validator,
@@ -24,15 +21,22 @@ from pydantic import (
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.section import JobSection, Listed
-from pfdist.common.sensing import REPEATS, Sensing, names_of_repeats
+from pfdist.common.sensing import Sensing, names_of_repeats
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import SECONDS, Calendar, calendar_of, groups
-from pfdist.problem.clock import Clock, Time, plain_time
+from pfdist.problem.clock import Clock, Time
 from pfdist.problem.constraints import Limit, Money, money
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.sections import CriterionName, Moment, MomentsAndRanges, is_list_of
+from pfdist.problem.sensor_section import (
+    MeasurementBudget,
+    Prices,
+    SensingSection,
+    SensorSection,
+    priced,
+)
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.written import instants_written
 
@@ -43,15 +47,6 @@ _LONGEST_UNIT = 40  # characters
 _STEP = re.compile(rf"(\d{{1,9}}(?:\.\d{{1,9}})?) ?({'|'.join(SECONDS)})")
 _YEARS = (1000, 9000)  # of a clock with dates
 _Numbers = Listed[Moment]
-_Finite = int | Annotated[float, Field(allow_inf_nan=False)]
-_Price = Annotated[_Finite, AfterValidator(plain_time)]
-_Prices = Listed[_Price] | dict[str, _Price]
-_Budget = Annotated[int, Field(ge=1, lt=2**63)]
-
-
-def _priced(name: str, former: str) -> Any:
-    """A key about money; its former name is still allowed."""
-    return Field(None, validation_alias=AliasChoices(name, former))
 
 
 class ClockSection(JobSection):
@@ -117,71 +112,6 @@ class ClockSection(JobSection):
         return clock
 
 
-class SensingSection(JobSection):
-    """The limits of a sensor's readings, its failures, and repeated measurements.
-
-    Parameters
-    ----------
-    limit : number, that of y
-        Readings below are known to be below: censored. The model needs `log_tails`.
-    limits : list of two numbers, that of y
-        Readings below the first, and above the second, are known to be so.
-    fails : float
-        Probability that a planned measurement gives nothing.
-    repeats : int
-        Largest number of measurements at one instant, each with its own noise and price.
-    delay : number, clock
-        Time after which a value arrives. A smoothed estimate waits for it.
-    """
-
-    limit: _Finite | None = None
-    limits: Annotated[Listed[_Finite], Field(min_length=2, max_length=2)] | None = None
-    fails: Annotated[float, Field(gt=0.0, lt=1.0, strict=False)] | None = None
-    repeats: Annotated[int, Field(ge=2, le=len(REPEATS))] | None = None
-    delay: Annotated[Moment, Field(gt=0)] | None = None
-
-    @model_validator(mode="after")
-    def _has_limits(self) -> Self:
-        if self.limits is not None and (self.limit is not None or self.limits[0] >= self.limits[1]):
-            got = f"limits = {shown(list(self.limits))}, limit = {self.limit}"
-            raise ValueError(f"a sensor has a limit, or two limits in ascending order, got {got}")
-        return self
-
-    def sensing(self, delay: int) -> Sensing:
-        """The same for a model, with the delay in instants."""
-        low = -math.inf if self.limit is None else float(self.limit)
-        low, high = self.limits or (low, math.inf)
-        return Sensing(float(low), float(high), self.fails or 0.0, self.repeats or 1, delay)
-
-
-class SensorSection(SensingSection):
-    """The price of a sensor's measurements, constraints on them, and how it senses.
-
-    The lower bound relaxes `most` and `minimum_spacing`.
-
-    Parameters
-    ----------
-    price : number or list or section of ranges
-        Price of a measurement by this sensor, or at each instant, or in each range.
-    forbidden : list of times and ranges, clock
-        Times at which this sensor does not measure.
-    allowed : list of times and ranges, clock
-        The only times at which this sensor measures.
-    most : int
-        Largest number of measurements by this sensor.
-    minimum_spacing : number, clock
-        Smallest difference of two times of this sensor.
-    """
-
-    price: Annotated[_Finite | _Prices, AfterValidator(plain_time)] | None = _priced(
-        "price", "cost"
-    )
-    forbidden: MomentsAndRanges | None = None
-    allowed: MomentsAndRanges | None = None
-    most: _Budget | None = None
-    minimum_spacing: Time | None = None
-
-
 class ProblemSection(JobSection):
     """The horizon, and constraints on the measurement times: number, price, and allowed times.
 
@@ -242,13 +172,13 @@ class ProblemSection(JobSection):
     # None stands for "filtered", which is not written into a job
     estimate: Literal["filtered", "smoothed"] | None = None
     criterion: CriterionName | None = None  # None stands for "expected_mse"
-    measurement_budget: _Budget | None = None
+    measurement_budget: MeasurementBudget | None = None
     forbidden: MomentsAndRanges | None = None
     allowed: MomentsAndRanges | None = None
     required: MomentsAndRanges | None = None
     minimum_spacing: Moment | None = None
-    price: _Prices | None = _priced("price", "cost")
-    total_price: Annotated[Moment, Field(gt=0, lt=2**63)] | None = _priced(
+    price: Prices | None = priced("price", "cost")
+    total_price: Annotated[Moment, Field(gt=0, lt=2**63)] | None = priced(
         "total_price", "total_cost"
     )
     sensors: Annotated[dict[str, SensorSection], Field(min_length=2)] | None = None
@@ -578,7 +508,7 @@ class ProblemSection(JobSection):
             )
         return tuple(chain.from_iterable(zip(*self._prices_of_sensors, strict=True)))
 
-    def _prices(self, name: str, given: Time | _Prices | None) -> tuple[Money, ...]:
+    def _prices(self, name: str, given: Time | Prices | None) -> tuple[Money, ...]:
         """The price of each instant; empty if no price is given."""
         clock, prices = self.clock, dict[int, Money]()
         if given is None:

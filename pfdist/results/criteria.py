@@ -41,9 +41,9 @@ def samples_of(run: StoredRun) -> dict[str, Sample]:
 
 
 def columns_of_criteria(run: StoredRun) -> Iterator[tuple[str, Results]]:
-    """The name of each set, and its columns by the criteria; that of the job also over time.
+    """The name of each set, and its columns by the criteria.
 
-    The last number of each set is its gain over its reference by the criterion of the job.
+    A set also has its gain over its reference by the criterion of the job.
     """
     wanted, form = judging(run), criterion_of(run)
     samples = samples_of(run) if wanted else {}
