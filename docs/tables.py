@@ -47,7 +47,7 @@ from pfdist.problem.sections import (
     Model,
     Until,
 )
-from pfdist.problem.sensor_section import SensorSection
+from pfdist.problem.sensor_section import SensorSection, VisitsSection
 from pfdist.problem.sweep import SweepFile
 from pfdist.results.columns import COLUMNS as SET_COLUMNS
 from pfdist.results.run import COMPUTED
@@ -77,6 +77,7 @@ _SECTIONS: Mapping[str, type[JobSection]] = {
     "[problem]": ProblemSection,
     "[problem.clock]": ClockSection,
     "[problem.sensors.NAME]": SensorSection,
+    "[problem.visits]": VisitsSection,
     "[filter]": FilterSection,
     "[evaluation]": EvaluationSection,
     "[scenarios]": Scenarios,

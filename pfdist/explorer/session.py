@@ -111,8 +111,8 @@ class ExplorerSession:
     def state(self) -> dict[str, Any]:
         """All that the page needs once, as JSON values; times are possible measurements."""
         clock, sets = self._points.clock, self.feasible
-        budget = f"{sets.total} measurements"
-        if not sets.counted:
+        budget = f"{'At most ' * sets.smaller}{sets.total} measurements"
+        if sets.total_price is not None:
             budget = f"Measurements for a total price of {sets.total_price}"
         spaced = [None if each.spacing is None else each.spacing.successors for each in sets.limits]
         return {

@@ -6,7 +6,7 @@ in 0..60, got 61``.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
@@ -14,15 +14,15 @@ from functools import cached_property
 from itertools import pairwise
 from math import gcd, lcm
 
+import numpy as np
+
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.problem.spacing import Spacing
-
-Money = int | Decimal
-"""A price, exactly as the user has written it."""
+from pfdist.problem.visits import Money, Visits
 
 
 def money(number: float) -> Money:
@@ -61,6 +61,14 @@ class Constraints:
     # Constraints on each sensor alone; none if no sensor has any
     limits: tuple[Limit, ...] = ()
     cheapest: int = 0  # number of the sensor that measures at regular times
+    visits: Visits | None = None
+    # Price of the installation of some sensors, paid once if any of these measures
+    installs: tuple[tuple[Money, Times], ...] = ()
+    groups: tuple[Times, ...] = ()  # sensors of which at most one measures at an instant
+    # Whether N or the money is only the most that may be spent, even nothing. One more measurement
+    # does no harm, in expectation, to a filter that knows the truth, so a best set spends what it
+    # can. To a filter that is wrong it may do harm; and under limits nothing may be left to buy.
+    smaller: bool = False
 
     def __post_init__(self) -> None:
         if self.points is None:
@@ -68,8 +76,13 @@ class Constraints:
 
     @property
     def counted(self) -> bool:
-        """Whether the number of measurements is given, rather than their total price."""
-        return self.measurement_budget is not None
+        """Whether every set has the same number of measurements."""
+        return self.measurement_budget is not None and not self.smaller
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether sets with allowed times, a spacing and a sum of prices may break a limit."""
+        return bool(self.limits or self.visits or self.installs or self.groups)
 
     @cached_property
     def spacing(self) -> Spacing:
@@ -80,8 +93,17 @@ class Constraints:
 
     @cached_property
     def most(self) -> dict[int, int]:
-        """The largest number of measurements of each sensor with such a limit."""
-        return {s: each.most for s, each in enumerate(self.limits) if each.most is not None}
+        """The largest number of measurements of each sensor, and after these of visits, if any."""
+        most = {s: each.most for s, each in enumerate(self.limits) if each.most is not None}
+        if self.visits and self.visits.most is not None:
+            most[self.points.ways] = self.visits.most
+        return most
+
+    def relaxed_number(self, limited: int, times: Times) -> int:
+        """How often some sorted times do what a key of `most` limits; of visits, at least."""
+        if limited < self.points.ways or self.visits is None:
+            return len(self.points.of_way(limited, times))
+        return int(self.visits.begins(np.array((-1, *times))[:-1], np.array(times)).sum())
 
     @property
     def has_spaced_sensors(self) -> bool:
@@ -112,8 +134,20 @@ class Constraints:
     @cached_property
     def units(self) -> tuple[int, ...]:
         """Price of each possible measurement, in the unit of `total`; 1 if times are counted."""
-        prices = self.price or (1,) * self.possible
-        return tuple(int(Fraction(price) / self.unit) for price in prices)
+        return tuple(map(self._in_units, self.price or (1,) * self.possible))
+
+    @cached_property
+    def visit_units(self) -> int:
+        """Price of a visit, in the unit of `total`."""
+        return self._in_units(self.visits.price) if self.visits else 0
+
+    @cached_property
+    def install_units(self) -> tuple[tuple[int, Times], ...]:
+        """Price of each installation, in the unit of `total`, and its sensors."""
+        return tuple((self._in_units(price), ways) for price, ways in self.installs)
+
+    def _in_units(self, price: Money) -> int:
+        return int(Fraction(price) / self.unit)
 
     @cached_property
     def total(self) -> int:
@@ -127,8 +161,15 @@ class Constraints:
         return min(affordable, self.spent(self.allowed))
 
     def spent(self, times: Iterable[int]) -> int:
-        """The sum of the prices of some times."""
-        return sum(self.units[time] for time in times)
+        """The price of some sorted times with their visits and installations, in units."""
+        chosen = tuple(times)
+        spent = sum(self.units[time] for time in chosen)
+        if self.visits and self.visits.price:
+            spent += self.visit_units * self.visits.number(chosen)
+        if self.installs:
+            used = {self.points.way(time) for time in chosen}
+            spent += sum(units for units, ways in self.install_units if used.intersection(ways))
+        return spent
 
     def with_required(self, times: Iterable[int]) -> Times:
         """These times and the required times, sorted."""
@@ -144,8 +185,17 @@ class Constraints:
         return not any(self._beyond_limits(times))
 
     def _beyond_limits(self, times: Iterable[int]) -> Iterator[str]:
-        """Yield a sentence for each constraint on a sensor that these sorted times break."""
-        chosen = tuple(times)
+        """Yield a sentence for each limit that these sorted times break."""
+        chosen, points = tuple(times), self.points
+        if self.visits and self.visits.most is not None:
+            number = self.visits.number(chosen)
+            if number > self.visits.most:
+                yield f"visits.most is {self.visits.most}, got {number} visits"
+        for group in self.groups:
+            of_group = [time for time in chosen if points.way(time) in group]
+            for time, later in pairwise(of_group):
+                if points.instant(time) == points.instant(later):
+                    yield f"sensors.{points.sensor(time)}.together is broken"
         for sensor, limit in enumerate(self.limits):
             own, name = self.points.of_way(sensor, chosen), f"sensors.{self.points.sensor(sensor)}"
             if limit.most is not None and len(own) > limit.most:
@@ -154,8 +204,17 @@ class Constraints:
                 yield f"{name}.minimum_spacing is broken"
 
     def beyond_limits(self, times: Times) -> list[int]:
-        """The points that break the limit of a sensor if they follow these times, sorted."""
-        beyond, points = list[int](), self.points
+        """The points that break a limit if they follow these times."""
+        beyond, points, visits = list[int](), self.points, self.visits
+        if visits and visits.most is not None and visits.number(times) >= visits.most:
+            parts = visits.parts(times)
+            beyond += range(
+                visits.ends[parts[-1][0]] if parts else visits.open_until, self.possible
+            )
+        for group in self.groups if times else ():
+            instant = points.at(points.instant(times[-1]))
+            if any(points.way(time) in group for time in instant if time in times):
+                beyond += (time for time in instant if points.way(time) in group)
         for sensor, limit in enumerate(self.limits):
             own, every = points.of_way(sensor, times), points.alike(sensor)
             if limit.most is not None and len(own) >= limit.most:
@@ -168,6 +227,10 @@ class Constraints:
         """Whether these and the required times are compatible and can be paid for."""
         complete = self.with_required(times)
         return self.spent(complete) <= self.total and self.compatible(complete)
+
+    def _fits(self, times: Sequence[int]) -> bool:
+        """Whether some sorted times satisfy the limits and can be paid for."""
+        return self.spent(times) <= self.total and self.is_within_limits(times)
 
     def moved(self, times: Times, t: int, to: int) -> Times | None:
         """The set with the measurement at t moved to another instant; None if that is not allowed.
@@ -198,10 +261,9 @@ class Constraints:
         """
         chosen = sorted({*times})
         sentences, price = list[str](), self.price_of(chosen)
-        if self.measurement_budget not in (None, len(chosen)):
-            sentences.append(
-                f"measurement_budget is {self.measurement_budget}, got {len(chosen)} times"
-            )
+        budget = self.measurement_budget
+        if budget not in (None, len(chosen)) and (self.counted or len(chosen) > budget):
+            sentences.append(f"measurement_budget is {budget}, got {len(chosen)} times")
         if self.total_price is not None and price > self.total_price:
             sentences.append(f"total_price is {self.total_price}, got times with the price {price}")
         forbidden = [time for time in chosen if time in self.forbidden]
@@ -222,7 +284,12 @@ class Constraints:
 
     def price_of(self, times: Iterable[int]) -> Money:
         """The price of a set, in the unit of `price`; its size if times are counted."""
-        return sum(self.price[time] if self.price else 1 for time in times)
+        chosen = sorted({*times})
+        price: Money = sum(self.price[time] if self.price else 1 for time in chosen)
+        if self.visits:
+            price += self.visits.price * self.visits.number(chosen)
+        used = {self.points.way(time) for time in chosen}
+        return price + sum(price for price, ways in self.installs if used.intersection(ways))
 
     def affordable(self, times: Iterable[int]) -> list[int]:
         """The optional times that could still be added to these and the required times."""
@@ -233,7 +300,7 @@ class Constraints:
             for time in (self.optional if left > 0 else ())
             if self.units[time] <= left
             and time not in near
-            and (not self.limits or self.is_within_limits(sorted({*complete, time})))
+            and (not self.is_limited or self._fits(sorted({*complete, time})))
         ]
 
     def distance(self, time: int, times: Times) -> int:
@@ -280,7 +347,9 @@ class Constraints:
     @cached_property
     def unit(self) -> Fraction:
         """The largest unit of money in which all prices are whole."""
-        prices = [Fraction(price) for price in self.price or (1,)]
+        fees = [self.visits.price] if self.visits and self.visits.price else []
+        fees += [price for price, _ in self.installs]
+        prices = [Fraction(price) for price in (*(self.price or (1,)), *fees)]
         parts = lcm(*(price.denominator for price in prices))
         return Fraction(gcd(*(int(price * parts) for price in prices)), parts)
 
@@ -306,8 +375,11 @@ def check_constraints(constraints: Constraints) -> None:
     """
     _check_times(constraints)
     _check_limits(constraints)
+    if not constraints.allowed:
+        raise MeasurementTimesError("forbidden must leave a time, got all times")
     _check_budget_or_price(constraints)
-    (_check_number if constraints.counted else _check_money)(constraints)
+    is_number = constraints.measurement_budget is not None
+    (_check_number if is_number else _check_money)(constraints)
 
 
 def _check_times(constraints: Constraints) -> None:
@@ -344,7 +416,7 @@ def _check_limits(constraints: Constraints) -> None:
             f"total_price is given, got {constraints.minimum_spacing}"
         )
     if not constraints.is_within_limits(constraints.required):
-        raise MeasurementTimesError("required must keep the limits of each sensor")
+        raise MeasurementTimesError("required must keep the limits of sensors and visits")
 
 
 def _check_budget_or_price(constraints: Constraints) -> None:
@@ -381,7 +453,7 @@ def _check_number(constraints: Constraints) -> None:
             f"measurement_budget must be at least {required}, the number of required times, got "
             f"{budget}"
         )
-    capacity = constraints.capacity(())
+    capacity = constraints.capacity(()) if constraints.counted else budget
     if budget > capacity:
         raise MeasurementTimesError(
             f"measurement_budget must be at most {capacity}, the number of times that fit with "
@@ -396,8 +468,6 @@ def _check_money(constraints: Constraints) -> None:
         raise MeasurementTimesError(
             f"total_price must pay for the required times, whose price is {required}, got {money}"
         )
-    if not constraints.allowed:
-        raise MeasurementTimesError("forbidden must leave a time, got all times")
     least = min(constraints.price_of((time,)) for time in constraints.allowed)
     if money < least:
         raise MeasurementTimesError(

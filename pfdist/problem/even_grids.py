@@ -26,19 +26,26 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
 
     Each is t = first + k * step, moved to the nearest instants, and then, if it is not feasible, to
     the nearest feasible set of instants. A set in which two times would be one instant is left out.
-    With several sensors there are the regular times alone. `ends` is the number of first times, and
-    that of last times, over one step from an end of the horizon. Whole steps, which few
-    measurements of an oscillation may need, have four places, or all if `every` and these are not
-    too many.
+    With several sensors there are the regular times alone. With visits, these are evenly spaced, as
+    many as possible or fewer, and so are the measurements of each.
+
+    `ends` is the number of first times, and that of last times, over one step from an end of the
+    horizon. Whole steps, which few measurements of an oscillation may need, have four places, or
+    all if `every` and these are not too many.
 
     >>> grids = even_grids(Feasible(horizon=11, measurement_budget=4))
     >>> grids[0], (0, 3, 6, 9) in grids, len(grids)
     ((0, 4, 7, 11), True, 41)
     """
     regular = feasible.regular()
+    instants = np.array(feasible.points.clock.times, np.float64)
+    if feasible.visits:
+        fewer = range(feasible.visits.number(regular), 0, -1)
+        spans = ((number, span) for number in fewer for span in _spans(instants, number, ends))
+        near = (feasible.visits_near(np.linspace(*span, number).tolist()) for number, span in spans)
+        return tuple(dict.fromkeys((regular, *(times for times in near if times))))
     if feasible.points.ways > 1:
         return (regular,)
-    instants = np.array(feasible.points.clock.times, np.float64)
     found, number = [regular], len(regular)
     grids = [
         tuple(np.abs(instants - np.linspace(*span, number)[:, None]).argmin(axis=1).tolist())

@@ -32,11 +32,6 @@ class Feasible(Constraints):
     them. The message begins with the name of the wrong parameter.
     """
 
-    # Only with money: whether a set is feasible to which a measurement can be added, even the empty
-    # set. One more measurement does no harm, in expectation, to a filter that knows the truth, so a
-    # best set is among the others. To a filter that is wrong it may do harm.
-    smaller: bool = False
-
     def __post_init__(self) -> None:
         super().__post_init__()
         check_constraints(self)
@@ -55,11 +50,11 @@ class Feasible(Constraints):
 
     @cached_property
     def size(self) -> int:
-        """Number of feasible sets; for many sets and sensors with limits, an upper bound."""
+        """Number of feasible sets; for many sets with limits, an upper bound."""
         if self._free:
             return comb(len(self.optional), self.total - len(self.required))
         size = sum(completions.size for completions in self._completions)
-        return size if not self.limits or size > _MOST_COUNTED else sum(1 for _ in self.every())
+        return size if not self.is_limited or size > _MOST_COUNTED else sum(1 for _ in self.every())
 
     def every(self) -> Iterator[Times]:
         """All feasible sets, in lexicographic order."""
@@ -67,15 +62,15 @@ class Feasible(Constraints):
             chosen = combinations(self.optional, self.total - len(self.required))
             return (self.with_required(times) for times in chosen)
         sets = merge(*(completions.every() for completions in self._completions))
-        return filter(self.is_within_limits, sets)
+        return filter(self._fits, sets)
 
     def random(self, sets: int, rng: np.random.Generator) -> list[Times]:
         """Draw feasible sets, each with the same probability; a set may come twice.
 
-        If sensors have limits, sets that break them are repaired, so the probabilities differ.
+        Sets that break limits are repaired, so the probabilities then differ.
         """
-        if self.limits:
-            unlimited = replace(self, limits=())
+        if self.is_limited:
+            unlimited = replace(self, limits=(), visits=None, installs=(), groups=())
             return [self.repair(times, rng) for times in unlimited.random(sets, rng)]
         if self._free:
             number = self.total - len(self.required)
@@ -142,9 +137,7 @@ class Feasible(Constraints):
         if not self.counted:
             followers = (completions.extensions(times) for completions in self._completions)
             after = sorted(set().union(*followers))
-            return (
-                [t for t in after if self.is_within_limits((*times, t))] if self.limits else after
-            )
+            return [t for t in after if self.allows((*times, t))] if self.is_limited else after
         if self.limits:
             return [t for t in self.allowed if self._may_follow(times, t)]
         left, last = self.total - len(times), times[-1] if times else -1
@@ -165,7 +158,8 @@ class Feasible(Constraints):
         new time may be too expensive or lie too near to others. Then the times nearest to it are
         removed. In every case the money left buys other times, each as far from the rest as
         possible. The exchanged time may come back. If smaller sets are feasible, nothing is bought,
-        and the sets with one time more or fewer follow, whatever the distance of that time.
+        and the sets with one time more or fewer follow, whatever the distance of that time, and
+        the sets with a whole visit at another time.
         """
         exchanged = [
             neighbour
@@ -178,6 +172,7 @@ class Feasible(Constraints):
         if self.counted:
             return exchanged
         exchanged += (*self.additions(times), *self.removals(times)) if self.smaller else ()
+        exchanged += self._with_moved_visit(times, reach) if self.visits else ()
         return [neighbour for neighbour in dict.fromkeys(exchanged) if neighbour != times]
 
     def completed(self, times: Iterable[int]) -> Times:
@@ -195,20 +190,72 @@ class Feasible(Constraints):
     def repair(self, times: Iterable[int], rng: np.random.Generator) -> Times:
         """A feasible set that shares times with a given set of times in 0..T.
 
-        The given times are tried in random order. A time is kept if a feasible set can contain it
-        and those kept before; another order may keep more. Then random times are added until the
-        set is feasible. A feasible set is returned unchanged, without drawing a random number.
+        The given times are tried in random order, visit by visit. A time is kept if a feasible set
+        can contain it and those kept before; another order may keep more. Then random times are
+        added until the set is feasible. A feasible set is returned unchanged, without drawing a
+        random number.
         """
         repaired, original = Times(), tuple(sorted(times))
         if self.accepts(original):
             return original
-        for time in rng.permutation(original).tolist():
+        order: list[int] = rng.permutation(original).tolist()
+        if self.visits:  # each visit as a whole, in the order of a random measurement of each
+            parts = {t: part for part in self.visits.parts(original) for t in part}
+            order = [*dict.fromkeys(chain.from_iterable(parts[t] for t in order))]
+        for time in order:
             larger = tuple(sorted({*repaired, time}))
             repaired = larger if self._can_be_completed(larger) else repaired
         while not self.accepts(repaired):
             larger_sets = self.additions(repaired)
             repaired = larger_sets[rng.integers(len(larger_sets))]
         return repaired
+
+    def _with_moved_visit(self, times: Times, reach: int | None) -> list[Times]:
+        """The feasible sets in which all measurements of a visit move by the same instants."""
+        moved, points = list[Times](), self.points
+        for part in self.visits.parts(times) if self.visits else ():
+            rest = {*times} - {*part}
+            for first in self._near(part[0], reach):
+                if points.way(first) == points.way(part[0]) and first != part[0]:
+                    changed = tuple(sorted({*rest, *(t + first - part[0] for t in part)}))
+                    if changed[-1] < self.possible and self.accepts(changed):
+                        moved.append(changed)
+        return moved
+
+    def visits_near(self, targets: Sequence[float]) -> Times | None:
+        """As many measurements as possible in visits around some times; None if there are none.
+
+        The cheapest sensor measures. The measurements are divided evenly among the visits, and are
+        evenly spaced in each. A visit lies around the nearest allowed time.
+        """
+        times = self.points.clock.times
+        own = np.array([t for t in self.allowed if self.points.way(t) == self.cheapest])
+        if self.visits is None or not own.size:
+            return None
+        when = np.array([times[self.points.instant(t)] for t in own.tolist()])
+        stops = np.searchsorted(own, np.array(self.visits.ends)[own])
+        slots = dict[int, Times]()  # the times of each visit, by its first
+        for target in targets:
+            near = int(np.abs(when - target).argmin())
+            first = max(
+                (k for k in range(near + 1) if stops[k] > near),
+                key=lambda k: (stops[k] - k, -abs(when[k] + when[stops[k] - 1] - 2 * target)),
+            )
+            slots[first] = tuple(own[first : stops[first]].tolist())
+        if len(slots) < len(targets):
+            return None
+        each, paid = [*slots.values()], self.total // min(self.units)
+        for number in range(min(paid, sum(map(len, each))), len(each) - 1, -1):
+            shares = [number // len(each) + (k < number % len(each)) for k in range(len(each))]
+            spaced = {
+                slot[place]
+                for slot, share in zip(each, shares, strict=True)
+                for place in np.linspace(0, len(slot) - 1, share).round().astype(int).tolist()
+            }
+            chosen = self.with_required(spaced)
+            if len(spaced) == number and self.accepts(chosen):
+                return chosen
+        return None
 
     def _may_follow(self, times: Times, t: int) -> bool:
         """Whether a possible measurement may follow a prefix within the limits of sensors."""
@@ -329,6 +376,14 @@ class Feasible(Constraints):
 
     @cached_property
     def _nearest_regular(self) -> Times:
+        if self.visits:
+            most = self.possible if self.visits.most is None else self.visits.most
+            for number in range(min(most, self.total, self.horizon + 1), 0, -1):
+                clock = self.points.clock
+                targets = [clock.times[t] for t in clock.regular_times(number)]
+                if (times := self.visits_near(targets)) is not None:
+                    return times
+            return self.repair(self.allowed, np.random.default_rng(0))
         if self.points.ways > 1:
             times = self._in_turn((self.cheapest,))
             number = min(self.total, self.horizon + 1)
@@ -383,6 +438,9 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
             spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
         most = None if limit.most is None else max(0, limit.most - len(own))
         limits.append(Limit(most, spacing))
+    visits = feasible.visits and feasible.visits.since(start, taken)
+    if visits and visits.most == 0:
+        barred |= {*range(start + visits.open_until, feasible.possible)}
     required = [time for time in feasible.required if time in left and time not in barred]
     make = partial(
         replace,
@@ -391,11 +449,20 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         forbidden=tuple(time - start for time in left if time in barred),
         points=points.since(first),
         limits=tuple(limits),
+        visits=visits,
+        installs=tuple(
+            (price, ways)
+            for price, ways in feasible.installs
+            if not any(points.way(time) in ways for time in taken)
+        ),
     )
     if feasible.price is not None and feasible.total_price is not None:
-        money, price = feasible.total_price - feasible.price_of(taken), feasible.price[start:]
-        required = required if feasible.price_of(required) <= money else []
-        least = min((feasible.price[time] for time in left if time not in barred), default=None)
+        spent, price = feasible.price_of(taken), feasible.price[start:]
+        money = feasible.total_price - spent
+        required = required if feasible.price_of((*taken, *required)) <= spent + money else []
+        least = min(
+            (feasible.price_of((*taken, t)) - spent for t in left if t not in barred), default=None
+        )
         if least is None or least > money:
             return None
         return make(
@@ -403,6 +470,9 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         )
     number = max(0, feasible.total - len(taken))
     times = tuple(time - start for time in required[:number])
+    if feasible.smaller:
+        is_over = not number or len({*left} - {*barred}) == 0
+        return None if is_over else make(required=times, measurement_budget=number)
     capacity = make(required=times, measurement_budget=len(times)).capacity(())
     number = min(number, capacity)
     return make(required=times, measurement_budget=number) if number else None

@@ -26,7 +26,7 @@ from pfdist.errors import MeasurementTimesError, shown
 from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import SECONDS, Calendar, calendar_of, groups
 from pfdist.problem.clock import Clock, Time
-from pfdist.problem.constraints import Limit, Money, money
+from pfdist.problem.constraints import Limit, money
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.sections import CriterionName, Moment, MomentsAndRanges, is_list_of
@@ -35,9 +35,11 @@ from pfdist.problem.sensor_section import (
     Prices,
     SensingSection,
     SensorSection,
+    VisitsSection,
     priced,
 )
 from pfdist.problem.spacing import Spacing
+from pfdist.problem.visits import Money
 from pfdist.problem.written import instants_written
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
@@ -45,6 +47,8 @@ _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
 _STEP = re.compile(rf"(\d{{1,9}}(?:\.\d{{1,9}})?) ?({'|'.join(SECONDS)})")
+_DURATION = re.compile(r"(\d{1,9}(?:\.\d{1,9})?) ?(\S.*)")
+_DURATIONS = ("lag", "minimum_spacing", "delay", "within")
 _YEARS = (1000, 9000)  # of a clock with dates
 _Numbers = Listed[Moment]
 
@@ -134,7 +138,7 @@ class ProblemSection(JobSection):
     instant_weights : list of numbers
         Weight of the error of each instant in the MSE, at least 0; only ratios matter.
     lag : number, clock
-        The estimate of z at a time uses measurements until so much later.
+        The estimate of z at a time uses measurements until so much later, as 2 or "2 h".
     estimate : str
         "filtered": the estimate of z at a time uses measurements until then. "smoothed": it uses
         all measurements. By default "filtered", unless there is a lag.
@@ -150,7 +154,7 @@ class ProblemSection(JobSection):
     required : list of times and ranges, clock
         Times that every set contains.
     minimum_spacing : number, clock
-        Smallest difference of two measurement times.
+        Smallest difference of two measurement times, as 2 or "2 h".
     price : list or section of ranges
         Price of a measurement at each instant, or in each range: numbers above 0.
     total_price : number, that of price
@@ -159,6 +163,8 @@ class ProblemSection(JobSection):
         Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
     sensor : section
         The only sensor, of a model without sensors.
+    visits : section
+        Measurements that share a visit; see ``[problem.visits]``.
     """
 
     # Read as "clock": `clock` is the clock that follows from all keys.
@@ -183,6 +189,7 @@ class ProblemSection(JobSection):
     )
     sensors: Annotated[dict[str, SensorSection], Field(min_length=2)] | None = None
     sensor: SensingSection | None = None
+    visits: VisitsSection | None = None
 
     @field_validator("horizon", "times", mode="before")
     @classmethod
@@ -200,6 +207,14 @@ class ProblemSection(JobSection):
         except ValueError as error:
             raise ValueError(f"problem.{info.field_name} {error}") from error
         return numbers if isinstance(value, list | tuple) else numbers[0]
+
+    @field_validator("lag", "minimum_spacing", "sensors", "sensor", "visits", mode="before")
+    @classmethod
+    def _may_have_units(cls, value: Any, info: ValidationInfo) -> Any:
+        """Numbers in the unit of the clock for durations such as "2 h"."""
+        dates: ClockSection | None = info.data.get("dates")
+        unit = info.data.get("time_unit") or "" if dates is None else dates.steps[1]
+        return _without_units(value, f"problem.{info.field_name}", unit)
 
     @field_validator("estimate")
     @classmethod
@@ -343,7 +358,14 @@ class ProblemSection(JobSection):
                 "minimum_spacing must be left out with sensors of different delays, got "
                 f"{spacing:g}: give each sensor its own"
             )
-        limits = self._limits
+        points, limits = self.points, self._limits
+        visits = None if self.visits is None else self.visits.on(points)
+        if visits and points.delays:
+            raise MeasurementTimesError("visits must be left out with sensors that have a delay")
+        installs, groups = self._installs, self._groups
+        if self.total_price is None and (installs or (self.visits and self.visits.price)):
+            name = "visits.price" if not installs else "install"
+            raise MeasurementTimesError(f"{name} needs total_price and prices of measurements")
         prices = [sum(prices or (0,)) for prices in self._prices_of_sensors] or [0]
         return Feasible(
             horizon=clock.horizon,
@@ -353,10 +375,13 @@ class ProblemSection(JobSection):
             minimum_spacing=spacing or 0.0,
             price=self._prices_of_instants,
             total_price=None if self.total_price is None else money(self.total_price),
-            points=self.points,
-            # To sets within limits, money left over may buy nothing.
-            smaller=bool(limits) and self.total_price is not None,
+            points=points,
+            # To sets within limits, nothing may be left to buy.
+            smaller=bool((limits and self.total_price is not None) or visits or installs or groups),
             limits=limits,
+            visits=visits,
+            installs=installs,
+            groups=groups,
             cheapest=prices.index(min(prices)),  # the first sensor if none has a price
         )
 
@@ -367,6 +392,9 @@ class ProblemSection(JobSection):
         if self.allowed is not None:
             allowed = points.read(self.allowed, "allowed", of_all=True)
             times.update({*range(points.number)} - {*allowed})
+        if self.visits:
+            possible = self.visits.instants(clock)
+            times.update(t for t in range(points.number) if points.instant(t) not in possible)
         if points.delays and not points.sensors:
             times.update(range(points.delay(0)))
         for way, (name, sensor) in enumerate(self.each_sensor.items()):
@@ -391,6 +419,23 @@ class ProblemSection(JobSection):
             apart = None if spacing is None else Spacing(self.clock.successors(spacing))
             limits.append(Limit(sensor.most, apart))
         return tuple(limits) if any(limit != Limit() for limit in limits) else ()
+
+    @property
+    def _installs(self) -> tuple[tuple[Money, Times], ...]:
+        """The price of each sensor's installation, and its ways: several if it repeats."""
+        installs, way = list[tuple[Money, Times]](), 0
+        for name, each in (self.sensors or {}).items():
+            ways = tuple(range(way, way := way + self.sensings[name].repeats))
+            installs += [] if each.install is None else [(money(each.install), ways)]
+        return tuple(installs)
+
+    @property
+    def _groups(self) -> tuple[Times, ...]:
+        groups = dict[str, list[int]]()
+        for way, each in enumerate(self.each_sensor.values()):
+            if each.together is not None:
+                groups.setdefault(each.together, []).append(way)
+        return tuple(map(tuple, groups.values()))
 
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:
@@ -473,7 +518,14 @@ class ProblemSection(JobSection):
     def is_constrained(self) -> bool:
         """Whether a constraint excludes sets of the same number of measurements or price."""
         sets = self.feasible
-        return bool(sets.forbidden or sets.required or sets.limits) or not sets.spacing.is_free
+        limited = bool(sets.forbidden or sets.required or sets.is_limited)
+        return limited or not sets.spacing.is_free
+
+    def by_visit(self, times: Iterable[Time | str]) -> list[str]:
+        """The measurements of each visit in words; empty without visits."""
+        visits, points = self.feasible.visits, self.points
+        parts = visits.parts(points.read(times)) if visits else ()
+        return [points.together(part) for part in parts]
 
     def broken(self, times: Iterable[Time | str]) -> list[str]:
         """The constraints that a set of times breaks, one sentence each.
@@ -554,3 +606,18 @@ class ProblemSection(JobSection):
             bound = "at least 1" if value < 1 else f"at most {most}"
             raise MeasurementTimesError(f"{name} must be {bound}, got {shown(value)}")
         return value
+
+
+def _without_units(value: Any, key: str, unit: str) -> Any:
+    """The value of a key, or of those in its sections, with numbers for durations."""
+    if isinstance(value, dict):
+        return {name: _without_units(each, f"{key}.{name}", unit) for name, each in value.items()}
+    if not isinstance(value, str) or key.rpartition(".")[2] not in _DURATIONS:
+        return value
+    found = _DURATION.fullmatch(value)
+    if found and found[2] == unit:
+        return float(found[1])
+    if found and {found[2], unit} <= SECONDS.keys():
+        return float(found[1]) * SECONDS[found[2]] / SECONDS[unit]
+    like = f", as '2 {unit}'" if unit else ": the clock has no unit (time_unit)"
+    raise ValueError(f"{key} must be a number, or one with a unit{like}, got {shown(value)}")

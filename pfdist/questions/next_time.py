@@ -265,7 +265,8 @@ def next_time(
             if instant > last:
                 planner.missed(clock.time(instant))
             last = instant
-    left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
+    is_number = feasible.measurement_budget is not None
+    left = max(0, feasible.total - len(planner.measured)) if is_number else None
     first = points.first(max(last + 1, start))
     before = tuple(time for time in plan.times if time >= first)[:left]
     still = _is_possible(feasible, points.read(planner.measured), before)

@@ -196,6 +196,9 @@ def answer(subject: Subject) -> Section | None:
 def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     times = row.measurement_times
     at = f"at {'t = ' if times else 'no time'}{subject.clock.listed(times)}."
+    if visits := problem_of(subject.run).by_visit(times):
+        each = " ".join(f"Visit {number}, {text}." for number, text in enumerate(visits, start=1))
+        at = f"in {len(visits)} visit{'s' * (len(visits) != 1)}. {each}"
     if not subject.is_compared:
         estimate = with_error(row.search_mse, row.search_standard_error)
         yield Text(f"{row.label}: measure {at} The search estimated an error of {estimate}.")

@@ -157,7 +157,7 @@ def described(
     problem = problem or ProblemSection.model_validate(job["problem"])
     feasible, instants = problem.feasible, problem.points.read(times)
     number = f"N = {len(times)}"
-    if not feasible.counted:
+    if feasible.total_price is not None:
         number += f", spends {feasible.price_of(instants)} of {feasible.total_price}"
     if name in (job.get("comparison", {}).get("sets") or {}) and name != REGULAR:
         phrase = f"the set that comparison.sets.{name} gives ({number})"
@@ -167,6 +167,8 @@ def described(
         phrase = f"the set that comparison.reference names ({number})"
     elif feasible.is_regular(instants):
         phrase = f"regular times ({number})"
+    elif feasible.visits:
+        phrase = f"evenly spaced visits, as many as possible ({number})"
     elif feasible.counted:
         phrase = f"the feasible set nearest to regular times ({number})"
     else:

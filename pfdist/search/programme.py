@@ -8,7 +8,8 @@ that the set does not contain. So each of its windows grows by a measurement, an
 error is closer to the set's own error. If all windows of a set are whole beginnings, its relaxed
 error is its own error. If it is still the best, it is proved to be optimal.
 
-Largest numbers of measurements are relaxed by Lagrange multipliers.
+Largest numbers of measurements and of visits are relaxed by Lagrange multipliers. The price of an
+installation is paid once; there is a programme for each set of installed sensors.
 
 Sources: Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
 procedures for the computation of bounds to routing problems", Networks 11, 1981.
@@ -17,7 +18,7 @@ shortest path problem", Networks 51, 2008 (decremental state-space relaxation). 
 "Lagrangean relaxation for integer programming", Mathematical Programming Study 2, 1974.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -49,17 +50,28 @@ class Programme:
     relaxation: Relaxation
     errors: Array
     most: int
-    multipliers: tuple[float, ...] = ()  # of each limit: 0 without a largest number; or empty
+    # of each way to measure, and of visits: 0 without a largest number; or empty
+    multipliers: tuple[float, ...] = ()
+    # The price of the installed sensors in units, and the ways of the others; by default each
+    # choice is tried.
+    installed: tuple[int, frozenset[int]] | None = None
 
     @property
     def mse(self) -> Array:
         """The least relaxed expected MSE of each sum, (most+1,)."""
-        return self._mean(self._from[self.relaxation.index[START]])
+        start, least = self.relaxation.index[START], np.full(self.most + 1, np.inf)
+        for each in self._choices:
+            rest = each._from[start, : max(0, self.most + 1 - each._paid)]
+            least[each._paid :] = np.minimum(least[each._paid :], rest)
+        return self._mean(least)
 
     def path(self, spent: int) -> Times:
         """The times with the least error for a sum; empty if no set has this price."""
         start = self.relaxation.index[START]
-        return self._path_from(start, spent) if np.isfinite(self._from[start, spent]) else ()
+        best = min(self._choices, key=lambda each: each.mse[spent])
+        left = spent - best._paid
+        is_known = left >= 0 and np.isfinite(best._from[start, left])
+        return best._path_from(start, left) if is_known else ()
 
     def of_set(self, times: Times) -> float:
         """The relaxed expected MSE of a set, without multipliers."""
@@ -69,25 +81,48 @@ class Programme:
 
     def through(self, spent: int) -> Array:
         """The least relaxed expected MSE of all sets of a sum through each window, (W,)."""
-        return self._mean((self._to[:, : spent + 1] + self._from[:, spent::-1]).min(axis=1))
+        sums = [
+            (each._to[:, : spent + 1] + each._from[:, spent::-1]).min(axis=1)
+            for each in self._choices
+        ]
+        return self._mean(np.min(sums, axis=0))
 
     def path_through(self, window: int, spent: int) -> Times:
         """The times with the least error among the sets of a sum that pass through a window."""
-        before = int(np.argmin(self._to[window, : spent + 1] + self._from[window, spent::-1]))
-        return (*self._path_to(window, before), *self._path_from(window, spent - before))
+        sums = [
+            each._to[window, : spent + 1] + each._from[window, spent::-1] for each in self._choices
+        ]
+        which, before = divmod(int(np.argmin(sums)), spent + 1)
+        best = self._choices[which]
+        return (*best._path_to(window, before), *best._path_from(window, spent - before))
+
+    @cached_property
+    def _choices(self) -> tuple["Programme", ...]:
+        """The programme of each choice of installed sensors."""
+        if self.installed is not None:
+            return (self,)
+        return tuple(replace(self, installed=each) for each in self.relaxation.installations)
+
+    @property
+    def _paid(self) -> int:
+        return self.installed[0] if self.installed else 0
 
     @cached_property
     def _to(self) -> Array:
         """The least sum of errors before the last measurement of each window, (W, most+1)."""
         error = np.full((len(self.relaxation.windows), self.most + 1), np.inf)
-        error[self.relaxation.index[START], 0] = 0.0
-        for moves in self.relaxation.moves:
+        if self._paid <= self.most:
+            error[self.relaxation.index[START], self._paid] = 0.0
+        for moves in self._moves:
             check()
-            price = self.relaxation.prices[moves.time]
-            if price <= self.most:
-                between = self._until(moves)
-                reached = between[:, None] + error[moves.before, : self.most + 1 - price]
-                error[moves.after, price:] = np.minimum.reduceat(reached, moves.starts, axis=0)
+            between, reached = (
+                self._until(moves.before, moves.time),
+                np.full((moves.before.size, self.most + 1), np.inf),
+            )
+            for price, some in self._priced(moves):
+                before = error[moves.before[some], : self.most + 1 - price]
+                reached[some, price:] = between[some, None] + before
+            error[moves.after] = np.minimum.reduceat(reached, moves.starts, axis=0)
         return error
 
     @property
@@ -103,19 +138,32 @@ class Programme:
         following = np.full(error.shape, NOTHING)
         left_over = 0 if relaxation.constraints.counted else self.most
         error[:, : left_over + 1] = self._at_the_end[:, None]
-        for moves in reversed(relaxation.moves):
+        for moves in reversed(self._moves):
             check()
-            price = self.relaxation.prices[moves.time]
-            if price <= self.most:
-                after = relaxation.after[moves.before, moves.time]
-                between = self._until(moves)
-                onward = between[:, None] + error[after, : self.most + 1 - price]
-                known, times = error[moves.before, price:], following[moves.before, price:]
+            between = self._until(moves.before, moves.time)
+            for price, some in self._priced(moves):
+                before = moves.before[some]
+                after = relaxation.after[before, moves.time]
+                onward = between[some, None] + error[after, : self.most + 1 - price]
+                known, times = error[before, price:], following[before, price:]
                 # Between equal sums, the end wins, then the earliest time.
                 least = (onward < known) | ((onward == known) & (times != NOTHING))
-                error[moves.before, price:] = np.where(least, onward, known)
-                following[moves.before, price:] = np.where(least, moves.time, times)
+                error[before, price:] = np.where(least, onward, known)
+                following[before, price:] = np.where(least, moves.time, times)
         return error, following
+
+    @cached_property
+    def _moves(self) -> list[Moves]:
+        way = self.relaxation.constraints.points.way
+        others = self.installed[1] if self.installed else frozenset()
+        return [moves for moves in self.relaxation.moves if way(moves.time) not in others]
+
+    def _priced(self, moves: Moves) -> Iterator[tuple[int, NDArray[np.bool_]]]:
+        """Each price of some moves that can be paid, and the moves that have it."""
+        prices = self.relaxation.priced(moves.before, moves.time)
+        for price in np.unique(prices).tolist():
+            if price <= self.most:
+                yield price, prices == price
 
     @cached_property
     def _at_the_end(self) -> Array:
@@ -125,11 +173,13 @@ class Programme:
         last_required = max(self.relaxation.constraints.required, default=NOTHING)
         return np.where(self.relaxation.last >= last_required, rest, np.inf)
 
-    def _until(self, moves: Moves) -> Array:
-        """Sums of errors from the last measurement of each window up to and with a measurement."""
-        way = self.relaxation.constraints.points.way(moves.time)
-        multiplier = self.multipliers[way] if self.multipliers else 0.0
-        return self._between(moves.before, moves.time) + multiplier
+    def _until(self, before: Indices, time: int) -> Array:
+        """Sums of errors from the last measurement of windows up to and with a measurement."""
+        between = self._between(before, time)
+        if self.multipliers:
+            between = between + self.multipliers[self.relaxation.constraints.points.way(time)]
+            between += self.multipliers[-1] * self.relaxation.begun(before, time)
+        return between
 
     def _mean(self, sums: Array) -> Array:
         """Expected MSEs, or their bounds, from sums of errors and multipliers."""
@@ -154,10 +204,11 @@ class Programme:
         relaxation, times = self.relaxation, list[int]()
         while window != relaxation.index[START]:
             time = int(relaxation.last[window])
-            spent -= self.relaxation.prices[time]
             before = self._moves_by_time[time].leading_to(window)
-            between = self._between(before, time)
-            window = int(before[np.argmin(between + self._to[before, spent])])
+            left = spent - relaxation.priced(before, time)
+            reached = np.where(left < 0, np.inf, self._to[before, np.maximum(left, 0)])
+            least = int(np.argmin(self._until(before, time) + reached))
+            window, spent = int(before[least]), int(left[least])
             times.append(time)
         return tuple(reversed(times))
 
@@ -165,8 +216,8 @@ class Programme:
         """The times after a window's last, by following the programme to the end of the horizon."""
         following, times = self._onward[1], list[int]()
         while (time := int(following[window, spent])) != NOTHING:
+            spent -= int(self.relaxation.priced(np.array([window]), time)[0])
             window = int(self.relaxation.after[window, time])
-            spent -= self.relaxation.prices[time]
             times.append(time)
         return tuple(times)
 
@@ -179,7 +230,8 @@ def with_multipliers(
     Any multipliers give a lower bound. Each is limited to the sum of errors of a feasible set of
     this sum, whose expected MSE is `known_mse`.
     """
-    most, points = relaxation.constraints.most, relaxation.constraints.points
+    constraints = relaxation.constraints
+    most, ways = constraints.most, constraints.points.ways
     unlimited = Programme(relaxation, errors, spent)
     if not (most and 0 < known_mse < np.inf):
         return unlimited
@@ -187,12 +239,12 @@ def with_multipliers(
 
     def programme(shares: Array) -> Programme:
         of_way = dict(zip(most, (largest * shares).tolist(), strict=True))
-        every = tuple(of_way.get(way, 0.0) for way in range(points.ways))
+        every = tuple(of_way.get(way, 0.0) for way in range(ways + 1))
         return replace(unlimited, multipliers=every)
 
     def lowest(shares: Array) -> tuple[float, Array]:
         path = programme(shares).path(spent)
-        own = [len(points.of_way(way, path)) for way in most]
+        own = [constraints.relaxed_number(way, path) for way in most]
         return unlimited.of_set(path) / known_mse, np.array(own) - [*most.values()]
 
     return programme(highest(lowest, np.zeros(len(most))))

@@ -24,6 +24,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, product
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -35,6 +36,8 @@ from pfdist.problem.constraints import Constraints
 
 NOTHING = -1
 """First entry of a window before which nothing is measured: the window is a whole beginning."""
+
+_MOST_INSTALLATIONS = 6  # whose choices have programmes, two for each more
 
 Window = tuple[int, ...]
 """Measurement times, sorted. Every allowed instant up to the first is measured."""
@@ -66,7 +69,8 @@ class Relaxation:
     """The known windows of a relaxed filter, and the moves between them by measurements.
 
     Every path satisfies the constraints, except for the number of measurements, which is free.
-    Limits are checked only for a window with the next measurement. Raises `MeasurementTimesError`
+    Limits are checked only for a window with the next measurement, and a visit begins if the last
+    measurement says so. Raises `MeasurementTimesError`
     if the longest gap is less than 1.
     """
 
@@ -101,6 +105,33 @@ class Relaxation:
     def prices(self) -> tuple[int, ...]:
         """Price of a measurement at each time, in units, (T+1,); 1 if measurements are counted."""
         return tuple(price // self.unit for price in self.constraints.units)
+
+    def begun(self, before: Indices, time: int) -> Indices:
+        """The number of visits, 0 or 1, that a measurement begins after each of some windows."""
+        visits = self.constraints.visits
+        if visits is None:
+            return np.zeros(before.size, np.int64)
+        return visits.begins(self.last[before], time).astype(np.int64)
+
+    def priced(self, before: Indices, time: int) -> Indices:
+        """The price of a measurement after each of some windows, with a visit that it begins."""
+        fee = self.constraints.visit_units // self.unit
+        return self.prices[time] + fee * self.begun(before, time)
+
+    @cached_property
+    def installations(self) -> tuple[tuple[int, frozenset[int]], ...]:
+        """For each choice of installed sensors, the price in units, and the ways of the others.
+
+        With many prices of installations, only the highest count.
+        """
+        known = sorted(self.constraints.install_units)[-_MOST_INSTALLATIONS:]
+        choices = list[tuple[int, frozenset[int]]]()
+        for used in product((True, False), repeat=len(known)):
+            paid = sum(units for (units, _), is_used in zip(known, used, strict=True) if is_used)
+            others = (ways for (_, ways), is_used in zip(known, used, strict=True) if not is_used)
+            if paid <= self.constraints.total:
+                choices.append((paid // self.unit, frozenset(chain.from_iterable(others))))
+        return tuple(choices)
 
     @property
     def total(self) -> int:
@@ -270,9 +301,9 @@ class Relaxation:
     def _within_limits(self) -> NDArray[np.bool_]:
         """Whether a time keeps the limits, after those of each window, (W, T+2)."""
         within = np.ones((len(self.windows), self.end + 1), np.bool_)
-        if self.constraints.limits:
+        if self.constraints.is_limited:
             for row, window in zip(within, self.windows, strict=True):
-                row[self.constraints.beyond_limits(window[window[0] == NOTHING :])] = False
+                row[self.constraints.beyond_limits(measured_in(self.constraints, window))] = False
         return within
 
     def _suffix(self, window: Window) -> int:
@@ -290,9 +321,12 @@ def followers(constraints: Constraints, last: int) -> Iterator[int]:
 
 def keeps_limits(constraints: Constraints, window: Window) -> bool:
     """Whether the measurements of a window satisfy the limits."""
-    return constraints.is_within_limits(
-        tuple(time for time in window if NOTHING < time < constraints.possible)
-    )
+    return constraints.is_within_limits(measured_in(constraints, window))
+
+
+def measured_in(constraints: Constraints, window: Window) -> Times:
+    """The measurements of a window, without its beginning and the end of the horizon."""
+    return tuple(time for time in window if NOTHING < time < constraints.possible)
 
 
 @dataclass(frozen=True)

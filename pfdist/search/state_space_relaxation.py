@@ -254,7 +254,7 @@ class StateSpaceRelaxation:
         Where prices are rounded down, all paths may be too expensive. Then paths of smaller and
         smaller sums are tried, until one can be paid for.
         """
-        if self.feasible.limits:
+        if self.feasible.is_limited:
             return [self.feasible.repair(times, np.random.default_rng(0)) for times in paths]
         if self.feasible.counted:
             return paths

@@ -236,6 +236,23 @@ def test_a_page_of_real_data_prints_what_it_shows(
     assert names["in_words"] == pytest.approx(REAL_DATA[page], rel=tolerance)
 
 
+@pytest.mark.recipes
+def test_the_page_of_budgets_prints_what_it_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Four trips with two samples each; one radar; a sensor that is not worth its installation."""
+    monkeypatch.chdir(tmp_path)
+    _play("budgets", capsys)
+    problems = {
+        name: pfdist.load_job(f"{name}.toml").problem for name in ("lake", "radar", "energy")
+    }
+    feasible = {name: problem.feasible for name, problem in problems.items()}
+    assert len(problems["lake"].by_visit(feasible["lake"].regular())) == 4
+    assert problems["radar"].broken(["3 immunoassay", "3 chromatography"])
+    assert feasible["energy"].price_of((0, 2)) == 42
+    assert "UID" in Path("clinic.ics").read_text()
+
+
 def test_the_table_of_real_data_has_the_gains_that_the_pages_print() -> None:
     text = (DOCS / "backtest.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (?:\[[^|]*\((\w+)\.md[^|]*)?\|.*?\| ([\d.]+) % \| (\S+) "

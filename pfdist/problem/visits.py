@@ -1,0 +1,67 @@
+"""Visits: measurements that share a price, because someone comes once for all of them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.measurement_times import Times
+
+Money = int | Decimal
+"""A price, exactly as the user has written it."""
+
+
+@dataclass(frozen=True)
+class Visits:
+    """The rule that divides measurements into visits, their price, and their largest number.
+
+    A visit begins with its first measurement. The next measurement that is not before its end
+    begins another one.
+
+    >>> Visits(ends=(3, 4, 5, 6, 7, 8)).parts((0, 2, 4))
+    [(0, 2), (4,)]
+    """
+
+    # (points,): the first point after the visit that begins at each point; they never decrease
+    ends: tuple[int, ...]
+    price: Money = 0
+    most: int | None = None
+    open_until: int = 0  # points before this one belong to a visit that has begun
+
+    def parts(self, times: Iterable[int]) -> list[Times]:
+        """The measurements of each visit; `times` are sorted."""
+        parts, end = list[list[int]](), -1
+        for time in times:
+            if time >= end:
+                parts.append([])
+                end = self.ends[time]
+            parts[-1].append(time)
+        return [tuple(part) for part in parts]
+
+    def number(self, times: Iterable[int]) -> int:
+        """The number of visits that some sorted times begin."""
+        number, end = 0, self.open_until
+        for time in times:
+            if time >= end:
+                number, end = number + 1, self.ends[time]
+        return number
+
+    def begins(self, last: NDArray[np.int64], time: NDArray[np.int64] | int) -> NDArray[np.bool_]:
+        """Whether a measurement after a last one (-1: none) begins a visit at the latest.
+
+        It does if it lies after a visit that would begin at the last measurement. If ends do not
+        depend on the first measurement, as those of days, no other measurement begins a visit.
+        """
+        ends = np.array([*self.ends, 0])[last]  # the last entry is that of no measurement
+        begins: NDArray[np.bool_] = np.asarray(time) >= np.maximum(ends, self.open_until)
+        return begins
+
+    def since(self, first: int, taken: Times) -> "Visits":
+        """The visits from a point on, after some measurements; points count from there."""
+        parts = self.parts(taken)
+        end = self.ends[parts[-1][0]] if parts else 0
+        most = None if self.most is None else max(0, self.most - len(parts))
+        ends = tuple(end - first for end in self.ends[first:])
+        return Visits(ends, self.price, most, max(0, end - first))
