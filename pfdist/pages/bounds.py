@@ -39,7 +39,7 @@ def _styles(table: pd.DataFrame) -> dict[str, Any]:
 
 @figure("budget", applies=lambda run: "budget" in run.job)
 def budget_figure(tables: Tables) -> Plot:
-    """Expected MSE against the number of measurements, evenly spaced and planned."""
+    """Expected MSE against the number of measurements or the price, evenly spaced and planned."""
     return _plot(tables.run)
 
 
@@ -73,11 +73,17 @@ def _title(table: pd.DataFrame, target: float | None) -> str:
         least = {kind: row["measurements"] for kind, row in reaching(table, target).items()}
         numbers = {kind: "no number of" if n is None else str(n) for kind, n in least.items()}
         times, (other, found) = "time" if least["found"] == 1 else "times", _styles(table)
+        if _is_money(table):
+            prices = {kind: "no price" if n is None else f"{n}" for kind, n in least.items()}
+            return (
+                f"An expected MSE of {target:g} takes {prices[found]} with a plan, or "
+                f"{prices[other]} with {KINDS[other]} times."
+            )
         return (
             f"An expected MSE of {target:g} takes {numbers[found]} planned {times}, or "
             f"{numbers[other]} {KINDS[other]}."
         )
-    errors = table.pivot_table(index="measurements", columns="kind", values="expected_mse")
+    errors = table.pivot_table(index="budget", columns="kind", values="expected_mse")
     both = errors.dropna()
     if both.empty:
         return "No number of measurements has an expected MSE with both kinds of times."
@@ -85,11 +91,20 @@ def _title(table: pd.DataFrame, target: float | None) -> str:
     lower = 100 * (1 - both[found] / both[other])
     sign, word = (1, "lower") if lower.max() >= 0 else (-1, "higher")
     ends = dict.fromkeys(f"{end:z.0f}" for end in sorted(sign * lower.agg(["min", "max"])))
+    first, last, which = both.index[0], both.index[-1], "N"
+    amounts = f"{first:.0f} to {last:.0f} measurements"
+    if _is_money(table):
+        amounts, which = f"a total price of {first:g} to {last:g}", "the price"
     return (
-        f"With {both.index[0]} to {both.index[-1]} measurements, the expected MSE of the plan is "
+        f"With {amounts}, the expected MSE of the plan is "
         f"{' to '.join(ends)} % {word} than that of {KINDS[other]} times"
-        f"{', depending on N' * (len(ends) > 1)}."
+        f"{f', depending on {which}' * (len(ends) > 1)}."
     )
+
+
+def _is_money(table: pd.DataFrame) -> bool:
+    """Whether sets are chosen for total prices, rather than for numbers of measurements."""
+    return "price" in table and bool(table["price"].notna().any())
 
 
 def budget(
@@ -121,19 +136,19 @@ def budget(
         mean = rows["expected_mse"].to_numpy()
         errors = np.array([mean - rows["expected_mse_low"], rows["expected_mse_high"] - mean])
         ax.errorbar(
-            rows["measurements"], mean, errors, lw=thin(0.8), ms=marker(0.8), elinewidth=thin(0.6),
+            rows["budget"], mean, errors, lw=thin(0.8), ms=marker(0.8), elinewidth=thin(0.6),
             **style,
         )  # fmt: skip
-        curves.append(points(rows["measurements"], mean, style["color"], style["label"]))
+        curves.append(points(rows["budget"], mean, style["color"], style["label"]))
         ends += [(y, style["label"], style["color"]) for y in mean[np.isfinite(mean)][-1:]]
     rows = table[table["kind"] == "found"]
-    numbers, low, limit = rows["measurements"], rows["bound"], rows["bound_low"]
+    numbers, low, limit = rows["budget"], rows["bound"], rows["bound_low"]
     if low.notna().any():
         ax.plot(numbers, low, lw=thin(0.9), **_BOUND)
         ax.fill_between(numbers, limit, low, color="black", alpha=0.2, linewidth=0)
         for curve, text in ((low, "lower bound"), (limit.where(limit < low), "its 95 % limit")):
             ends += [(y, text, "black") for y in curve.dropna()[-1:]]
-    ax.set_xlabel("number of measurements $N$")
+    ax.set_xlabel("total price" if _is_money(table) else "number of measurements $N$")
     label_error(ax, table)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     cut_outliers(ax, curves, [] if target is None else [target])
@@ -149,8 +164,8 @@ def budget(
 
 def _mark_spared(ax: Axes, table: pd.DataFrame) -> None:
     """Draw an arrow from most evenly spaced times to the fewer planned ones that do as well."""
-    rows = table[table["kind"] != "found"].sort_values("measurements")
-    number, mse, error = rows[["measurements", "expected_mse", "standard_error"]].iloc[-1]
+    rows = table[table["kind"] != "found"].sort_values("budget")
+    number, mse, error = rows[["budget", "expected_mse", "standard_error"]].iloc[-1]
     least = reaching(table, mse, error)["found"]["measurements"]
     if least is not None and least < number:
         look = {"arrowstyle": "->", "color": RED, "lw": thin(), "shrinkA": 0, "shrinkB": 0}

@@ -14,8 +14,6 @@ from functools import cached_property
 from itertools import pairwise
 from math import gcd, lcm
 
-import numpy as np
-
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError
@@ -98,12 +96,6 @@ class Constraints:
         if self.visits and self.visits.most is not None:
             most[self.points.ways] = self.visits.most
         return most
-
-    def relaxed_number(self, limited: int, times: Times) -> int:
-        """How often some sorted times do what a key of `most` limits; of visits, at least."""
-        if limited < self.points.ways or self.visits is None:
-            return len(self.points.of_way(limited, times))
-        return int(self.visits.begins(np.array((-1, *times))[:-1], np.array(times)).sum())
 
     @property
     def has_spaced_sensors(self) -> bool:

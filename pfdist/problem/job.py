@@ -319,7 +319,6 @@ class Job(JobSection):
         _needs(
             "budget",
             (is_one, f"comparison.reference = {EVENLY_SPACED!r} or {REGULAR!r}, got {got}"),
-            (self.problem.feasible.counted, "problem.measurement_budget, got problem.total_price"),
             (methods == [DEFAULT_METHOD],
              f"one search of method {DEFAULT_METHOD!r}, got {', '.join(methods)}"),
             (not any(each.polish for each in self.search), "a search with polish = false"),
@@ -328,7 +327,7 @@ class Job(JobSection):
             try:
                 self.feasible(number)
             except MeasurementTimesError as error:
-                raise ValueError(f"budget of {number} measurements: {error}") from error
+                raise ValueError(f"budget of {number}: {error}") from error
         return self
 
     @model_validator(mode="after")
@@ -423,9 +422,12 @@ class Job(JobSection):
             for name, (key, times) in {first: own, **written}.items()
         }  # fmt: skip
 
-    def feasible(self, measurement_budget: int) -> Feasible:
-        """The feasible sets for another number of measurements."""
-        return replace(self.problem.feasible, measurement_budget=measurement_budget)
+    def feasible(self, amount: int) -> Feasible:
+        """The feasible sets for another number of measurements, or for at most another price."""
+        feasible = self.problem.feasible
+        if feasible.total_price is not None:
+            return replace(feasible, total_price=amount, smaller=True)
+        return replace(feasible, measurement_budget=amount)
 
     @property
     def origin(self) -> Origin:

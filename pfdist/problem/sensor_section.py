@@ -104,8 +104,7 @@ class VisitsSection(JobSection):
     """Visits: measurements that share a price, and the largest number of visits.
 
     Exactly one of `within`, `per` and `allowed` says which measurements share a visit. With visits,
-    `measurement_budget` is the largest number of measurements. The lower bound relaxes `most` and,
-    with `within`, counts a visit only after a longer gap.
+    `measurement_budget` is the largest number of measurements. The lower bound relaxes `most`.
 
     Parameters
     ----------

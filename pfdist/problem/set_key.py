@@ -54,6 +54,8 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     {'evenly_spaced': 'evenly spaced', 'genetic': 'plan', 'mine': 'mine'}
     >>> labels_of_sets(["evenly_spaced_05", "genetic_05"], {**job, "budget": {}})
     {'evenly_spaced_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
+    >>> labels_of_sets(["genetic_300"], {**job, "budget": {}, "problem": {"total_price": 500}})
+    {'genetic_300': 'plan for 300'}
     """
     keys = {column: set_key_of(column, job) for column in columns}
     # A comparison has no search of its own, but sets of runs.
@@ -61,7 +63,11 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     labels = {EVEN: EVENLY_SPACED}
     if len(searches) == 1 and PLAN not in keys:
         labels[searches[0]] = PLAN
-    return {column: _label(labels.get(key.origin, key.origin), key) for column, key in keys.items()}
+    is_money = "total_price" in job.get("problem", {})
+    return {
+        column: _label(labels.get(key.origin, key.origin), key, is_money)
+        for column, key in keys.items()
+    }
 
 
 def phrase_of(label: str) -> str:
@@ -69,17 +75,24 @@ def phrase_of(label: str) -> str:
 
     >>> phrase_of("plan"), phrase_of("5 evenly spaced"), phrase_of("mine")
     ('the plan', '5 evenly spaced times', 'the set mine')
+    >>> phrase_of("evenly spaced for 300")
+    'evenly spaced times for 300'
     """
+    origin, _, price = label.partition(" for ")
+    if price:
+        return f"{phrase_of(origin)} for {price}"
     if label.endswith((EVENLY_SPACED, REGULAR)):
         return f"{label} times"
     is_title = label.partition(" of ")[0] in (PLAN, REFERENCE)
     return f"the {label}" if is_title else f"the set {label}"
 
 
-def _label(origin: str, key: SetKey) -> str:
+def _label(origin: str, key: SetKey, is_money: bool) -> str:
     if not key.number:
         return origin
     number = key.number.lstrip("0")
+    if is_money:
+        return f"{origin} for {number}"
     return f"{number} {origin}" if origin in (EVENLY_SPACED, REGULAR) else f"{origin} of {number}"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
+from pfdist.common.points import PointNumbers
 
 Money = int | Decimal
 """A price, exactly as the user has written it."""
@@ -57,6 +58,15 @@ class Visits:
         ends = np.array([*self.ends, 0])[last]  # the last entry is that of no measurement
         begins: NDArray[np.bool_] = np.asarray(time) >= np.maximum(ends, self.open_until)
         return begins
+
+    def longest(self, points: PointNumbers) -> int:
+        """The number of instants of the longest visit; 1 if its last measurement tells the end."""
+        visits = [(t, end) for t, end in enumerate(self.ends) if end < len(self.ends)]
+        if all({*self.ends[t:end]} == {end} for t, end in visits):
+            return 1
+        return (
+            max(points.instant(end - 1) - points.instant(t) for t, end in enumerate(self.ends)) + 1
+        )
 
     def since(self, first: int, taken: Times) -> "Visits":
         """The visits from a point on, after some measurements; points count from there."""

@@ -1,4 +1,4 @@
-"""The budget curve: the expected MSE against the measurement budget N, and which N is enough."""
+"""The budget curve: the expected MSE against N or a total price, and which one is enough."""
 
 from collections.abc import Iterable, Sequence, Set
 from pathlib import Path
@@ -42,11 +42,11 @@ def budget(
     reuse: str | Path | Iterable[str | Path] = (),
     **options: Unpack[Options],
 ) -> Run:
-    """Find times for each number of measurements, and compare them with regular times.
+    """Find times for each number of measurements or price, and compare them with others.
 
-    One dynamic programme finds the times for all numbers. The found times and the regular times
-    of each number then filter the same fresh draws. Another programme proves for each number how
-    much lower the error of any other times can be.
+    One dynamic programme finds the times for all numbers. The found times and the evenly spaced
+    times of each number then filter the same fresh draws. Another programme proves for each number
+    how much lower the error of any other times can be.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def budget(
         measurement budget, its number of compared draws and its section [online] are ignored.
     measurements : (int, int), range or set of int
         Numbers of measurements, as ``5:41``, ``5:41:4`` or ``10,20,30``; a pair in Python is the
-        least and the largest.
+        least and the largest. For a job with prices these are total prices, whole numbers.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME-budget`` of a job ``NAME.toml``.
     draws : int
@@ -98,7 +98,8 @@ def budget(
             argument="set",
         )
     # The run must not depend on the measurement budget that the job file names.
-    job = job.with_changes(settings={"problem": {"measurement_budget": numbers["most"]}})
+    key = "measurement_budget" if job.problem.total_price is None else "total_price"
+    job = job.with_changes(settings={"problem": {key: numbers["most"]}})
     job = job.with_control()
     chosen = Chosen(**options)
     if target is not None:

@@ -16,10 +16,10 @@ from pfdist.results.columns import COLUMNS, Row
 
 _ERROR = COLUMNS["expected_mse"]
 _BOUND = (
-    "No times of the same number have a lower expected MSE than the lower bound, with any filter "
-    "of the same model. A number is undecided if its plan does not reach the error, but other "
-    "times might. Evenly spaced measurements are as good if their error on the same draws lies at "
-    "most 2 % above that of the plan (95 %)."
+    "No times of the same number or price have a lower expected MSE than the lower bound, with any "
+    "filter of the same model. A number is undecided if its plan does not reach the error, but "
+    "other times might. Evenly spaced measurements are as good if their error on the same draws "
+    "lies at most 2 % above that of the plan (95 %)."
 )
 
 
@@ -29,7 +29,13 @@ def budget_section(subject: Subject) -> Section | None:
         return None
     rows = [*subject.rows.values()]
     other = KINDS[subject.reference_row.kind]
-    head = ("N", other, KINDS[FOUND], f"as good, {other}", "lower bound (95 % limit)")
+    head = (
+        "price" if _is_money(subject) else "N",
+        other,
+        KINDS[FOUND],
+        f"as good, {other}",
+        "lower bound (95 % limit)",
+    )
     blocks: list[Block] = [
         *_answer(subject),
         *_target(subject),
@@ -48,27 +54,28 @@ def _answer(subject: Subject) -> list[Text]:
     """How many chosen measurements do as well as the largest number of evenly spaced ones."""
     kind = subject.reference_row.kind
     others = [row for row in subject.rows.values() if row.kind == kind]
-    most = max(others, key=lambda row: int(row.measurements))
+    most = max(others, key=lambda row: int(row.budget))
     if most.expected_mse is None or math.isinf(most.expected_mse):
         return []
     reached = subject.reaching(most.expected_mse, most.standard_error)["found"]
     if reached["measurements"] is None:
         return []
-    number = reached["measurements"]
-    if number < most.measurements:
-        chosen = number_of(number, "chosen measurement")
-        do = "does" if number == 1 else "do"
-        text = f"{chosen} {do} at least as well as {most.measurements} {KINDS[kind]} ones"
-        text += f"{_of_number(subject, number)}."
+    number, even = reached["measurements"], f"{most.budget} {KINDS[kind]} ones"
+    if _is_money(subject):
+        even = f"{KINDS[kind]} ones for {most.budget}"
+    if number < most.budget:
+        chosen = _amount(subject, number, "chosen ")
+        do = "does" if chosen.startswith("1 ") else "do"
+        text = f"{chosen[0].upper()}{chosen[1:]} {do} at least as well as {even}{_of_number(subject, number)}."
     else:
         text = (
-            "No plan of fewer measurements that was tried does as well as "
-            f"{most.measurements} {KINDS[kind]} ones."
+            f"No plan {'for a lower price' if _is_money(subject) else 'of fewer measurements'} "
+            f"that was tried does as well as {even}."
         )
         if more := _with_more_particles(subject, FOUND, reached):
             text += f" {more[0].upper()}{more[1:]}."
     if reached["impossible"] is not None:
-        too_few = number_of(reached["impossible"], "measurement")
+        too_few = _amount(subject, reached["impossible"])
         text += f" Proved: {too_few} cannot, at any times (95 % confidence)."
     if undecided := _undecided(subject, reached):
         text += f" {undecided}."
@@ -86,30 +93,45 @@ def _target(subject: Subject) -> Iterator[Text]:
         reached = reaching[kind]
         number, impossible = reached["measurements"], reached.get("impossible")
         where = _of_number(subject, number) if number and kind == FOUND else ""
-        texts = [_reached(kind, reached, subject.target, where)]
+        texts = [_reached(subject, kind, reached, where)]
         texts.append(_with_more_particles(subject, kind, reached))
         if impossible is not None:
-            texts.append(f"{impossible} {'is' if impossible == 1 else 'are'} provably too few")
+            few = "is provably too little" if _is_money(subject) else "are provably too few"
+            texts.append(f"{impossible} {few if impossible > 1 else few.replace('are', 'is')}")
             texts.append(_undecided(subject, reached))
         texts.append(_untried(subject, number) if number else "")
         yield Text(f"{'; '.join(filter(None, texts))}.", prominent=True)
 
 
+def _is_money(subject: Subject) -> bool:
+    return subject.reference_row.price is not None
+
+
+def _amount(subject: Subject, number: int, kind: str = "") -> str:
+    """So many measurements, or measurements for so much money."""
+    if _is_money(subject):
+        return f"{kind}measurements for {number:,}"
+    return number_of(number, f"{kind}measurement")
+
+
 def _of_number(subject: Subject, number: int) -> str:
-    """The times and the typical error of the plan of so many measurements."""
+    """The times and the typical error of the plan of so many measurements, or such a price."""
     row = _row(subject, FOUND, number)
     typical = subject.typical_errors(row)
     error = f" (typical error {typical})" if typical else ""
     return f": t = {subject.clock.listed(row.measurement_times)}{error}"
 
 
-def _reached(kind: str, reached: Mapping[str, Any], target: float, where: str) -> str:
-    number, tried = reached["measurements"], f"{KINDS[kind]} " * (kind != FOUND)
+def _reached(subject: Subject, kind: str, reached: Mapping[str, Any], where: str) -> str:
+    number, tried, target = reached["measurements"], "", subject.target
+    if kind != FOUND:
+        tried = f"{KINDS[kind]} "
     low, high = ("more" if bound is None else str(bound) for bound in reached["interval"])
     if number is None:
-        text = f"None of these numbers of {tried}measurements reaches an MSE of {target:g}"
+        numbers = "prices" if _is_money(subject) else "numbers"
+        text = f"None of these {numbers} of {tried}measurements reaches an MSE of {target:g}"
     else:
-        needed = number_of(number, f"{tried}measurement")
+        needed = _amount(subject, number, tried)
         interval = "" if low == high else f" (95 % CI {low} to {high})"
         text = f"To reach an MSE of {target:g} you need {needed}{interval}{where}"
     if others := reached["larger_that_do_not"]:
@@ -128,13 +150,13 @@ def _with_more_particles(subject: Subject, kind: str, reached: Mapping[str, Any]
 
 def _row(subject: Subject, kind: str, number: int) -> Row:
     rows = [row for row in subject.rows.values() if row.kind == kind]
-    return next(row for row in rows if row.measurements == number)
+    return next(row for row in rows if row.budget == number)
 
 
 def _undecided(subject: Subject, reached: Mapping[str, Any]) -> str:
     """Say which numbers lie between those that are provably too few and those that are enough."""
     few, enough = reached["impossible"], reached["measurements"] or math.inf
-    tried = sorted({row.measurements for row in subject.rows.values()})
+    tried = sorted({row.budget for row in subject.rows.values()})
     between = [] if few is None else [number for number in tried if few < number < enough]
     are = "is" if len(between) == 1 else "are"
     return f"{ranges_of_times(between)} {are} undecided" if between else ""
@@ -142,7 +164,9 @@ def _undecided(subject: Subject, reached: Mapping[str, Any]) -> str:
 
 def _untried(subject: Subject, number: int) -> str:
     """The numbers that were left out between this one and the next smaller one, in a sentence."""
-    tried = {row.measurements for row in subject.rows.values()}
+    if _is_money(subject):
+        return ""
+    tried = {row.budget for row in subject.rows.values()}
     below = max((each for each in tried if each < number), default=number - 1)
     if below == number - 1:
         return ""
@@ -153,7 +177,7 @@ def _untried(subject: Subject, number: int) -> str:
 def _cells(rows: Sequence[Row]) -> list[list[Cell]]:
     numbers = defaultdict[int, dict[bool, Any]](dict)
     for row in rows:
-        numbers[row.measurements][row.kind == FOUND] = row
+        numbers[row.budget][row.kind == FOUND] = row
     return [
         [
             Cell(str(number), number),
@@ -185,14 +209,14 @@ def _worse(rows: Sequence[Row]) -> Iterator[Text]:
     """Name the numbers of measurements that are worse than a smaller number."""
     for kind in dict.fromkeys(row.kind for row in rows):
         worse = [
-            f"{row.measurements} than {row.worse_than}"
+            f"{row.budget} than {row.worse_than}"
             for row in rows
             if row.kind == kind and row.worse_than is not None
         ]
         if worse:
+            more = "More measurements are" if rows[0].price is None else "A higher price is"
             yield Text(
-                f"More measurements are worse, {KINDS[kind]} (95 % for all pairs together): "
-                f"{', '.join(worse)}."
+                f"{more} worse, {KINDS[kind]} (95 % for all pairs together): {', '.join(worse)}."
             )
 
 

@@ -37,7 +37,7 @@ def add_bounds(rows: Collection[Row], proofs: Mapping[str, Mapping[str, Any]]) -
     proved = {name: proof for name, proof in proofs.items() if not proof["reason"]}
     # Sets with the same sum share a bound; a bound that failed still counts as one of a curve's.
     different = {proof["budget"] for proof in proved.values()}
-    numbers = max(len(different), len({row.measurements for row in rows if row.kind == FOUND}))
+    numbers = max(len(different), len({row.budget for row in rows if row.kind == FOUND}))
     for row in rows:
         if proof := proved.get(row.name):
             row.add({name: proof[name] for name in ("bound", "bound_error")})
@@ -73,7 +73,7 @@ def worse_than(rows: Iterable[Row], blocks: Iterable[Any]) -> dict[str, int]:
         kinds[row.kind].append(row)
     for row in chain(*kinds.values()):
         known = [each for each in kinds[row.kind] if each.expected_mse is not None]
-        fewer = [each for each in known if each.measurements < row.measurements]
+        fewer = [each for each in known if each.budget < row.budget]
         if fewer:
             best_of_fewer[row.name] = row, min(fewer, key=lambda each: each.expected_mse)
     if not best_of_fewer:
@@ -86,7 +86,7 @@ def worse_than(rows: Iterable[Row], blocks: Iterable[Any]) -> dict[str, int]:
             differences[name].add(difference[~np.isnan(difference)])
     confidence = 1 - (1 - CONFIDENCE) / max(1, pairs)
     return {
-        name: best.measurements
+        name: best.budget
         for name, (row, best) in best_of_fewer.items()
         if (
             row.expected_mse > best.expected_mse
@@ -130,8 +130,8 @@ def reaching(table: pd.DataFrame, target: float, error: float = 0.0) -> dict[str
     """
     answer = dict[str, dict[str, Any]]()
     for kind, sets in table.groupby("kind", sort=False):
-        best = sets.sort_values("expected_mse", kind="stable").drop_duplicates("measurements")
-        rows = best.set_index("measurements").sort_index()
+        best = sets.sort_values("expected_mse", kind="stable").drop_duplicates("budget")
+        rows = best.set_index("budget").sort_index()
         # The intervals of all numbers hold together (Bonferroni), and so does the least number.
         quantile = student_quantile(
             (1 - CONFIDENCE) / 2 / len(rows), rows["draws"].astype(float) - 1

@@ -144,6 +144,10 @@ _DECLARED = [
         "many; missing for a reference",
     ),
     Column(name="measurements", dtype="int64", head="number", meaning="number of measurements"),
+    Column(
+        name="budget", dtype="int64",
+        meaning="number of measurements; in a budget curve of prices, the total price",
+    ),
     Column(name="measurement_times", dtype="object", head="t", meaning="on the clock of the job"),
     Column(name="price", head="price", meaning="total price, where the job has one"),
     Column(

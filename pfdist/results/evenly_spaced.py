@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
+from pfdist.problem.set_key import set_key_of
 from pfdist.results.moments import Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, blocks_of, exact_errors
 
@@ -86,7 +87,7 @@ def columns_of_even_times(run: StoredRun, errors: Mapping[str, float]) -> dict[s
 
 def _on_the_curve(run: StoredRun) -> Mapping[str, Differences]:
     """The differences of each found set from the references of as many or more measurements."""
-    numbers = {name: len(times) for name, times in run.sets.items()}
+    numbers = {name: int(set_key_of(name, run.job).number) for name in run.sets}
     pairs = {
         (name, other): Moments()
         for name in run.references

@@ -103,7 +103,8 @@ def _given(run: StoredRun) -> Iterable[Row]:
     for entry in run.table("compared").to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
         reference, is_found = run.references.get(name), not math.isnan(entry["search_mse"])
-        own_kind = set_key_of(name, run.job).origin if reference is None else GIVEN
+        key = set_key_of(name, run.job)
+        own_kind = key.origin if reference is None else GIVEN
         row = Row(**dict.fromkeys(COLUMNS))
         row.add({
             "name": name,
@@ -111,6 +112,7 @@ def _given(run: StoredRun) -> Iterable[Row]:
             "kind": FOUND if is_found else own_kind,
             "reference": reference,
             "measurements": len(times),
+            "budget": int(key.number or len(times)),
             "measurement_times": times,
             "draws": 0,
             "degenerate_draws": 0,

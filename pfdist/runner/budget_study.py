@@ -8,9 +8,10 @@ from typing import ClassVar
 from pfdist.common.measurement_times import Times
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.search_section import SearchSection
-from pfdist.problem.set_key import SetKey
+from pfdist.problem.set_key import SetKey, set_key_of
 from pfdist.runner.study import Study
 from pfdist.search import Optimiser, StateSpaceRelaxation
+from pfdist.search.relaxation import Relaxation
 from pfdist.search.state_space_relaxation import first_relaxation
 
 
@@ -24,7 +25,7 @@ class BudgetStudy(Study):
 
     @cached_property
     def _each(self) -> dict[int, Feasible]:
-        """Feasible sets by number of measurements, the smallest number first."""
+        """Feasible sets by number of measurements or total price, the smallest first."""
         numbers = self.job.budget.each if self.job.budget else ()
         return {number: self.job.feasible(number) for number in numbers}
 
@@ -52,7 +53,15 @@ class BudgetStudy(Study):
     @property
     def usual(self) -> int:
         """The geometric mean of the smallest and the largest number of measurements."""
-        return round(math.sqrt(min(self._each) * max(self._each)))
+        numbers = (self._each[end].measurements for end in (min(self._each), max(self._each)))
+        return round(math.sqrt(math.prod(numbers)))
+
+    def spent(self, relaxation: Relaxation, name: str, times: Times) -> int:
+        """The sum of the bound for a set: that of its number, or of its total price."""
+        return self._sum(relaxation, int(set_key_of(name, {"budget": {}}).number))
+
+    def _sum(self, relaxation: Relaxation, number: int) -> int:
+        return self._each[number].total // relaxation.unit
 
     def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
         """The compared sets without the references."""
@@ -60,19 +69,20 @@ class BudgetStudy(Study):
 
     def names(self, origin: str) -> list[str]:
         """The origin with each number, padded to the same number of digits."""
-        digits = len(str(self.feasible.horizon + 1))
+        digits = len(str(max(self.feasible.horizon + 1, *self._each)))
         return [SetKey(origin, f"{number:0{digits}}").column for number in self._each]
 
     def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """State-space relaxation, which finds a set for each number."""
-        lag, sought = self.job.problem.instants_of_lag, (*self._each,)
+        lag = self.job.problem.instants_of_lag
         start = first_relaxation(self.widest, self.usual, lag)
+        sought = tuple(dict.fromkeys(self._sum(start, number) for number in self._each))
         return StateSpaceRelaxation(
             self.widest, draws, sought=sought, start=start, lag=lag, **section.settings
         )
 
     def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
         """The first of the ranked sets that has each number, by name."""
-        best = {len(times): times for times in reversed(ranked)}
-        names = zip(self.names(search), self._each, strict=True)
-        return {name: best[number] for name, number in names if number in best}
+        names = zip(self.names(search), self.each, strict=True)
+        best = {name: next(filter(each.accepts, ranked), None) for name, each in names}
+        return {name: times for name, times in best.items() if times is not None}

@@ -58,19 +58,26 @@ class Proof:
     slack: list[Estimate]
 
 
-def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) -> Proof:
+def prove(
+    relaxation: Relaxation,
+    sums: Sums,
+    sets: Sequence[Times],
+    most: int,
+    budgets: Sequence[int] = (),
+) -> Proof:
     """The lower bounds for all sums up to `most`, and the slack of C known sets.
 
-    The jackknife, which gives the standard errors, leaves one group of draws out.
+    `budgets` are the sums of the known sets, by default those of the relaxation. The jackknife,
+    which gives the standard errors, leaves one group of draws out.
     """
     relaxed, own = sums.means()
-    programmes = [Programme(relaxation, row, most) for row in relaxed]
-    lowest = np.array([programme.mse for programme in programmes])
-    paths = [programmes[0].path(spent) for spent in range(most + 1)]
-    budgets = [relaxation.spent(times) for times in sets]
+    budgets = [*budgets] or [relaxation.spent(times) for times in sets]
+    whole = Programme(relaxation, relaxed[0], most)
+    lowest = np.array([whole.mse, *(replace(whole, errors=row).mse for row in relaxed[1:])])
+    paths = [whole.path(spent) for spent in range(most + 1)]
     for spent in {*budgets} if relaxation.constraints.most else ():
         own_sets = (times for times, own in zip(sets, budgets, strict=True) if own == spent)
-        known = min(map(programmes[0].of_set, own_sets))
+        known = min(map(whole.of_set, own_sets))
         best = with_multipliers(relaxation, relaxed[0], spent, known)
         paths[spent] = best.path(spent)
         lowest[:, spent] = [replace(best, errors=row).mse[spent] for row in relaxed]

@@ -166,7 +166,7 @@ class Prover:
         feasible = {name: times for name, times in sets.items() if satisfies(constraints, times)}
         wrong = self._fails_check()
         if feasible and self._built.job.criterion.bound == "mixture" and not wrong:
-            yield from self._weigh_scenarios(session, feasible.values())
+            yield from self._weigh_scenarios(session, feasible)
         parts = yield from self._parts(session, run, sets)
         if wrong:
             gaps = [Gap(name, sets[name], parts[name].expected_mse, wrong) for name in sets]
@@ -185,9 +185,10 @@ class Prover:
     ) -> Generator[WorkBatch, None, list[Look]]:
         """The gaps of sets, some of which are feasible, by a likelihood that is right."""
         feasible_times = tuple(feasible.values())
+        spent = self._spent(feasible)
         foreseen, growth = self._steps_of_windows, 0.0
         if feasible and self.most_steps > 0:
-            self.relaxation, growth = yield from self._grown(session, feasible_times)
+            self.relaxation, growth = yield from self._grown(session, feasible_times, spent)
         steps = self._steps(feasible_times, self._blocks[-1])
         session.reporter.foresee(growth + steps - foreseen)
         looks, before, groups = list[Look](), 0, GroupSums(self._counted(feasible_times))
@@ -260,7 +261,7 @@ class Prover:
         return parts
 
     def _weigh_scenarios(
-        self, session: RunSession, sets: Iterable[Times]
+        self, session: RunSession, sets: Mapping[str, Times]
     ) -> Generator[WorkBatch, None, None]:
         """Give the scenarios the shares for which the bound is largest; own draws choose them."""
         built, relaxation, errors = self._built, self.relaxation, list[Array]()
@@ -274,8 +275,7 @@ class Prover:
             sums = BlockSums(session.built, counted, (stream, stream), self._growing)
             means = yield from sums.means(blocks, session)
             errors.append(np.concatenate(means))
-        most = max(map(relaxation.spent, sets))
-        self.shares = best_shares(relaxation, np.stack(errors), most)
+        self.shares = best_shares(relaxation, np.stack(errors), max(self._spent(sets)))
         session.built = self._built = replace(built, evaluator=evaluator.with_shares(self.shares))
 
     def _values(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
@@ -287,16 +287,20 @@ class Prover:
         values = values_of(run)
         return {name: values[name] for name in sets}
 
+    def _spent(self, sets: Mapping[str, Times]) -> list[int]:
+        """The sum of the bound for each set."""
+        study = self._built.study
+        return [study.spent(self.relaxation, name, times) for name, times in sets.items()]
+
     def _grown(
-        self, session: RunSession, sets: tuple[Times, ...]
+        self, session: RunSession, sets: tuple[Times, ...], spent: list[int]
     ) -> Generator[WorkBatch, None, tuple[Relaxation, float]]:
         """The relaxation with longer windows along the sets, and the particle-steps spent."""
-        spent = {self.relaxation.spent(times) for times in sets}
         optimiser = StateSpaceRelaxation(
             self._built.study.widest,
             paths=_PATHS,
             rounds=_ROUNDS,
-            sought=tuple(sorted(spent)),
+            sought=tuple(sorted({*spent})),
             known_sets=sets,
             gap=_GROWN if self.particles else _GROWN_EXACTLY,
             start=self.relaxation,
@@ -324,9 +328,8 @@ class Prover:
         self, sets: Mapping[str, Times], parts: Mapping[str, GapParts], sums: Sums
     ) -> dict[str, Gap]:
         """The gaps of feasible sets that follow from sums of errors."""
-        times_of_sets = tuple(sets.values())
-        most = max(map(self.relaxation.spent, times_of_sets))
-        proof = prove(self.relaxation, sums, times_of_sets, most)
+        spent = self._spent(sets)
+        proof = prove(self.relaxation, sums, tuple(sets.values()), max(spent), spent)
         gaps = {
             name: gap_of(name, times, parts[name], proof, place, self.confidence)
             for place, (name, times) in enumerate(sets.items())

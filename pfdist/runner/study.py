@@ -14,6 +14,7 @@ from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.search_section import SearchSection
 from pfdist.search import Optimiser
+from pfdist.search.relaxation import Relaxation
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,10 @@ class Study:
         With prices, it is that of regular times.
         """
         return self.feasible.measurements
+
+    def spent(self, relaxation: Relaxation, name: str, times: Times) -> int:
+        """The sum, in units of a relaxation, of the bound for a set."""
+        return relaxation.spent(times)
 
     def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
         """The compared sets whose gaps are proved."""

@@ -59,19 +59,18 @@ class Programme:
     @property
     def mse(self) -> Array:
         """The least relaxed expected MSE of each sum, (most+1,)."""
-        start, least = self.relaxation.index[START], np.full(self.most + 1, np.inf)
+        least = np.full(self.most + 1, np.inf)
         for each in self._choices:
-            rest = each._from[start, : max(0, self.most + 1 - each._paid)]
+            rest = each._from[self._start, : max(0, self.most + 1 - each._paid)]
             least[each._paid :] = np.minimum(least[each._paid :], rest)
         return self._mean(least)
 
     def path(self, spent: int) -> Times:
         """The times with the least error for a sum; empty if no set has this price."""
-        start = self.relaxation.index[START]
         best = min(self._choices, key=lambda each: each.mse[spent])
         left = spent - best._paid
-        is_known = left >= 0 and np.isfinite(best._from[start, left])
-        return best._path_from(start, left) if is_known else ()
+        is_known = left >= 0 and np.isfinite(best._from[self._start, left])
+        return best._path_from(self._start, left) if is_known else ()
 
     def of_set(self, times: Times) -> float:
         """The relaxed expected MSE of a set, without multipliers."""
@@ -85,16 +84,18 @@ class Programme:
             (each._to[:, : spent + 1] + each._from[:, spent::-1]).min(axis=1)
             for each in self._choices
         ]
-        return self._mean(np.min(sums, axis=0))
+        least: Array = np.min(sums, axis=0)
+        return self._mean(least.reshape(-1, self.relaxation.ages).min(axis=1))
 
     def path_through(self, window: int, spent: int) -> Times:
         """The times with the least error among the sets of a sum that pass through a window."""
+        states = window * self.relaxation.ages + np.arange(self.relaxation.ages)
         sums = [
-            each._to[window, : spent + 1] + each._from[window, spent::-1] for each in self._choices
+            each._to[states, : spent + 1] + each._from[states, spent::-1] for each in self._choices
         ]
-        which, before = divmod(int(np.argmin(sums)), spent + 1)
-        best = self._choices[which]
-        return (*best._path_to(window, before), *best._path_from(window, spent - before))
+        which, age, before = np.unravel_index(int(np.argmin(sums)), np.shape(sums))
+        best, state = self._choices[which], int(states[age])
+        return (*best._path_to(state, int(before)), *best._path_from(state, spent - int(before)))
 
     @cached_property
     def _choices(self) -> tuple["Programme", ...]:
@@ -107,18 +108,25 @@ class Programme:
     def _paid(self) -> int:
         return self.installed[0] if self.installed else 0
 
+    @property
+    def _start(self) -> int:
+        """The state before the first measurement."""
+        return self.relaxation.index[START] * self.relaxation.ages
+
+    @property
+    def _states(self) -> int:
+        return len(self.relaxation.windows) * self.relaxation.ages
+
     @cached_property
     def _to(self) -> Array:
-        """The least sum of errors before the last measurement of each window, (W, most+1)."""
-        error = np.full((len(self.relaxation.windows), self.most + 1), np.inf)
+        """The least sum of errors before the last measurement of each state, (S, most+1)."""
+        error = np.full((self._states, self.most + 1), np.inf)
         if self._paid <= self.most:
-            error[self.relaxation.index[START], self._paid] = 0.0
+            error[self._start, self._paid] = 0.0
         for moves in self._moves:
             check()
-            between, reached = (
-                self._until(moves.before, moves.time),
-                np.full((moves.before.size, self.most + 1), np.inf),
-            )
+            between = self._until(moves)
+            reached = np.full((moves.before.size, self.most + 1), np.inf)
             for price, some in self._priced(moves):
                 before = error[moves.before[some], : self.most + 1 - price]
                 reached[some, price:] = between[some, None] + before
@@ -127,24 +135,22 @@ class Programme:
 
     @property
     def _from(self) -> Array:
-        """The least sum of errors from the last measurement of each window on, (W, most+1)."""
+        """The least sum of errors from the last measurement of each state on, (S, most+1)."""
         return self._onward[0]
 
     @cached_property
     def _onward(self) -> tuple[Array, Indices]:
-        """`_from`, and the next time that reaches it, (W, most+1); -1 if nothing is measured."""
-        relaxation = self.relaxation
-        error = np.full((len(relaxation.windows), self.most + 1), np.inf)
+        """`_from`, and the next time that reaches it, (S, most+1); -1 if nothing is measured."""
+        error = np.full((self._states, self.most + 1), np.inf)
         following = np.full(error.shape, NOTHING)
-        left_over = 0 if relaxation.constraints.counted else self.most
-        error[:, : left_over + 1] = self._at_the_end[:, None]
+        left_over = 0 if self.relaxation.constraints.counted else self.most
+        error[:, : left_over + 1] = np.repeat(self._at_the_end, self.relaxation.ages)[:, None]
         for moves in reversed(self._moves):
             check()
-            between = self._until(moves.before, moves.time)
+            between = self._until(moves)
             for price, some in self._priced(moves):
                 before = moves.before[some]
-                after = relaxation.after[before, moves.time]
-                onward = between[some, None] + error[after, : self.most + 1 - price]
+                onward = between[some, None] + error[moves.to[some], : self.most + 1 - price]
                 known, times = error[before, price:], following[before, price:]
                 # Between equal sums, the end wins, then the earliest time.
                 least = (onward < known) | ((onward == known) & (times != NOTHING))
@@ -160,7 +166,7 @@ class Programme:
 
     def _priced(self, moves: Moves) -> Iterator[tuple[int, NDArray[np.bool_]]]:
         """Each price of some moves that can be paid, and the moves that have it."""
-        prices = self.relaxation.priced(moves.before, moves.time)
+        prices = self.relaxation.priced(moves)
         for price in np.unique(prices).tolist():
             if price <= self.most:
                 yield price, prices == price
@@ -173,12 +179,12 @@ class Programme:
         last_required = max(self.relaxation.constraints.required, default=NOTHING)
         return np.where(self.relaxation.last >= last_required, rest, np.inf)
 
-    def _until(self, before: Indices, time: int) -> Array:
-        """Sums of errors from the last measurement of windows up to and with a measurement."""
-        between = self._between(before, time)
+    def _until(self, moves: Moves) -> Array:
+        """Sums of errors from the last measurement of each state up to and with a measurement."""
+        between = self._between(moves.before // self.relaxation.ages, moves.time)
         if self.multipliers:
-            between = between + self.multipliers[self.relaxation.constraints.points.way(time)]
-            between += self.multipliers[-1] * self.relaxation.begun(before, time)
+            way = self.relaxation.constraints.points.way(moves.time)
+            between = between + self.multipliers[way] + self.multipliers[-1] * moves.begun
         return between
 
     def _mean(self, sums: Array) -> Array:
@@ -199,25 +205,28 @@ class Programme:
     def _moves_by_time(self) -> dict[int, Moves]:
         return {moves.time: moves for moves in self.relaxation.moves}
 
-    def _path_to(self, window: int, spent: int) -> Times:
-        """The times before and up to a window's last, by following the programme back."""
+    def _path_to(self, state: int, spent: int) -> Times:
+        """The times before and up to a state's last, by following the programme back."""
         relaxation, times = self.relaxation, list[int]()
-        while window != relaxation.index[START]:
-            time = int(relaxation.last[window])
-            before = self._moves_by_time[time].leading_to(window)
-            left = spent - relaxation.priced(before, time)
-            reached = np.where(left < 0, np.inf, self._to[before, np.maximum(left, 0)])
-            least = int(np.argmin(self._until(before, time) + reached))
-            window, spent = int(before[least]), int(left[least])
+        while state != self._start:
+            time = int(relaxation.last[state // relaxation.ages])
+            moves = self._moves_by_time[time]
+            left = spent - relaxation.priced(moves)
+            is_possible = (moves.to == state) & (left >= 0)
+            reached = self._until(moves) + self._to[moves.before, np.maximum(left, 0)]
+            least = int(np.argmin(np.where(is_possible, reached, np.inf)))
+            state, spent = int(moves.before[least]), int(left[least])
             times.append(time)
         return tuple(reversed(times))
 
-    def _path_from(self, window: int, spent: int) -> Times:
-        """The times after a window's last, by following the programme to the end of the horizon."""
+    def _path_from(self, state: int, spent: int) -> Times:
+        """The times after a state's last, by following the programme to the end of the horizon."""
         following, times = self._onward[1], list[int]()
-        while (time := int(following[window, spent])) != NOTHING:
-            spent -= int(self.relaxation.priced(np.array([window]), time)[0])
-            window = int(self.relaxation.after[window, time])
+        while (time := int(following[state, spent])) != NOTHING:
+            moves = self._moves_by_time[time]
+            (place,) = np.flatnonzero(moves.before == state)
+            spent -= int(self.relaxation.priced(moves)[place])
+            state = int(moves.to[place])
             times.append(time)
         return tuple(times)
 
@@ -244,7 +253,7 @@ def with_multipliers(
 
     def lowest(shares: Array) -> tuple[float, Array]:
         path = programme(shares).path(spent)
-        own = [constraints.relaxed_number(way, path) for way in most]
+        own = [relaxation.number(way, path) for way in most]
         return unlimited.of_set(path) / known_mse, np.array(own) - [*most.values()]
 
     return programme(highest(lowest, np.zeros(len(most))))

@@ -38,6 +38,7 @@ NOTHING = -1
 """First entry of a window before which nothing is measured: the window is a whole beginning."""
 
 _MOST_INSTALLATIONS = 6  # whose choices have programmes, two for each more
+_MOST_STATES = 10_000_000  # and sums, with visits of which the first measurement counts
 
 Window = tuple[int, ...]
 """Measurement times, sorted. Every allowed instant up to the first is measured."""
@@ -49,19 +50,14 @@ Indices = NDArray[np.int64]
 
 
 class Moves(NamedTuple):
-    """All moves from one window to the next by a measurement at one time."""
+    """All moves from one state to the next by a measurement at one time; see `Relaxation.ages`."""
 
     time: int
-    # (n,): index of the window before the measurement, sorted by the window after it
-    before: Indices
-    after: Indices  # (m,): indices of the windows after it; all differ
-    starts: Indices  # (m,): the first place in `before` of each window after it
-
-    def leading_to(self, window: int) -> Indices:
-        """The windows from which the measurement leads to a window."""
-        place = int(np.searchsorted(self.after, window))
-        stops = np.append(self.starts[1:], self.before.size)
-        return self.before[self.starts[place] : stops[place]]
+    before: Indices  # (n,): the state before the measurement, sorted by the state after it
+    to: Indices  # (n,): the state after it
+    begun: Indices  # (n,): the number of visits that it begins, 0 or 1
+    after: Indices  # (m,): the states after it; all differ
+    starts: Indices  # (m,): the first place in `before` of each state after it
 
 
 @dataclass(frozen=True)
@@ -69,8 +65,7 @@ class Relaxation:
     """The known windows of a relaxed filter, and the moves between them by measurements.
 
     Every path satisfies the constraints, except for the number of measurements, which is free.
-    Limits are checked only for a window with the next measurement, and a visit begins if the last
-    measurement says so. Raises `MeasurementTimesError`
+    Limits are checked only for a window with the next measurement. Raises `MeasurementTimesError`
     if the longest gap is less than 1.
     """
 
@@ -106,17 +101,31 @@ class Relaxation:
         """Price of a measurement at each time, in units, (T+1,); 1 if measurements are counted."""
         return tuple(price // self.unit for price in self.constraints.units)
 
-    def begun(self, before: Indices, time: int) -> Indices:
-        """The number of visits, 0 or 1, that a measurement begins after each of some windows."""
-        visits = self.constraints.visits
-        if visits is None:
-            return np.zeros(before.size, np.int64)
-        return visits.begins(self.last[before], time).astype(np.int64)
+    @cached_property
+    def ages(self) -> int:
+        """The number of states of each window: window w in state w * ages + a.
 
-    def priced(self, before: Indices, time: int) -> Indices:
-        """The price of a measurement after each of some windows, with a visit that it begins."""
+        The age a is the number of instants since the first measurement of the visit, if the end of
+        a visit depends on it and memory allows that; otherwise it is 0, and a visit begins only if
+        the last measurement says so.
+        """
+        visits = self.constraints.visits
+        longest = 1 if visits is None else visits.longest(self.constraints.points)
+        return longest if len(self.windows) * longest * (self.total + 1) <= _MOST_STATES else 1
+
+    def priced(self, moves: Moves) -> Indices:
+        """The price of each move, with a visit that it begins, in units, (n,)."""
         fee = self.constraints.visit_units // self.unit
-        return self.prices[time] + fee * self.begun(before, time)
+        return self.prices[moves.time] + fee * moves.begun
+
+    def number(self, limited: int, times: Times) -> int:
+        """How often a set does what a key of `Constraints.most` limits; of visits, at least."""
+        visits = self.constraints.visits
+        if visits is None or limited < self.constraints.points.ways:
+            return len(self.constraints.points.of_way(limited, times))
+        if self.ages > 1:
+            return visits.number(times)
+        return int(visits.begins(np.array((NOTHING, *times))[:-1], np.array(times)).sum())
 
     @cached_property
     def installations(self) -> tuple[tuple[int, frozenset[int]], ...]:
@@ -217,20 +226,45 @@ class Relaxation:
 
     @cached_property
     def moves(self) -> list[Moves]:
-        """The moves by each time that any window allows, sorted by the time."""
+        """The moves by each time that any state allows, sorted by the time."""
         moves = []
         for time in self.constraints.allowed:
-            before = np.flatnonzero(self.after[:, time] >= 0)
-            order = np.argsort(self.after[before, time], kind="stable")
-            before = before[order]
-            after, starts = np.unique(self.after[before, time], return_index=True)
-            if before.size:
-                moves.append(Moves(time, before, after.astype(np.int64), starts))
+            windows = np.flatnonzero(self.after[:, time] >= 0)
+            before = (windows[:, None] * self.ages + np.arange(self.ages)).ravel()
+            begun, age = self._visit(before, time)
+            to = self.after[before // self.ages, time] * self.ages + age
+            order = np.flatnonzero(age < self.ages)
+            order = order[np.argsort(to[order], kind="stable")]
+            after, starts = np.unique(to[order], return_index=True)
+            if order.size:
+                moves.append(Moves(time, before[order], to[order], begun[order], after, starts))
         return moves
+
+    def _visit(self, before: Indices, time: int) -> tuple[Indices, Indices]:
+        """Whether a measurement begins a visit after each state, 0 or 1, and the age after it."""
+        visits, points = self.constraints.visits, self.constraints.points
+        if visits is None:
+            return np.zeros(before.size, np.int64), np.zeros(before.size, np.int64)
+        window, age = np.divmod(before, self.ages)
+        last = self.last[window]
+        first = np.where(last < 0, NOTHING, (points.instant(last) - age) * points.ways)
+        if self.ages == 1:
+            first = last
+        begun = visits.begins(first, time)
+        older = np.where(last < 0, 0, age + points.instant(time) - points.instant(last))
+        possible = (last < 0) | (first >= 0)
+        age = np.where(possible, np.where(begun | (self.ages == 1), 0, older), self.ages)
+        return begun.astype(np.int64), age
 
     def spent(self, times: Times) -> int:
         """The sum, in units, of the bound for a set: its size, or all of the money."""
         return len(times) if self.constraints.counted else self.total
+
+    def is_within(self, times: Times, spent: int) -> bool:
+        """Whether the bound of a sum holds for a set."""
+        if self.constraints.counted:
+            return len(times) == spent
+        return self.constraints.spent(times) // self.unit <= spent
 
     def windows_of(self, times: Times) -> list[int]:
         """The index of the window before the first and after each measurement of a set."""

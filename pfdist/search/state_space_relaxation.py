@@ -86,7 +86,7 @@ class RelaxationState:
         """Least error of the evaluated sets for which this sum's bound holds; inf for none."""
         return min(
             (each.expected_mse for each in self.whole
-             if self.relaxation.spent(each.measurement_times) == spent),
+             if self.relaxation.is_within(each.measurement_times, spent)),
             default=np.inf,
         )  # fmt: skip
 
@@ -238,13 +238,17 @@ class StateSpaceRelaxation:
         return state.done
 
     def finalists(self, state: RelaxationState) -> tuple[Evaluation, ...]:
-        """The best sets by their own errors; with `sought`, the best of each number of times."""
+        """The best sets by their own errors; with `sought`, the best of each number or price."""
         if not self.sought:
             return best_of(state.whole)
-        best = dict[int, Evaluation]()
-        for evaluation in sorted(state.whole, key=lambda evaluation: evaluation.expected_mse):
-            best.setdefault(len(evaluation.measurement_times), evaluation)
-        return tuple(best[number] for number in sorted(best))
+        ranked = sorted(state.whole, key=lambda evaluation: evaluation.expected_mse)
+        within = self._start.is_within
+        best = (
+            next((each for each in ranked if within(each.measurement_times, spent)), None)
+            for spent in sorted(self.sought, reverse=not self.feasible.counted)
+        )
+        found = {each.measurement_times: each for each in best if each is not None}
+        return tuple(found.values())
 
     def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
         """The paths that can be paid for, completed to feasible sets.

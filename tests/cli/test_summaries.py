@@ -156,6 +156,8 @@ class Budget:
                     "kind": kind,
                     "measurement_times": [*range(16)],
                     "measurements": 16,
+                    "budget": 16,
+                    "price": None,
                     "expected_mse": scale * mse,
                     "standard_error": scale * error,
                     "label": "plan of 16",
@@ -174,13 +176,13 @@ class Budget:
         answers = {"found": nobody if reached is None else reached, "regular": nobody}
         self.reaching = lambda *target: answers
         if reached is not None and reached["measurements"]:
-            self.rows["found_16"].measurements = reached["measurements"]
+            self.rows["found_16"].budget = reached["measurements"]
         self.run = SimpleNamespace(tables=(), job={"filter": {"particles": 400}})
 
     clock = SimpleNamespace(listed=str)
 
     def typical_errors(self, row: SimpleNamespace) -> str:
-        return f"{row.measurements} g/L"
+        return f"{row.budget} g/L"
 
     @property
     def lines(self) -> list[str]:

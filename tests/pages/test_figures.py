@@ -396,7 +396,7 @@ def curve() -> pd.DataFrame:
     costs = {"regular": [9.0, 7.0, 8.0, 6.0], "found": [8.0, 6.0, 5.0, 4.0]}
     table = pd.DataFrame(
         [
-            {"kind": kind, "measurements": number, "measurement_times": [*range(number)]}
+            {"kind": kind, "budget": number, "measurement_times": [*range(number)]}
             | {
                 "expected_mse": mse,
                 "expected_mse_low": mse - 0.2,

@@ -123,7 +123,7 @@ def test_small_budgets_with_huge_errors_leave_the_curve_its_room() -> None:
     costs = {"regular": 60 / numbers, "found": 40 / numbers}
     costs["found"][0] = 3e4
     table = pd.concat(
-        pd.DataFrame({"kind": kind, "measurements": numbers, "expected_mse": mse})
+        pd.DataFrame({"kind": kind, "budget": numbers, "expected_mse": mse})
         for kind, mse in costs.items()
     ).assign(bound=np.nan, bound_low=np.nan, draws=9, standard_error=0.1, measurement_times=None)
     table = table.assign(particle_loss=np.nan, particle_loss_limit=np.nan)

@@ -37,7 +37,7 @@ def _table(mse: dict[str, np.ndarray]) -> pd.DataFrame:
         row = {
             "name": name,
             "kind": "regular" if kind == "regular" else "found",
-            "measurements": int(name.rpartition("_")[2]),
+            "budget": int(name.rpartition("_")[2]),
             "measurement_times": [*range(int(name.rpartition("_")[2]))],
             "expected_mse": mean.value,
             "standard_error": mean.standard_error,
@@ -70,7 +70,7 @@ def table() -> pd.DataFrame:
 
 def test_a_row_a_set_with_its_interval(table: pd.DataFrame) -> None:
     assert table["kind"].tolist() == ["regular"] * 4 + ["found"] * 4
-    assert table["measurements"].tolist() == [2, 3, 4, 5] * 2
+    assert table["budget"].tolist() == [2, 3, 4, 5] * 2
     assert table["expected_mse"].tolist() == pytest.approx(list(COSTS.values()))
     half = (table["expected_mse_high"] - table["expected_mse_low"]) / 2
     assert half.tolist() == pytest.approx([0.05 * 1.97] * 8, rel=0.01)

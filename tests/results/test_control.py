@@ -75,7 +75,7 @@ def test_pairs_have_the_differences_without_controls_and_the_wins_of_the_errors(
 def test_a_number_of_measurements_is_worse_by_errors_less_their_controls() -> None:
     columns = {f"mse_{name}": each for name, each in zip(NAMES, MSE.T, strict=True)}
     columns |= {f"control_{name}": each for name, each in zip(NAMES, CONTROL.T, strict=True)}
-    sets = {"name": NAMES, "kind": "found", "measurements": [4, 3], "standard_error": 0.1}
+    sets = {"name": NAMES, "kind": "found", "budget": [4, 3], "standard_error": 0.1}
     table = pd.DataFrame(sets | {"expected_mse": VALUES.mean(axis=0)})
     few = pa.table({name: values[:20] for name, values in columns.items()})
     assert worse_than(rows_of(table), [few]) == {"a": 3}

@@ -79,8 +79,7 @@ def test_the_moves_are_those_of_the_automaton(case: Case) -> None:
     moves = {
         (before, moves.time, after)
         for moves in relaxation.moves
-        for after in moves.after.tolist()
-        for before in moves.leading_to(after).tolist()
+        for before, after in zip(moves.before.tolist(), moves.to.tolist(), strict=True)
     }
     windows, times = np.nonzero(relaxation.after >= 0)
     after = relaxation.after[windows, times]

@@ -6,6 +6,7 @@ All feasible sets are written down here as the manual says them, and tried one b
 import re
 from collections.abc import Callable, Iterable
 from itertools import combinations, pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,14 @@ from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from oracles.three_sensors import ThreeSensors
 from oracles.windows import counted_errors
-from pfdist import Problem, StateSpaceModel
+from pfdist import Problem, StateSpaceModel, budget
 from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.feasible import Feasible, rest_of
 from pfdist.search import Exchange, Optimiser, StateSpaceRelaxation
 from pfdist.search.gaps import gaps_with
-from pfdist.search.programme import with_multipliers
+from pfdist.search.programme import Programme, longer, near_optimal, with_multipliers
 from pfdist.search.relaxation import relaxation_with
 
 HORIZON = 9
@@ -173,6 +174,46 @@ def test_the_plan_of_eight_systems_is_nearly_always_the_optimum(kind: str) -> No
             assert 0 < bound <= optimum * (1 + ROUNDING)
     assert sorted(excess)[-2] < ROUNDING
     assert max(excess) < 0.01
+
+
+def _proved(feasible: Feasible, model: StateSpaceModel, optimum: float) -> float:
+    """The bound when no window along the best sets can grow any more."""
+    relaxation, last = relaxation_with(feasible, 2, feasible.horizon + 1), None
+    while relaxation != last:
+        programme = Programme(relaxation, counted_errors(model, relaxation), relaxation.total)
+        paths, last = near_optimal(programme, relaxation.total, 8, optimum), relaxation
+        relaxation = relaxation.grown(*longer(relaxation, paths))
+    return float(programme.mse[relaxation.total])
+
+
+@pytest.mark.parametrize("kind", [kind for kind, (keys, _) in KINDS.items() if "price" in keys])
+def test_prices_of_visits_are_exact_in_the_bound(kind: str) -> None:
+    """Without a largest number of visits the optimum is proved."""
+    keys = {**KINDS[kind][0]}
+    keys["visits"] = {key: each for key, each in keys["visits"].items() if key != "most"}
+    feasible = _feasible(keys)
+    every = [*feasible.every()]
+    for name in NAMES[::3]:
+        optimum = expected_mse(SYSTEMS[name], HORIZON, every).min()
+        assert _proved(feasible, SYSTEMS[name], optimum) == pytest.approx(optimum, rel=1e-9)
+
+
+def test_the_curve_of_prices_has_the_optimum_of_each(tmp_path: Path) -> None:
+    """The plan for at most so much money is the best of all sets, and is proved to be."""
+    keys = KINDS["paid within three"][0]
+    problem = Problem("linear_gaussian", horizon=HORIZON, engine="kalman", **keys)
+    run = budget(problem, {7, 10, 14}, tmp_path, report=False, pool="serial")
+    table = run.table("sets").query("kind == 'found'")
+    every = [times for n in range(8) for times in combinations(range(HORIZON + 1), n)]
+    own = expected_mse(SYSTEMS["oscillator"], HORIZON, every)
+    for row in table.itertuples():
+        price = [sum(PRICES[t] for t in m) + 4 * _within(m, 3) for m in every]
+        optimum = own[np.array(price) <= row.budget].min()
+        assert row.expected_mse == pytest.approx(optimum, rel=1e-9)
+        assert row.bound == pytest.approx(optimum, rel=1e-6)
+        assert row.price <= row.budget
+    assert table["budget"].tolist() == [7, 10, 14]
+    assert [*table["label"]] == ["plan for 7", "plan for 10", "plan for 14"]
 
 
 # --- sensors --------------------------------------------------------------------------------------
