@@ -213,7 +213,9 @@ def _sentence(
     key = f"each entry of {key}" if place and isinstance(place[-1], int) else key
     rule = next((rule for rule in rules if " should " in rule), "")
     said, rule = f"{key}: {rule}, got {shown(got)}" if rule else "", " or ".join(rules)
-    return said or must_be(key, rule, got, quoted_names(rule))
+    # A number for a section is meant for a key of another.
+    meant = _did_you_mean_elsewhere(key, model, is_near=True) if rule == "a section" else ""
+    return (said or must_be(key, rule, got, quoted_names(rule))) + meant
 
 
 def _rule(error: ErrorDetails) -> str:
@@ -229,10 +231,13 @@ def _allowed_keys(place: Sequence[int | str], model: type[BaseModel]) -> list[st
     return [key for each in kinds if issubclass(each, BaseModel) for key in keys_of_section(each)]
 
 
-def _did_you_mean_elsewhere(name: str, model: type[BaseModel]) -> str:
+def _did_you_mean_elsewhere(name: str, model: type[BaseModel], *, is_near: bool = False) -> str:
     """The end of an error about a key that other sections have; empty if none has it."""
-    sections = (key for key, field in model.model_fields.items() if not _kinds(field))
-    keys = [f"{section}.{name}" for section in sections if name in _allowed_keys([section], model)]
+    sections = [key for key, field in model.model_fields.items() if not _kinds(field)]
+    allowed = {f"{section}.{key}": key for section in sections
+               for key in _allowed_keys([section], model)}  # fmt: skip
+    keys = [written for written, key in allowed.items()
+            if key == name or (is_near and name in key.split("_"))]  # fmt: skip
     return f"; did you mean {' or '.join(map(repr, keys))}?" if keys else ""
 
 

@@ -14,7 +14,7 @@ it inverts no covariance of the state).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -65,9 +65,12 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
         _check_declared(part.model)
     instants = range(start, horizon + 1)
     p, states, twin = model.p, model.components[0], twin_of(model, instants)
+    of_any_time = dict[Any, Affine]()
 
     def affine(name: str, t: int, split: int, inputs: int, owner: StateSpaceModel = twin) -> Affine:
         formula = getattr(owner, name)
+        if (name, formula) in of_any_time:
+            return of_any_time[name, formula]
 
         def at(u: Array) -> tuple[Any, ...]:
             x, noise = tuple(u[:split]), tuple(u[split:])
@@ -75,7 +78,10 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
             value: tuple[Any, ...] = formula(*given, p)
             return value
 
-        return _probed(at, inputs, f"model {owner.name}: {name} at t = {t}")
+        found = _probed(at, inputs, f"model {owner.name}: {name} at t = {t}")
+        if not formula.reads_time:
+            of_any_time[name, formula] = found
+        return found
 
     process_inputs = states + len(model.process_noise)
     check()
@@ -93,8 +99,8 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
 
 def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> Affine:
     """Offset and matrix of a linear function, found from its values at 0 and at unit vectors."""
-    elsewhere = np.random.default_rng(0).normal(size=(inputs, 4)) * [0.1, 1, 10, 100]
-    points = np.concatenate([np.zeros((inputs, 1)), np.eye(inputs), elsewhere], axis=1)
+    points = _points(inputs)
+    elsewhere = points[:, inputs + 1 :]
     values = np.stack([np.broadcast_to(value, points.shape[1]) for value in at(points)])
     offset = values[:, 0]
     matrix = values[:, 1 : inputs + 1] - offset[:, None]
@@ -105,6 +111,12 @@ def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> A
         component = int(np.argwhere(wrong)[0, 0])
         raise ModelError(f"{what} must be linear, but component {component} is not")
     return Affine(offset, matrix)
+
+
+@cache
+def _points(inputs: int) -> Array:
+    elsewhere = np.random.default_rng(0).normal(size=(inputs, 4)) * [0.1, 1, 10, 100]
+    return np.concatenate([np.zeros((inputs, 1)), np.eye(inputs), elsewhere], axis=1)
 
 
 def _check_declared(model: StateSpaceModel) -> None:

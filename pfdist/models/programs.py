@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -72,6 +74,15 @@ class Programs:
 
     def __hash__(self) -> int:
         return hash(self.traced.hash)
+
+    @cached_property
+    def reads_time(self) -> bool:
+        """Whether the values differ between instants."""
+        program = self.traced.programs[0]
+        used = {*program.outputs, *chain(*(each.arguments for each in program.operations))}
+        return self.traced.mode != MODES[0] or any(
+            program.operations[number].name == "t" for number in used
+        )
 
     def _program(self, t: Any) -> tuple[Program, int]:
         if isinstance(t, Symbol) and self.traced.mode != MODES[0]:
@@ -183,6 +194,8 @@ class Declared:
     results : int
         Number of its components, if the function is missing.
     """
+
+    reads_time = True
 
     def __init__(
         self,

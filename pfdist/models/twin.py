@@ -115,5 +115,9 @@ class _Twin:
         program = traced(self._model, self._name, self._instants)
         return Programs(self._name, self._model.name, program)
 
+    @property
+    def reads_time(self) -> bool:
+        return self._computed.reads_time
+
     def __call__(self, *arguments: Any) -> Any:
         return self._computed(*arguments)

@@ -272,6 +272,8 @@ class Clock:
         ('0, 0.5 h', '', '0 ct, 0.5 x-ray (t in h)')
         """
         listed = [*times]
+        if all(isinstance(each, str) and " " in each for each in listed):  # late values are behind
+            listed.sort(key=lambda each: self.time_and_sensor(each)[0])
         text = between.join(map(self.text, listed))
         if not self.unit or not listed or self.calendar:
             return text

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import did_you_mean
-from pfdist.common.sensing import Sensing
+from pfdist.common.sensing import PLAIN, Sensing
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.one_filter import checked_instant, checked_measurement, made, plain_number
 from pfdist.filters.user_prior import user_columns
@@ -30,7 +30,6 @@ _FURTHER = 10_000  # rows
 _MOST_REPEATS = 8  # rows of a sensor at a time
 _NAMED = 8  # columns that are not read
 COMPONENT = re.compile(r"y\d+")
-_STEPS = "because the model's step does not read p.dt"
 RENAME = "columns of other names need --columns y0=NAME,t=NAME"
 
 
@@ -49,8 +48,11 @@ class Reading(NamedTuple):
         Receives lines about what was not read, moved or repeated.
     may_repeat : bool
         Whether a sensor may have several rows at a time.
-    limits : tuple of Sensing
-        The sensors of the job, whose limits censored readings name.
+    sensings : tuple of Sensing
+        For each sensor of the model, its limits, beyond which numbers count as these, its delay,
+        and whether it may fail.
+    sensors : tuple of str
+        For each sensor of the model, that of the job, of which it may be one of the repeats.
     """
 
     columns: Mapping[str, str] = {}
@@ -58,18 +60,19 @@ class Reading(NamedTuple):
     any_time: Callable[[], bool] = lambda: False
     note: Callable[[str], Any] = lambda line: None
     may_repeat: bool = True
-    limits: tuple[Sensing, ...] = ()
+    sensings: tuple[Sensing, ...] = ()
+    sensors: tuple[str, ...] = ()
 
     def readers(self, names: Iterable[str]) -> dict[str, Callable[[str], float]]:
         """A reader of the cells of each measured column: numbers, and readings beyond a limit."""
-        if all(math.isinf(end) for each in self.limits for end in (each.low, each.high)):
+        if all(math.isinf(end) for each in self.sensings for end in (each.low, each.high)):
             return {}
         return dict.fromkeys({*names} - {"t", "sensor"}, self._read)
 
     @property
     def low(self) -> float:
         """The limit below which readings are censored, of all sensors."""
-        (low, *others) = {each.low for each in self.limits} or {-math.inf}
+        (low, *others) = {each.low for each in self.sensings} or {-math.inf}
         if others or math.isinf(low):
             raise MeasurementsError(
                 "a column NAME_below needs one limit of all sensors: problem.sensor.limit"
@@ -78,8 +81,13 @@ class Reading(NamedTuple):
 
     def _read(self, text: str) -> float:
         if text[:1] not in ("<", ">"):
-            return number_of_cell(text)
-        ends = {each.low if text[0] == "<" else each.high for each in self.limits}
+            try:
+                return number_of_cell(text)
+            except ValueError as error:
+                lows = {each.low for each in self.sensings}
+                below = f"; a reading below the limit is <{max(lows):g}" * (len(lows) == 1)
+                raise MeasurementsError(f"{error}{below}") from error
+        ends = {each.low if text[0] == "<" else each.high for each in self.sensings}
         beyond = number_of_cell(text[1:].strip())
         if len(ends) == 1 and beyond in ends:
             return beyond
@@ -89,13 +97,37 @@ class Reading(NamedTuple):
             f"{shown(text)}: limit or limits of problem.sensor say what a sensor reads"
         )
 
+    def named(self, model: StateSpaceModel) -> list[str]:
+        """The names in a column sensor: the sensors of the model, and those that repeat."""
+        return [*dict.fromkeys(filter(None, (*model.sensors, *self.sensors)))]
+
+    @property
+    def is_of_one(self) -> bool:
+        """Whether all sensors of the model are repeats of the only one: a row needs no name."""
+        return {*self.sensors} == {""}
+
+    def sensing(self, way: int) -> Sensing:
+        """How a sensor senses."""
+        return self.sensings[way] if self.sensings else PLAIN
+
+    @property
+    def is_late(self) -> bool:
+        """Whether a value arrives later; then all steps have one length."""
+        return any(each.delay for each in self.sensings)
+
+    @property
+    def why_instants(self) -> str:
+        """Why the filter can have no other instants."""
+        step = "the model's step does not read p.dt"
+        return f"because {'a sensor has a delay' if self.is_late else step}"
+
     def moved(self, distance: float, clock: Clock) -> None:
         """Note how far the furthest time moved, if any did."""
         if distance:
             unit = f" {clock.unit}" * bool(clock.unit)
             self.note(
                 f"times of the table count at the nearest instants, at most {distance:.3g}{unit} "
-                f"away, {_STEPS}"
+                f"away, {self.why_instants}"
             )
 
 
@@ -106,11 +138,12 @@ PLAIN_READING = Reading()
 class Measurements:
     """Measurements of one system, in the order of time."""
 
-    t: tuple[int, ...]  # (K,); the instants that were measured
+    t: tuple[int, ...]  # (K,); the instants that were measured, or at which values arrived
     y: Array  # (K, R * m) with up to R rows for a sensor; NaN marks a component that is missing
     missed: tuple[int, ...]  # instants that have a row without any component
     clock: Clock  # of these instants: that of the job, or also with the times of the table
     repeats: int = 1  # R
+    failed: Times = ()  # possible measurements without a value, of sensors that may fail
 
     def made_with(self, model: StateSpaceModel) -> Times:
         """The possible measurements that were made; without sensors, these are instants."""
@@ -134,10 +167,11 @@ def read_measurements(
     columns are not read. Raises `MeasurementsError` if the file cannot be read, if its header does
     not fit, or if a value is wrong.
     """
-    allowed, sensors = [["t", *names] for names in user_columns("y", model)], [*model.sensors]
+    allowed, sensors = [["t", *names] for names in user_columns("y", model)], reading.named(model)
     if sensors:
         most = max(part.model.components[1] for part in model.parts)
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
+        allowed += [["t", *allowed[0][2:]]] * reading.is_of_one
     try:
         own = {name: value for name, value in model.parameters.items() if name not in CLOCK}
         below = {f"{name}_below": name for name in chain(*allowed)}
@@ -156,14 +190,18 @@ def read_measurements(
             )
         for name, value in own.items():
             _check_parameter(name, columns.get(name), value, times, clock)
-        wanted = next(names for names in allowed if names[-1] in columns)[1 + bool(sensors) :]
+        wanted = next(names for names in allowed if names[-1] in columns)
+        wanted = [each for each in wanted if each not in ("t", "sensor")]
         for name in {*below} & {*columns}:  # an empty cell, known to be below
             censored = np.isnan(columns[below[name]]) & (columns[name] == 1.0)
             if censored.any():
                 columns[below[name]][censored] = reading.low
         table = np.stack([columns[name] for name in wanted], axis=1)
-        ways = columns["sensor"].astype(int).tolist() if sensors else [0] * len(times)
-        rows = zip(instants, ways, table, strict=True)
+        given = columns.get("sensor", np.zeros(len(times))).astype(int)
+        names = [sensors[k] if "sensor" in columns else "" for k in given]
+        ways = [*sensors_of_rows(zip(instants, names, strict=True), model, reading)]
+        arrivals = [t + reading.sensing(way).delay for t, way in zip(instants, ways, strict=True)]
+        rows = zip(instants, arrivals, ways, table, strict=True)
         values = _placed(rows, model, wanted, of_rows, reading)
     except (MeasurementsError, ValueError) as error:
         where = "measurements" if isinstance(path, pd.DataFrame) else path
@@ -178,35 +216,60 @@ def read_measurements(
     y = np.full((len(measured), repeats, model.components[1]), np.nan)
     for (t, way, number), each in values.items():
         y[place[t], number, model.parts[way].y] = each
-    missed = tuple(sorted({*instants} - {*measured}))
+    missed = tuple(sorted({t for t in arrivals if t <= of_rows.horizon} - {*measured}))
     together = y.reshape(len(measured), repeats * model.components[1])
-    return Measurements(tuple(measured), together, missed, of_rows, repeats)
+    failed = tuple(
+        model.points.first(t) + way
+        for t, way, row in zip(arrivals, ways, table, strict=True)
+        if reading.sensing(way).fails and np.isnan(row).all()
+    )
+    return Measurements(tuple(measured), together, missed, of_rows, repeats, failed)
+
+
+def sensors_of_rows(
+    rows: Iterable[tuple[int, str]], model: StateSpaceModel, reading: Reading
+) -> Iterable[int]:
+    """The sensor of each row, an instant and a name: of repeats, the first without a row then."""
+    names, count = [*model.sensors] or [""], Counter[tuple[int, str]]()
+    for row in rows:
+        alike = [way for way, name in enumerate(reading.sensors) if name == row[1]]
+        ways = alike or [names.index(row[1])]
+        yield ways[count[row] % len(ways)]
+        count[row] += 1
 
 
 def _placed(
-    rows: Iterable[tuple[int, int, Array]],
+    rows: Iterable[tuple[int, int, int, Array]],
     model: StateSpaceModel,
     columns: Sequence[str],
     clock: Clock,
     reading: Reading,
 ) -> dict[tuple[int, int, int], Array]:
-    """The measurement of each instant, sensor and repeat."""
+    """The measurement of each instant of arrival, sensor and repeat."""
     values, count = dict[tuple[int, int, int], Array](), Counter[tuple[int, int]]()
-    most = _MOST_REPEATS if reading.may_repeat else 1
-    for t, way, row in rows:
+    most, late = _MOST_REPEATS if reading.may_repeat else 1, 0
+    for t, arrival, way, row in rows:
         text, name = clock.text(clock.times[t]), model.parts[way].name
         y = _of_sensor(model, way, row, columns, text)
         if y is None:
             continue
+        y = y.clip(reading.sensing(way).low, reading.sensing(way).high)
+        if arrival > clock.horizon:
+            late += 1
+            continue
         if count[t, way] == most:
             rule = "one row" if most == 1 else f"at most {most} rows"
-            remedy = ": only filter, next and fit count repeats" * (most == 1)
+            remedy = ": repeats need problem.sensor.repeats" * (most == 1)
             of_sensor = f" of {name}" * bool(name)
             raise MeasurementsError(
                 f"each time must have {rule}{of_sensor}, got more at t = {text}{remedy}"
             )
-        values[t, way, count[t, way]] = y
+        values[arrival, way, count[t, way]] = y
         count[t, way] += 1
+    if late:
+        reading.note(
+            f"values that arrive after {clock.formatted(clock.horizon)} do not count: {late}"
+        )
     return values
 
 
@@ -274,9 +337,10 @@ def instants_of_table(
     if within is not None and moved > within + clock.slack:
         far = exact[distances.index(moved)]
         raise MeasurementsError(
-            f"t must be at most {within:g} from an instant, {_STEPS}, got {clock.text(far)}, "
-            f"{moved:.3g} from the nearest: allow more (--within), or write the step with p.dt, as "
-            "pfdist.ode does"
+            f"t must be at most {within:g} from an instant, {reading.why_instants}, got "
+            f"{clock.text(far)}, {moved:.3g} from the nearest: allow more (--within)"
+            + ", or write the step with p.dt, as pfdist.ode does"
+            * (not reading.is_late)
         )
     return clock, instants, moved
 

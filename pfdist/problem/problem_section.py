@@ -257,6 +257,11 @@ class ProblemSection(JobSection):
         delays = {name: self._instants_of_delay(name, each) for name, each in own.items()}
         return {name: each.sensing(delays[name]) for name, each in own.items()}
 
+    @property
+    def each_sensing(self) -> list[tuple[str, Sensing]]:
+        """For each sensor of the model, that of the job, of which it may be a repeat."""
+        return [(name, each) for name, each in self.sensings.items() for _ in range(each.repeats)]
+
     def _instants_of_delay(self, name: str, sensor: SensingSection) -> int:
         """The delay of a sensor in instants; 0 if the estimate waits for all values.
 
@@ -291,7 +296,7 @@ class ProblemSection(JobSection):
     @cached_property
     def points(self) -> Points:
         """The table of all possible measurements; raises as `clock`."""
-        delays = tuple(each.delay for each in self.sensings.values() for _ in range(each.repeats))
+        delays = tuple(each.delay for _, each in self.each_sensing)
         points = Points(self.clock, tuple(self.each_sensor), delays if any(delays) else ())
         if points.number > _MOST_POSSIBLE:
             raise MeasurementTimesError(

@@ -156,6 +156,7 @@ def _table(
 ) -> tuple[pd.DataFrame, str]:
     """The checked table, and the name of the column of replicates."""
     sensors = ["sensor"] if model.sensors else []
+    needed = ["t", *sensors * (not reading.is_of_one)]
     most = max(part.model.components[1] for part in model.parts)
     y = [f"y{k}" for k in range(most)]
     named = [*chain.from_iterable(user_columns("y", model))] if not sensors else y
@@ -177,7 +178,7 @@ def _table(
         for each in filter(COMPONENT.fullmatch, others):
             columns = f"{name}, {', '.join(own)}"
             raise MeasurementsError(f"unknown column {shown(each)}. Columns: {columns}")
-        for each in ("t", *sensors):
+        for each in needed:
             if each not in header:
                 got = f"got {', '.join(header)}{separated or f'; {RENAME}'}"
                 raise MeasurementsError(f"the column {each} is missing, {got}")
@@ -189,7 +190,7 @@ def _table(
             raise MeasurementsError(f"columns of z must be {rule}, got {', '.join(known)}")
         return [name]
 
-    names = {"sensor": [*model.sensors]} if sensors else {}
+    names = {"sensor": reading.named(model)} if sensors else {}
     most = max(part.model.components[1] for part in model.parts)
     measured = {*(f"y{k}" for k in range(most)), *chain(*user_columns("y", model))}
     readers = clock.readers(between=True) | reading.readers(measured)
@@ -222,8 +223,9 @@ def _checked_replicate(
     given = [each for each in rows.columns if each in columns]
     on, at, moved = instants_of_table(rows["t"].tolist(), clock, reading, alone=True)
     table = rows[given].reset_index(drop=True).assign(t=on.times_of(at))
-    if model.sensors:
-        table["sensor"] = [[*model.sensors][int(number)] for number in table["sensor"]]
+    if "sensor" in table:
+        named = reading.named(model)
+        table["sensor"] = [named[int(number)] for number in table["sensor"]]
     measurements = read_measurements(table, model, on, reading=reading)
     y = np.full((len(on.times), measurements.y.shape[1]), np.nan)
     y[[*measurements.t]] = measurements.y

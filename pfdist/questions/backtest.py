@@ -40,7 +40,15 @@ from pfdist.questions.planned_run import (
     table_argument,
 )
 from pfdist.questions.report import write_page
-from pfdist.questions.thinned import Matched, judged_errors, matched_of, plans_of
+from pfdist.questions.thinned import (
+    CENTRED,
+    FROM_START,
+    PLAN,
+    Matched,
+    judged_errors,
+    matched_of,
+    plans_of,
+)
 from pfdist.results import Run, finite
 from pfdist.results.promise import Promise, RelativeErrors, promise, real_over_foreseen
 from pfdist.results.stored_run import measured_of
@@ -54,7 +62,6 @@ from pfdist.store.folder import check_page_replaceable
 from pfdist.store.user_tables import check_table_replaceable, write_user_table
 
 Array = NDArray[np.float64]
-PLAN, FROM_START, CENTRED = "plan", "from_start", "centred"
 BEST = "the best evenly spaced times"
 SHOWN = 4
 """Replicates that a report shows in full."""
@@ -308,7 +315,8 @@ def backtest(
             matched, left_out = matched_of(built, replicates, plans, own, within)
             if not matched:
                 why = next((f"{name}: {each}" for name, each in left_out.items()), "no rows")
-                raise MeasurementsError(f"no replicate can be judged ({why})")
+                more = "; --within allows more" * (" within " in why)
+                raise MeasurementsError(f"no replicate can be judged ({why}){more}")
             errors = judged_errors(built, matched, pool, show)
     first = f"evenly spaced times from t = {clock.formatted(0)}"
     sets = {PLAN: "the plan", FROM_START: first, CENTRED: "centred evenly spaced times"}

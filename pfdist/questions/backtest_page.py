@@ -8,8 +8,9 @@ from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, unrounded, with_interval
 from pfdist.filters.filter_estimate import few_particles
-from pfdist.questions.backtest import CENTRED, FROM_START, PLAN, Backtest
+from pfdist.questions.backtest import Backtest
 from pfdist.questions.subject import change_of, number_of
+from pfdist.questions.thinned import CENTRED, FROM_START, PLAN
 
 _MUCH = 1000.0  # the end of an interval that says nothing
 _DEPENDENT = 0.3  # lag-1 correlation of differences

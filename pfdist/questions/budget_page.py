@@ -66,7 +66,8 @@ def _answer(subject: Subject) -> list[Text]:
     if number < most.budget:
         chosen = _amount(subject, number, "chosen ")
         do = "does" if chosen.startswith("1 ") else "do"
-        text = f"{chosen[0].upper()}{chosen[1:]} {do} at least as well as {even}{_of_number(subject, number)}."
+        chosen = f"{chosen[0].upper()}{chosen[1:]}"
+        text = f"{chosen} {do} at least as well as {even}{_of_number(subject, number)}."
     else:
         text = (
             f"No plan {'for a lower price' if _is_money(subject) else 'of fewer measurements'} "

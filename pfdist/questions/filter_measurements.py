@@ -32,7 +32,7 @@ from pfdist.filters.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.filters.filter_estimate import FEW, FilterEstimate, few_particles
 from pfdist.models.base import within_half_turn
 from pfdist.problem.clock import Clock, Time
-from pfdist.problem.measurements import Measurements, read_measurements
+from pfdist.problem.measurements import Measurements, read_measurements, sensors_of_rows
 from pfdist.problem.problem import JobSource
 from pfdist.questions.planned_run import (
     UserTable,
@@ -272,6 +272,10 @@ def filter_measurements(
     places = [clock.instant(t) for t in of_job.clock.times]
     wanted = [points.first(places[of_job.instant(t)]) + of_job.way(t) for t in plan.times]
     wanted = [t for t in wanted if t >= points.first(filtering.now.t)]
+    if reading.sensors:  # which of its repeats measures does not matter
+        at = [(points.instant(t), reading.sensors[points.way(t)]) for t in wanted]
+        both = zip(at, sensors_of_rows(at, believed, reading), strict=True)
+        wanted = [points.first(t) + way for (t, _), way in both]
     nearest = of_job.clock.nearest(clock.times[points.instant(t)] for t in made)
     meant = [points.first(places[k]) + points.way(t) for k, t in zip(nearest, made, strict=True)]
     filtered_estimates, lag = [*_estimates(filtering, rows)], plan.built.evaluator.lag

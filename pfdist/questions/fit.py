@@ -430,7 +430,7 @@ def _along(
         point, value = start, loss(start)
         if others.any():
             between, count = [end[others] for end in ends], _EACH * int(others.sum())
-            moved, value = _least(rest, start[others], between, abs(way) / 2, count)
+            moved, value = _least(rest, start[others], between, abs(way) / 8, count)
             point = np.insert(moved, k, start[k])
         yield point, value
         if value - least >= _FAR:

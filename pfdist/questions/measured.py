@@ -68,7 +68,7 @@ def integral(likelihood: Likelihood, y: Array) -> Estimate:
     for component in np.flatnonzero(~counts):
         values, counts_of = np.unique(y[component], return_counts=True)
         if values.size < (1 - _TIES) * y.shape[1]:
-            tied = values[counts_of > 1]
+            tied = values[counts_of > _TIES * y.shape[1]]
             few = "few values, which are not whole numbers"
             masses = f"a point mass at {' and '.join(f'{each:g}' for each in tied)}, as of a limit"
             raise NoIntegralError(f"component {component} has {masses if tied.size < 3 else few}")

@@ -206,8 +206,9 @@ def next_time(
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
         DataFrame, at any times. It may have no rows. An empty cell is a missing component, a row
-        without any value a missed time, a second row at a time a repeat, which counts, too. If the
-        model has sensors, the column sensor names that of a row.
+        without any value a missed time (for a sensor with fails, a spent measurement), a second row
+        at a time a repeat, which counts, too. If the model has sensors, the column sensor names
+        that of a row.
     now : int, float, str or datetime, optional
         The last time that has passed, or its date, if nothing was measured at the end. Times
         planned up to it are planned again for later.
@@ -313,6 +314,7 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     missed = ((t, None) for t in rows.missed)
     instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=itemgetter(0))
     for t, y in instants:
+        planner._fail(each for each in rows.failed if planner._points.instant(each) == t)
         if y is None:
             planner.missed(clock.time(t))
         else:
@@ -335,7 +337,7 @@ def _tell_all(
     if now is not None and (instant := _instant_now(now, until - (not passed), clock)) >= until:
         until, passed = instant, True
     on = replace(points, clock=rows.clock)
-    made = rows.made_with(plan.built.evaluator.believed)
+    made = sorted((*rows.made_with(plan.built.evaluator.believed), *rows.failed))
     near = clock.nearest(rows.clock.times[on.instant(t)] for t in made)
     taken = sorted(points.first(k) + points.way(t) for k, t in zip(near, made, strict=True))
     fine = on_clock_of(plan, rows)

@@ -144,8 +144,9 @@ def reading_of(
             argument="columns",
         )
     any_time = cache(partial(follows_clock, built))
-    limits = tuple(built.job.problem.sensings.values())
-    return Reading(columns or {}, within, any_time, partial(heard, say), limits=limits)
+    problem, note = built.job.problem, partial(heard, say)
+    sensors, sensings = zip(*problem.each_sensing, strict=True) if problem.sensings else ((), ())
+    return Reading(columns or {}, within, any_time, note, sensings=sensings, sensors=sensors)
 
 
 def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:
@@ -162,8 +163,8 @@ def check_no_delay(job: Job) -> None:
     """Raise `JobError` if a value of a real measurement arrives later."""
     if job.problem.points.delays:
         raise JobError(
-            "real measurements of a sensor with a delay are not read: give the job of the filter "
-            f"estimate = 'smoothed', which waits for all values ({job.path})"
+            "plans for the rest of a system, and backtest, need sensors without a delay: filter "
+            f"reads late values; estimate = 'smoothed' waits for all of them ({job.path})"
         )
 
 
@@ -186,7 +187,6 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
         The prior does not fit the model.
     """
     job = built.job
-    check_no_delay(job)
     if built.evaluator.told:
         raise JobError(
             "scenarios.filter must be 'nominal' or 'learned' for real measurements, whose scenario "

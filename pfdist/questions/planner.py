@@ -26,7 +26,7 @@ from pfdist.problem.measurements import Measurements, instant_on
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.options import ComparedDraws, other_criterion
-from pfdist.questions.planned_run import filter_of
+from pfdist.questions.planned_run import check_no_delay, filter_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.planning import Now, Planning, Replanner
 from pfdist.runner.searches import planning_of
@@ -88,6 +88,7 @@ class Planner:
         built = job if isinstance(job, Built) else build(as_job(job))
         if isinstance(built.job.criterion, Judging):
             raise other_criterion(built.job)
+        check_no_delay(built.job)
         believed, clock = built.evaluator.believed, built.job.problem.clock
         start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)
         planning = planning_of(built.job, built.evaluator.variance_is_error)
@@ -129,7 +130,7 @@ class Planner:
 
     @property
     def measured(self) -> tuple[Time, ...]:
-        """The times that were measured."""
+        """The times that were measured, also those of measurements that failed."""
         return tuple(self._points.written_of(self._taken))
 
     def update(
@@ -141,7 +142,8 @@ class Planner:
         ----------
         y : float or sequence of float, (m,)
             The measurement. NaN marks a missing component, if the model declares that components
-            may be missing. All components of a sensor that did not measure are NaN.
+            may be missing. All components of a sensor that did not measure are NaN. If all are NaN,
+            planned measurements of sensors with `fails` have failed, and are spent.
         t : int or float, optional
             The time, if it is not the next planned time. Planned times before it count as missed.
 
@@ -162,9 +164,18 @@ class Planner:
         estimate, measurement = self._filter.update(instant, y), None
         if estimate.measured:
             measurement = np.atleast_1d(np.array(y, np.float64))
-            self._taken = (*self._taken, *made(self._filter.model, instant, measurement))
+            here = made(self._filter.model, instant, measurement)
+            self._taken = tuple(sorted((*self._taken, *here)))
+        else:
+            self._fail(each for each in self._plan if self._points.instant(each) == instant)
         self._plan_anew(estimate.t, measurement)
         return self._on_clock(estimate)
+
+    def _fail(self, points: Iterable[int]) -> None:
+        """Count measurements without a value as made, of sensors that may fail."""
+        fails = [each.fails > 0.0 for _, each in self._built.job.problem.each_sensing] or [False]
+        more = (each for each in points if fails[self._points.way(each)])
+        self._taken = tuple(sorted({*self._taken, *more}))
 
     def missed(self, t: Time | None = None) -> None:
         """Note that nothing was measured up to t, and plan the remaining times again.

@@ -36,6 +36,8 @@ from pfdist.runner.progress import Progress, Show
 from pfdist.runner.searches import planning_of
 
 Array = NDArray[np.float64]
+PLAN, FROM_START, CENTRED = "plan", "from_start", "centred"
+"""The sets that a backtest always has, in this order."""
 DRAWS = 480
 """Simulated systems for each replicate."""
 
@@ -119,17 +121,19 @@ def matched_of(
             continue
         wanted = [_wanted(plan, on), *_grids(on.clock, len(plan), built.feasible.cheapest)]
         wanted += [_wanted(times, points) for times in own.values()]
+        sets = dict[str, Times]()
         try:
-            sets = tuple(each.nearest(times, model, within) for times in wanted)
+            for name, times in zip((PLAN, FROM_START, CENTRED, *own), wanted, strict=True):
+                sets[name] = each.nearest(times, model, within)
         except MeasurementsError as error:
-            left_out[each.name] = str(error)
+            left_out[each.name] = f"{error}, for the set {name}"
             continue
         judged = (each.y if each.z is None else each.z).copy()
-        judged[[*points.instants(chain(*sets))]] = np.nan
+        judged[[*points.instants(chain(*sets.values()))]] = np.nan
         if np.isnan(judged).all():
             left_out[each.name] = "no value is left to judge"
             continue
-        matched.append(Matched(each, sets, judged))
+        matched.append(Matched(each, tuple(sets.values()), judged))
     return matched, left_out
 
 

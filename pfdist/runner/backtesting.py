@@ -227,7 +227,8 @@ def follows_clock(built: Built) -> bool:
     job, (truth, believed) = built.job, models_of_job(built.job)
     models = [truth] if believed == truth else [truth, believed]
     times = job.problem.clock.times
-    return job.problem.has_clock and all(is_of_any_time(each.on_clock(times)) for each in models)
+    is_free = job.problem.has_clock and not job.problem.points.delays  # a delay is of equal steps
+    return is_free and all(is_of_any_time(each.on_clock(times)) for each in models)
 
 
 def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> Evaluator:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 import stat
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -265,7 +266,10 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
         for row in column.index[wrong][:1]:
             rule = f"one of {', '.join(names)}" if names else "a number"
             place = f"column {shown(name)} in row {row + 1}"
-            raise ValueError(must_be(place, rule, texts[row], names))
+            hint = "; problem.sensor.limit reads it" * texts[row].startswith(("<", ">"))
+            if not re.search(r"\w|[<>]", texts[row]):
+                hint = "; an empty cell is a missing number"
+            raise ValueError(must_be(place, rule, texts[row], names) + hint * (not names))
     elif kind not in "iuf":
         raise ValueError(f"column {shown(name)} must hold numbers, got {column.dtype}")
     return numbers.to_numpy(np.float64, copy=True, na_value=np.nan)
@@ -276,7 +280,8 @@ def number_of_cell(text: str) -> float:
     if text.lower() in _MISSING:
         return math.nan
     try:
-        return float(text)
+        # as pandas has it, which takes neither 1_0 nor other digits
+        return float(text if text.isascii() and "_" not in text else "")
     except ValueError as error:
         raise ValueError(f"a cell must be a number, got {shown(text)}") from error
 

@@ -102,6 +102,25 @@ def test_failed_measurements_are_those_of_all_patterns(tmp_path: Path) -> None:
     assert not row["reason"]
 
 
+def test_a_failed_measurement_is_spent_and_a_missed_one_is_not(tmp_path: Path) -> None:
+    problem = Problem(
+        walk(), horizon=12, measurement_budget=4, particles=100, sensor={"fails": 0.4}
+    )
+    changes = ["comparison.draws=100"]
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    nothing = math.nan
+    for t, y in (([0, 3], [1.0, nothing]), ([0, 0, 3], [1.0, 1.2, nothing])):
+        found = pfdist.next_time(run.path, pd.DataFrame({"t": t, "y0": y}), say=print)
+        assert found.left == 2
+    assert pfdist.next_time(run.path, pd.DataFrame({"t": [0], "y0": [1.0]}), now=3).left == 3
+    planner = pfdist.Planner(problem, [0, 3, 6, 8])
+    planner.missed()
+    assert len(planner.plan()) == 4
+    planner.update(nothing)
+    assert len(planner.measured) == 1
+    assert len(planner.plan()) == 3
+
+
 @pytest.mark.parametrize("engine", ["compiled", "numpy"])
 def test_a_failed_measurement_changes_nothing_and_is_not_resampled(engine: str) -> None:
     failing = sensed(walk(), {"": Sensing(fails=0.5)})
@@ -194,6 +213,7 @@ def test_repeats_are_those_of_brute_force_with_repetition(tmp_path: Path) -> Non
         initial_noise=("normal",),
         process_noise=("normal",),
         measurement_noise=("normal",),
+        parameters={"unused": 1.0},
         linear_gaussian=True,
     )
     sets = [
@@ -207,6 +227,22 @@ def test_repeats_are_those_of_brute_force_with_repetition(tmp_path: Path) -> Non
     assert run.best.expected_mse == pytest.approx(min(map(of_repeats, sets)), rel=1e-9)
     assert run.best.expected_mse == pytest.approx(0.74959, abs=5e-6)
     assert all(each.rpartition(" ")[2] in "abc" for each in run.best.measurement_times)
+    table = pd.DataFrame({"t": [0, 6, 0], "y0": [3.1, 1.0, 2.7]})  # nobody names repeats
+    found = pfdist.filter_measurements(run.path, table, report=False)
+    assert found.measured == ("0 a", "0 b", "6 a")
+    assert (found.missing, found.extra) == (("6 b",), ())  # whichever repeats were planned
+    variance = 1.0 / (1.0 / 9.0 + 2.0 / 4.0)
+    assert found.table["sd_0"][0] == pytest.approx(variance**0.5)
+    assert found.table["mean_0"][0] == pytest.approx(variance * (3.1 + 2.7) / 4.0)
+    job = problem.job().with_changes(changes[:1])
+    for data in (table.assign(id="s"), table.assign(id="s", sensor=["b", "a", "c"])):
+        fitted = pfdist.fit(job, data, {"unused": (1, 1)}, replicate="id")
+        assert fitted.log_likelihood == pytest.approx(found.log_evidence)
+    rng = np.random.default_rng(1)
+    rows = [(name, t, y) for name in "pqr" for t in range(11) for y in rng.normal(0, 3, 3)]
+    judged = pfdist.backtest(run, pd.DataFrame(rows, columns=["id", "t", "y0"]))
+    assert {*judged.plan} == {*run.best.measurement_times}
+    assert not judged.left_out
 
 
 def test_sensors_have_their_own_limits_and_prices() -> None:
@@ -377,14 +413,57 @@ def test_times_are_not_chosen_while_values_are_in_flight() -> None:
         ExplorerSession(problem.job(search=search))
 
 
-def test_tables_of_real_measurements_with_a_delay_are_not_read(tmp_path: Path) -> None:
-    problem = Problem(late_walk(), horizon=8, measurement_budget=2, sensor={"delay": 3})
+def test_a_filter_of_real_measurements_has_values_when_they_arrive(tmp_path: Path) -> None:
+    """Against conditioning on the values that have arrived; one that arrives too late is told."""
+    model = meter_and_laboratory()
+    keys = {"horizon": 16, "time_step": 2, "time_unit": "h", "total_price": 7, "engine": "kalman"}
+    sensors = {"bedside": {"price": 1}, "lab": {"price": 3, "delay": "4 h"}}
     run = pfdist.plan(
-        problem, tmp_path / "run", changes=["comparison.draws=100"], bound_draws=0, figures=False
+        Problem(model, sensors=sensors, **keys), tmp_path / "run", bound_draws=0, figures=False,
+        changes=["comparison.draws=100"],
+    )  # fmt: skip
+    rows = [(0, "lab", 1.0), (4, "bedside", 2.5), (6, "lab", 0.4), (6, "bedside", 0.5),
+            (14, "lab", 0.1)]  # fmt: skip
+    table, said = pd.DataFrame(rows, columns=["t", "sensor", "y0"]), list[str]()
+    found = pfdist.filter_measurements(run.path, table, report=False, say=said.append)
+    assert "values that arrive after 16 h do not count: 1" in said
+    assert {*found.measured} == {"0 lab", "4 bedside", "6 lab", "6 bedside"}
+    assert found.table["t"][found.table["measured"]].tolist() == [4, 6, 10]
+    variance = [4.0]
+    for _ in range(8):
+        variance.append(0.95**2 * variance[-1] + 0.36)
+    s, t = np.meshgrid(np.arange(9), np.arange(9))
+    joint = np.array(variance)[np.minimum(s, t)] * 0.95 ** abs(s - t)
+    for now in range(9):
+        known = [(at // 2, y, 0.04 if name == "lab" else 1.0) for at, name, y in rows
+                 if at // 2 + 2 * (name == "lab") <= now]  # fmt: skip
+        at = [each for each, *_ in known]
+        seen = joint[np.ix_(at, at)] + np.diag([noise for *_, noise in known])
+        gain = np.linalg.solve(seen, joint[at, now]) if known else np.zeros(0)
+        assert found.table["mean_0"][now] == pytest.approx(gain @ [y for _, y, _ in known])
+        exact = np.sqrt(joint[now, now] - gain @ joint[at, now])
+        assert found.table["sd_0"][now] == pytest.approx(exact)
+    at_once = {"bedside": {"price": 1}, "lab": {"price": 3}}
+    model = replace(model, parameters={"sd": 1.0})  # of no formula: one likelihood is enough
+    late, early = (
+        pfdist.fit(
+            Problem(model, sensors=each, **keys),
+            table[:4].assign(id="a"),
+            {"sd": (1, 1)},
+            replicate="id",
+        )
+        for each in (sensors, at_once)
     )
+    assert late.log_likelihood == pytest.approx(early.log_likelihood, abs=1e-9)
+
+
+def test_plans_for_the_rest_of_a_system_need_values_at_once(tmp_path: Path) -> None:
+    problem = Problem(late_walk(), horizon=8, measurement_budget=2, sensor={"delay": 3})
     rows = [{"replicate": "a", "t": t, "y0": 0.1 * t} for t in range(9)]
-    with pytest.raises(JobError, match="of a sensor with a delay are not read"):
-        pfdist.backtest(run, pd.DataFrame(rows), figures=False, report=False)
+    with pytest.raises(JobError, match="backtest, need sensors without a delay"):
+        pfdist.backtest(problem, pd.DataFrame(rows), plan_each=True, figures=False, report=False)
+    with pytest.raises(JobError, match="need sensors without a delay"):
+        pfdist.Planner(problem)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import job_toml, load_job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem import as_job
+from pfdist.problem.problem_section import ProblemSection
 
 JOBS = Path(__file__).parents[2] / "jobs"
 JOB = """
@@ -176,6 +177,7 @@ def test_a_mistake_is_named_with_what_it_got_what_is_allowed_and_where(write, ro
         ("seed = 1", "x = [\n2026-04-06T08:00]", [], "a date needs seconds, 2026-04-06T08:00:00"),
         ("seed = 1", "x = '2026-04-06T08:00' y", [], r"must be TOML, .* line 2, column \d+\) \("),
         ("seed = 1", "seed = 1", ["problem.budget=3"], "; did you mean 'measurement_budget'"),
+        ("seed = 1", "seed = 1", ["budget=3"], "got 3; did you mean 'problem.measurement_budget'"),
         ("seed = 1", "sed = 1", ["evaluation.draws=5"], r"^unknown key 'sed'"),
         ('"genetic"', '"genetic"\npopulation = 7', [], r"must be a multiple of 2, got 7 \(FILE\)$"),
         (JOB[JOB.index("[[search]]") :], "", ["search.a.b=4"], r"no search 'a', allowed: none"),
@@ -348,6 +350,9 @@ def test_the_filtered_estimate_is_not_written_into_a_job(write):
         ({"time_step": 0.1}, 0.3, 3),
         ({"time_step": 4.0, "horizon": 40}, 11, 2),
         ({"clock": {"start": "2026-04-01", "step": "1 d"}}, 2, 2),
+        ({"clock": {"start": "2026-04-01", "step": "1 d"}}, "48 h", 2),
+        ({"time_unit": "years"}, "3 years", 3),
+        ({"time_step": 0.1, "time_unit": "h"}, "18 min", 3),
     ],
 )
 def test_a_lag_is_a_duration_on_the_clock(write, clock, lag, instants):
@@ -367,12 +372,24 @@ def test_a_lag_is_a_duration_on_the_clock(write, clock, lag, instants):
             ["horizon=10", "lag=3", "estimate=filtered"],
             "^problem.estimate must be left out with problem.lag, got 'filtered'",
         ),
+        (["lag='3 h'"], "^problem.lag must be a number, or .*: the clock has no unit"),
+        (["time_unit=h", "lag='3 years'"], "or one with a unit, as '2 h', got '3 years'"),
         (["estimate=best"], "^problem.estimate must be 'filtered' or 'smoothed', got 'best'"),
     ],
 )
 def test_a_lag_that_is_none_is_one_line(write, changes, message):
     with pytest.raises(JobError, match=message):
         load_job(write(), [f"problem.{change}" for change in changes])
+
+
+def test_all_durations_may_have_a_unit(write):
+    own = {"horizon": 8, "time_unit": "h", "minimum_spacing": "120 min", "measurement_budget": 2}
+    job = load_job(write(), ["search=[]", "comparison.sets={a=[0]}"], {"problem": own})
+    assert job.problem.minimum_spacing == 2
+    sensors = {"a": {"delay": "2 h"}, "b": {"minimum_spacing": "0.5 d"}}
+    problem = ProblemSection(horizon=24, time_unit="h", measurement_budget=3, sensors=sensors)
+    assert problem.sensors["a"].delay == 2
+    assert problem.sensors["b"].minimum_spacing == 12
 
 
 def test_a_lag_on_uneven_steps_has_as_many_instants_as_its_duration(write):

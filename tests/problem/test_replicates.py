@@ -139,7 +139,7 @@ COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
         (f"{HEAD},z0\na,0,1,inf", "replicate 'a': z0 must have one finite value at each time, got "
                                   "inf at t = 0"),
         (f"{HEAD}\na,0,1\nb,1,1\nb,1,2", "replicate 'b': each time must have one row, got more "
-                                         "at t = 1: only filter, next and fit"),
+                                         "at t = 1: repeats need problem"),
         (f"{HEAD}\na,0,inf", "replicate 'a': a measurement must be finite, or NaN where a "
                              "component is missing, got y0 = inf at t = 0"),
         (f"{HEAD}\na,-1,1", "replicate 'a': t must lie in 0..4, got -1"),

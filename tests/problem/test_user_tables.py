@@ -16,7 +16,7 @@ from pfdist import StateSpaceModel, load_model
 from pfdist.errors import MeasurementsError, PriorError
 from pfdist.filters.user_prior import read_prior
 from pfdist.problem.clock import Clock
-from pfdist.problem.measurements import read_measurements
+from pfdist.problem.measurements import Reading, read_measurements
 from pfdist.problem.replicates import read_replicates
 from pfdist.store import user_tables
 
@@ -63,6 +63,28 @@ def test_spaces_comments_a_mark_of_byte_order_and_words_for_missing_are_read(
     np.testing.assert_array_equal(found.y, [[NAN, 0.1], [-2.0, NAN]])
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t;y0\n0.5;1.25\n2;0.75\n",
+        "t;y0\n0,5;1,25\n2;0,75\n",
+        "t,y0\r\n+5e-1,1.25\r\n2,7.5E-1\r\n",
+        '"t","y0"\n"2","0.75"\n"0.5000000001","1.25"\n',
+        ",t,y0\n1,0.5,1.25\n2,2,0.75\n",  # the index of pandas or R
+        "t,y0,\n0.5,1.25,\n2,0.75,\n",
+        "Time,note,conc\n0.5,a,1.25\n1,,NA\n2,b,0.75\n",
+    ],
+)
+def test_programs_write_tables_in_many_ways(text: str, tmp_path: Path) -> None:
+    """Published case: twenty kinds of CSV, of which some are refused with a remedy."""
+    (tmp_path / "walk.csv").write_text(text, newline="")
+    names = {"t": "Time", "y0": "conc"} if "Time" in text else {}
+    clock, model = Clock.regular(12, 0.5, "h"), load_model("random_walk")
+    found = read_measurements(tmp_path / "walk.csv", model, clock, reading=Reading(names))
+    assert found.t == (1, 4)
+    np.testing.assert_array_equal(found.y, [[1.25], [0.75]])
+
+
 def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpaceModel) -> None:
     for name in ("none.csv", "none.parquet"):
         found = read_measurements(
@@ -83,6 +105,8 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
         ("t;y0;y1\n1;1,500;2,250", "one number must show that it is not thousands, got '1,500, 2"),
         ("t;y0;y1\n1;1.500,5;2", "column 'y0' in row 1 must be a number, got '1.500,5'"),
         ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' in row 2 must be a number, got 'high'"),
+        ("t,y0,y1\n3,.,3", "a number, got '.'; an empty cell is a missing number"),
+        ("t,y0,y1\n3,<1.0,3", "a number, got '<1.0'; problem.sensor.limit reads it"),
         ("t,y0,y1\n3,1,2,3", "as many values as the first: Expected 3 fields in line 2, saw 4"),
         (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text, got other bytes: save the sheet as CSV"),
         ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' in row 1 must be a number, got 'xxx"),

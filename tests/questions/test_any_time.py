@@ -89,7 +89,7 @@ pool = "serial"
 
 
 def exact(
-    rows: Iterable[tuple[float, float]], at: float, *, still: bool = False
+    rows: Iterable[tuple[float, float]], at: float, *, still: bool = False, noise: float = NOISE
 ) -> tuple[float, float, float]:
     """Mean and variance at a time, and the log evidence of all rows until then."""
     mean, variance, now, evidence = 0.0, SD**2, 0.0, 0.0
@@ -100,11 +100,11 @@ def exact(
 
     for t, y in rows:
         mean, variance = moved(t)
-        now, total = t, variance + NOISE**2
+        now, total = t, variance + noise**2
         evidence -= ((y - mean) ** 2 / total + math.log(2 * math.pi * total)) / 2
         mean, variance = (
             mean + variance / total * (y - mean),
-            variance * NOISE**2 / total,
+            variance * noise**2 / total,
         )
     return (*moved(at), evidence)
 
@@ -160,12 +160,23 @@ def test_the_next_time_follows_from_the_exact_filter(jobs: Path) -> None:
 
 
 def test_repeats_and_own_times_are_fitted_exactly(jobs: Path) -> None:
+    """Published case: a data set of R, with its index, other names, and a dose of each subject."""
     table = pd.DataFrame([(name, *row) for name in "ab" for row in ROWS], columns=["id", "t", "y0"])
     with pytest.warns(PfdistWarning, match="are not read: nois; did you mean 'noise'"):
         found = pfdist.fit("model.toml", table.assign(nois="x"), {"sd": (2.0, 2.0)})
     assert found.log_likelihood == pytest.approx(2 * exact(ROWS, 6)[2], abs=1e-9)
+    names = {"id": "Subject", "t": "Time", "y0": "conc"}
+    of_r = table.rename(columns=names).assign(Wt=79.6, Noise=[0.5] * 5 + [5.0] * 5)
+    (jobs / "r.csv").write_text(of_r.to_csv())
+    columns = {"t": "Time", "y0": "conc", "noise": "Noise"}
+    with pytest.warns(PfdistWarning, match="not read: one without a name, Wt"):
+        again = pfdist.fit(
+            "model.toml", "r.csv", {"sd": (2.0, 2.0)}, columns=columns, replicate="Subject"
+        )
+    both = exact(ROWS, 6)[2] + exact(ROWS, 6, noise=5.0)[2]
+    assert again.log_likelihood == pytest.approx(both, abs=1e-9)
     with pytest.raises(
-        MeasurementsError, match=r"one row, got more at t = 1\.97: only filter, next"
+        MeasurementsError, match=r"one row, got more at t = 1\.97: repeats need problem"
     ):
         pfdist.backtest("model.toml", table, plan_each=True)
 
@@ -232,6 +243,7 @@ def test_seconds_since_1970_are_read_if_they_can_be_nothing_else(jobs: Path) -> 
         [1792792800, 1792796407],
         ["2026-10-24 00:00", "2026-10-24T01:00:07"],
         [0, 3607 / 3600],
+        pd.to_datetime(["2026-10-23T22:00:00Z", "2026-10-23T23:00:07Z"]).tz_convert("US/Pacific"),
     ):
         table = pd.DataFrame({"t": t, "y0": [1.0, 2.0]})
         found = pfdist.filter_measurements("well.toml", table, report=False)
@@ -270,6 +282,7 @@ def test_readings_below_the_limit_are_cells_that_say_so(tmp_path: Path) -> None:
         pd.DataFrame({"t": [1, 4], "y0": ["2.5", "< 1"]}),
         pd.DataFrame({"t": [1, 4], "y0": [2.5, math.nan], "y0_below": [0, 1]}),
         pd.DataFrame({"t": [1, 4], "y0": [2.5, 1.0]}),
+        pd.DataFrame({"t": [1, 4], "y0": [2.5, 0.0]}),  # as many laboratories write it
     ]
     means = [
         pfdist.filter_measurements(run.path, each).table["mean_0"].to_numpy() for each in tables
@@ -278,3 +291,8 @@ def test_readings_below_the_limit_are_cells_that_say_so(tmp_path: Path) -> None:
         np.testing.assert_array_equal(each, means[0])
     with pytest.raises(MeasurementsError, match="must be that of all sensors, <1, got '<2'"):
         pfdist.filter_measurements(run.path, pd.DataFrame({"t": [1], "y0": ["<2"]}))
+    for text in ("BLQ", "1_0", "0x1", "\u0661"):
+        with pytest.raises(
+            MeasurementsError, match=f"got '{text}'; a reading below the limit is <1"
+        ):
+            pfdist.filter_measurements(run.path, pd.DataFrame({"t": [1], "y0": [text]}))

@@ -51,8 +51,8 @@ def problem(**keys: object) -> pfdist.Problem:
 
 @pytest.fixture(scope="module")
 def fitted(data: pd.DataFrame) -> Fitted:
-    """The fit of all parameters by the exact likelihood."""
-    return pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial")
+    """The fit of all parameters by the exact likelihood, with profiles."""
+    return pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial", profile=True)
 
 
 def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
@@ -70,9 +70,10 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
     assert fitted.log_likelihood >= -loss(np.log([*TRUE.values()]))
 
 
-def test_profiles_and_correlation_are_those_of_the_likelihood(data: pd.DataFrame) -> None:
+def test_profiles_and_correlation_are_those_of_the_likelihood(
+    data: pd.DataFrame, fitted: Fitted
+) -> None:
     """Near the maximum by its second derivatives; far from it by a search with another method."""
-    fitted = pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial", profile=True)
     loss, best = loss_of(data), np.log([*fitted.parameters.values()])
     unit = 2e-3 * np.eye(3)
     curved = [
