@@ -102,20 +102,24 @@ def gap_sentence(
     gap: Mapping[str, Any],
     measurements: int,
     *,
+    has_fewer: bool = False,
     is_constrained: bool = False,
     has_scenarios: bool = False,
 ) -> str:
     r"""The sentence that says how much lower the error of other times can be, given a bound.
 
     `gap` has the fields of `pfdist.runner.proof.Gap` as JSON, and ``confidence``. `measurements` is
-    the number of measurements of the set, and `is_constrained` is whether other constraints exclude
-    some times. Numbers have no-break spaces.
+    the number of measurements of the set, `has_fewer` is whether other sets may have fewer than the
+    budget, and `is_constrained` is whether other constraints exclude some times. Numbers have
+    no-break spaces.
 
     >>> gap = {"budget": 4, "gap": 0.0, "bound_error": 0.0}
     >>> gap_sentence(gap, 4)
     'Proved: no other 4 times have a lower expected MSE.'
     >>> gap_sentence(gap, 3)
     'Proved: no other times that are no more expensive have a lower expected MSE.'
+    >>> gap_sentence(gap, 3, has_fewer=True)
+    'Proved: no other set of at most 4 times has a lower expected MSE.'
     >>> gap_sentence({**gap, "budget": 1}, 1, is_constrained=True)
     'Proved: no other time that the constraints allow has a lower expected MSE.'
     >>> gap_sentence({**gap, "gap": 0.5}, 4, has_scenarios=True).partition(", ")[2]
@@ -125,19 +129,27 @@ def gap_sentence(
     >>> estimated.partition("by more than ")[2]
     'a further 3.1 % (95 % confidence; estimate 1.7 %).'
     """
-    times = "time" if measurements == 1 else f"{measurements} times"
-    conditions = ["that the constraints allow"] if is_constrained else []
-    if gap["budget"] != measurements:  # the budget counts money
-        times, conditions = "times", ["that are no more expensive", *conditions]
-    have, lower = ("has", "lowers") if times == "time" else ("have", "lower")
-    times = " ".join([times, " and ".join(conditions)]).rstrip()
+    times, is_one = _others(gap, measurements, has_fewer=has_fewer)
+    if is_constrained:
+        times += f"{' and' * ('that' in times)} that the constraints allow"
+    have, lower = ("has", "lowers") if is_one else ("have", "lower")
     if not gap["bound_error"] and gap["gap"] < _ROUNDING:
         return f"Proved: no other {times} {have} a lower expected MSE."
     told = ", even with a filter that is told the scenario" if has_scenarios else ""
     return f"Proved: no other {times} {lower} the expected MSE {at_most(gap, told)}."
 
 
-def nats_sentence(gap: Mapping[str, Any], measurements: int) -> str:
+def _others(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool) -> tuple[str, bool]:
+    """The sets for which a bound holds, in words, and whether these are singular."""
+    budget = gap["budget"]
+    if has_fewer:
+        return f"set of at most {budget} time{'s' * (budget != 1)}", True
+    if budget != measurements:  # the budget counts money
+        return "times that are no more expensive", False
+    return ("time", True) if measurements == 1 else (f"{measurements} times", False)
+
+
+def nats_sentence(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool = False) -> str:
     """The sentence that says how much more other times can tell; the arguments of `gap_sentence`.
 
     >>> gap = {"expected_mse": -2.0, "budget": 4, "gap_at_most": 0.0, "bound_error": 0.1}
@@ -146,9 +158,8 @@ def nats_sentence(gap: Mapping[str, Any], measurements: int) -> str:
     >>> nats_sentence({**gap, "gap_at_most": 0.25, "bound_error": 0.0}, 3)
     'Proved: no other times that are no more expensive give more than a further 0.50 nats.'
     """
-    times, gives = ("time", "gives") if measurements == 1 else (f"{measurements} times", "give")
-    if gap["budget"] != measurements:
-        times, gives = "times that are no more expensive", "give"
+    times, is_one = _others(gap, measurements, has_fewer=has_fewer)
+    gives = "gives" if is_one else "give"
     if gap["gap_at_most"] < _ROUNDING:
         return f"Proved: no other {times} {gives} more nats."
     more = rounded(rounded_up(-gap["expected_mse"] * gap["gap_at_most"]), 2)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 from math import gcd, lcm
 
 from pfdist.common.measurement_times import Times
@@ -62,7 +62,8 @@ class Constraints:
     visits: Visits | None = None
     # Price of the installation of some sensors, paid once if any of these measures
     installs: tuple[tuple[Money, Times], ...] = ()
-    groups: tuple[Times, ...] = ()  # sensors of which at most one measures at an instant
+    # Sensors, each with its ways, of which at most one measures at an instant
+    groups: tuple[tuple[Times, ...], ...] = ()
     # Whether N or the money is only the most that may be spent, even nothing. One more measurement
     # does no harm, in expectation, to a filter that knows the truth, so a best set spends what it
     # can. To a filter that is wrong it may do harm; and under limits nothing may be left to buy.
@@ -76,6 +77,11 @@ class Constraints:
     def counted(self) -> bool:
         """Whether every set has the same number of measurements."""
         return self.measurement_budget is not None and not self.smaller
+
+    @property
+    def has_fewer(self) -> bool:
+        """Whether N is the largest number of measurements of a set."""
+        return self.measurement_budget is not None and self.smaller
 
     @property
     def is_limited(self) -> bool:
@@ -184,9 +190,11 @@ class Constraints:
             if number > self.visits.most:
                 yield f"visits.most is {self.visits.most}, got {number} visits"
         for group in self.groups:
-            of_group = [time for time in chosen if points.way(time) in group]
+            sensors = {way: number for number, ways in enumerate(group) for way in ways}
+            of_group = [time for time in chosen if points.way(time) in sensors]
             for time, later in pairwise(of_group):
-                if points.instant(time) == points.instant(later):
+                is_same = sensors[points.way(time)] == sensors[points.way(later)]
+                if points.instant(time) == points.instant(later) and not is_same:
                     yield f"sensors.{points.sensor(time)}.together is broken"
         for sensor, limit in enumerate(self.limits):
             own, name = self.points.of_way(sensor, chosen), f"sensors.{self.points.sensor(sensor)}"
@@ -199,14 +207,13 @@ class Constraints:
         """The points that break a limit if they follow these times."""
         beyond, points, visits = list[int](), self.points, self.visits
         if visits and visits.most is not None and visits.number(times) >= visits.most:
-            parts = visits.parts(times)
-            beyond += range(
-                visits.ends[parts[-1][0]] if parts else visits.open_until, self.possible
-            )
+            beyond += range(visits.end(times), self.possible)
         for group in self.groups if times else ():
             instant = points.at(points.instant(times[-1]))
-            if any(points.way(time) in group for time in instant if time in times):
-                beyond += (time for time in instant if points.way(time) in group)
+            for ways in group:
+                if any(points.way(time) in ways for time in instant if time in times):
+                    others = {*chain.from_iterable(group)} - {*ways}
+                    beyond += (time for time in instant if points.way(time) in others)
         for sensor, limit in enumerate(self.limits):
             own, every = points.of_way(sensor, times), points.alike(sensor)
             if limit.most is not None and len(own) >= limit.most:

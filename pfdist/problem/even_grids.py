@@ -17,6 +17,7 @@ from pfdist.problem.affordable import nearest
 from pfdist.problem.feasible import Feasible
 
 _ENDS, _PLACES = 7, 4
+_NUMBERS = 12  # of visits, at most
 _MOST = 5_000  # grids of whole steps, about
 _PARTS = (0.75, 0.5, 0.25)  # of the horizon, from its beginning and up to its end
 
@@ -40,8 +41,9 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
     regular = feasible.regular()
     instants = np.array(feasible.points.clock.times, np.float64)
     if feasible.visits:
-        fewer = range(feasible.visits.number(regular), 0, -1)
-        spans = ((number, span) for number in fewer for span in _spans(instants, number, ends))
+        fewer = np.geomspace(max(1, feasible.visits.number(regular)), 1, _NUMBERS).round()
+        numbers = dict.fromkeys(fewer.astype(int).tolist())
+        spans = ((number, span) for number in numbers for span in _spans(instants, number, ends))
         near = (feasible.visits_near(np.linspace(*span, number).tolist()) for number, span in spans)
         return tuple(dict.fromkeys((regular, *(times for times in near if times))))
     if feasible.points.ways > 1:

@@ -244,7 +244,8 @@ class Feasible(Constraints):
             slots[first] = tuple(own[first : stops[first]].tolist())
         if len(slots) < len(targets):
             return None
-        each, paid = [*slots.values()], self.total // min(self.units)
+        each, cheapest = [*slots.values()], min(self.units[t] for t in own.tolist())
+        paid = (self.total - self.visit_units * len(each)) // cheapest
         for number in range(min(paid, sum(map(len, each))), len(each) - 1, -1):
             shares = [number // len(each) + (k < number % len(each)) for k in range(len(each))]
             spaced = {
@@ -377,8 +378,9 @@ class Feasible(Constraints):
     @cached_property
     def _nearest_regular(self) -> Times:
         if self.visits:
-            most = self.possible if self.visits.most is None else self.visits.most
-            for number in range(min(most, self.total, self.horizon + 1), 0, -1):
+            most = self.horizon + 1 if self.visits.most is None else self.visits.most
+            paid = self.total // (min(self.units) + self.visit_units)
+            for number in range(min(most, paid, self.horizon + 1), 0, -1):
                 clock = self.points.clock
                 targets = [clock.times[t] for t in clock.regular_times(number)]
                 if (times := self.visits_near(targets)) is not None:
@@ -441,7 +443,11 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
     visits = feasible.visits and feasible.visits.since(start, taken)
     if visits and visits.most == 0:
         barred |= {*range(start + visits.open_until, feasible.possible)}
-    required = [time for time in feasible.required if time in left and time not in barred]
+    required = list[int]()
+    for time in feasible.required:
+        is_left = time in left and time not in barred
+        if is_left and feasible.is_within_limits((*taken, *required, time)):
+            required.append(time)
     make = partial(
         replace,
         feasible,
@@ -471,8 +477,8 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
     number = max(0, feasible.total - len(taken))
     times = tuple(time - start for time in required[:number])
     if feasible.smaller:
-        is_over = not number or len({*left} - {*barred}) == 0
-        return None if is_over else make(required=times, measurement_budget=number)
+        number = min(number, len({*left} - barred))
+        return make(required=times, measurement_budget=number) if number else None
     capacity = make(required=times, measurement_budget=len(times)).capacity(())
     number = min(number, capacity)
     return make(required=times, measurement_budget=number) if number else None

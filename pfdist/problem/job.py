@@ -327,7 +327,8 @@ class Job(JobSection):
             try:
                 self.feasible(number)
             except MeasurementTimesError as error:
-                raise ValueError(f"budget of {number}: {error}") from error
+                what = " measurements" * (self.problem.total_price is None)
+                raise ValueError(f"budget of {number}{what}: {error}") from error
         return self
 
     @model_validator(mode="after")

@@ -100,7 +100,9 @@ class Points(PointNumbers):
         >>> Points(Clock.regular(2, 0.5, "h")).together((0, 1, 2))
         't = 0, 0.5, 1 h'
         """
-        dates = [self.clock.dates[self.instant(point)] for point in points if self.clock.calendar]
+        calendar = self.clock.calendar
+        has_hours = calendar is not None and not calendar.by_days
+        dates = [self.clock.dates[self.instant(point)] for point in points if has_hours]
         if len({date.date() for date in dates}) != 1:
             return f"t = {self.clock.listed(self.written_of(points))}"
         hours = (

@@ -5,7 +5,7 @@ its name, and this module puts ``problem.`` before it.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
 from itertools import chain
@@ -427,20 +427,27 @@ class ProblemSection(JobSection):
 
     @property
     def _installs(self) -> tuple[tuple[Money, Times], ...]:
-        """The price of each sensor's installation, and its ways: several if it repeats."""
-        installs, way = list[tuple[Money, Times]](), 0
-        for name, each in (self.sensors or {}).items():
-            ways = tuple(range(way, way := way + self.sensings[name].repeats))
-            installs += [] if each.install is None else [(money(each.install), ways)]
-        return tuple(installs)
+        """The price of each sensor's installation, and its ways."""
+        return tuple(
+            (money(each.install), ways)
+            for each, ways in self._ways_of_sensors
+            if each.install is not None
+        )
 
     @property
-    def _groups(self) -> tuple[Times, ...]:
-        groups = dict[str, list[int]]()
-        for way, each in enumerate(self.each_sensor.values()):
+    def _groups(self) -> tuple[tuple[Times, ...], ...]:
+        groups = dict[str, list[Times]]()
+        for each, ways in self._ways_of_sensors:
             if each.together is not None:
-                groups.setdefault(each.together, []).append(way)
+                groups.setdefault(each.together, []).append(ways)
         return tuple(map(tuple, groups.values()))
+
+    @property
+    def _ways_of_sensors(self) -> Iterator[tuple[SensorSection, Times]]:
+        """Each sensor with its ways: several if it repeats."""
+        way = 0
+        for name, each in (self.sensors or {}).items():
+            yield each, tuple(range(way, way := way + self.sensings[name].repeats))
 
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:

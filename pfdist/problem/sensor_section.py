@@ -124,7 +124,7 @@ class VisitsSection(JobSection):
     most: MeasurementBudget | None = None
     within: Annotated[Moment, Field(gt=0)] | None = None
     per: Literal["day", "week"] | None = None
-    allowed: MomentsAndRanges | None = None
+    allowed: Annotated[MomentsAndRanges, Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
     def _is_one_rule(self) -> Self:
@@ -167,13 +167,18 @@ class VisitsSection(JobSection):
     def _stops_of_ranges(self, clock: Clock) -> list[int]:
         """The instant after the visit of each instant; instants outside of visits are alone."""
         stops, before = [t + 1 for t in range(clock.horizon + 1)], -1
-        for each in self._ranges(clock):
-            if not each or min(each) <= before or max(each) > clock.horizon:
+        for entry, each in zip(self.allowed or (), self._ranges(clock), strict=True):
+            if not each or each != [*range(each[0], each[-1] + 1)]:
+                raise MeasurementTimesError(
+                    "visits.allowed must list ranges of all instants from one to another, got "
+                    f"{shown(entry)}: for a visit each day, per = 'day' with problem.allowed"
+                )
+            if each[0] <= before or each[-1] > clock.horizon:
                 raise MeasurementTimesError(
                     "visits.allowed must list visits one after another, within the horizon, got "
                     f"{shown(list(self.allowed or ()))}"
                 )
-            before = max(each)
-            for t in range(min(each), before + 1):
+            before = each[-1]
+            for t in each:
                 stops[t] = before + 1
         return stops

@@ -1,8 +1,10 @@
 """Visits: measurements that share a price, because someone comes once for all of them."""
 
+from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass
 from decimal import Decimal
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,23 +33,29 @@ class Visits:
     most: int | None = None
     open_until: int = 0  # points before this one belong to a visit that has begun
 
-    def parts(self, times: Iterable[int]) -> list[Times]:
-        """The measurements of each visit; `times` are sorted."""
-        parts, end = list[list[int]](), -1
+    def firsts(self, times: Iterable[int]) -> Times:
+        """The first measurement of each visit that some sorted times begin."""
+        firsts, end = list[int](), self.open_until
         for time in times:
             if time >= end:
-                parts.append([])
+                firsts.append(time)
                 end = self.ends[time]
-            parts[-1].append(time)
-        return [tuple(part) for part in parts]
+        return tuple(firsts)
 
     def number(self, times: Iterable[int]) -> int:
         """The number of visits that some sorted times begin."""
-        number, end = 0, self.open_until
-        for time in times:
-            if time >= end:
-                number, end = number + 1, self.ends[time]
-        return number
+        return len(self.firsts(times))
+
+    def end(self, times: Iterable[int]) -> int:
+        """The first point after the last visit of some sorted times."""
+        firsts = self.firsts(times)
+        return self.ends[firsts[-1]] if firsts else self.open_until
+
+    def parts(self, times: Times) -> list[Times]:
+        """The measurements of each visit; `times` are sorted."""
+        starts = (bisect_left(times, first) for first in self.firsts(times))
+        bounds = pairwise(sorted({0, *starts, len(times)}))
+        return [times[start:stop] for start, stop in bounds]
 
     def begins(self, last: NDArray[np.int64], time: NDArray[np.int64] | int) -> NDArray[np.bool_]:
         """Whether a measurement after a last one (-1: none) begins a visit at the latest.
@@ -70,8 +78,6 @@ class Visits:
 
     def since(self, first: int, taken: Times) -> "Visits":
         """The visits from a point on, after some measurements; points count from there."""
-        parts = self.parts(taken)
-        end = self.ends[parts[-1][0]] if parts else 0
-        most = None if self.most is None else max(0, self.most - len(parts))
+        most = None if self.most is None else max(0, self.most - self.number(taken))
         ends = tuple(end - first for end in self.ends[first:])
-        return Visits(ends, self.price, most, max(0, end - first))
+        return Visits(ends, self.price, most, max(0, self.end(taken) - first))

@@ -62,6 +62,8 @@ class Bound(Shown):
         The labels of the sets on pages, by name.
     sign : int
         -1 if the expected MSE and the bound of a gap are minus the information, in nats; else 1.
+    has_fewer : bool
+        Whether the budget of a gap is the largest number of measurements: sets may have fewer.
     """
 
     run: Path
@@ -81,6 +83,7 @@ class Bound(Shown):
     within: float | None = None
     labels: Mapping[str, str] = field(default_factory=dict, repr=False)
     sign: int = 1
+    has_fewer: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
@@ -217,4 +220,5 @@ def bound(
         within,
         proved.labels,
         built.job.criterion.sign,
+        built.feasible.has_fewer,
     )

@@ -88,11 +88,12 @@ def bound_page(
         number, label = len(each["measurement_times"]), labels[name]
         if not each["reason"]:
             sentence = (
-                nats_sentence(each | common, number)
+                nats_sentence(each | common, number, has_fewer=answer["has_fewer"])
                 if answer["sign"] < 0
                 else gap_sentence(
                     each | common,
                     number,
+                    has_fewer=answer["has_fewer"],
                     is_constrained=constrained,
                     has_scenarios=answer["has_scenarios"],
                 )

@@ -263,10 +263,11 @@ def _proof(subject: Subject, row: Row) -> str:
         return ""
     problem = problem_of(subject.run)
     if subject.criterion.sign < 0:
-        return nats_sentence(proof, row.measurements)
+        return nats_sentence(proof, row.measurements, has_fewer=problem.feasible.has_fewer)
     sentence = gap_sentence(
         proof,
         row.measurements,
+        has_fewer=problem.feasible.has_fewer,
         is_constrained=problem.is_constrained,
         has_scenarios=bool(subject.scenarios),
     )

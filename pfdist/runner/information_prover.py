@@ -145,7 +145,7 @@ class InformationProver(Prover):
         if not own.value:
             return Gap(name, times, own, "its measurements tell nothing")
         scale = 1 / -own.value
-        spent = self._most if self._built.job.problem.feasible.counted else 0
+        spent = self._built.job.problem.feasible.measurement_budget or 0
         gap, at_most = more.value * scale, more.at_most(self.confidence) * scale
         return Gap(
             name, times, own, "", spent, bound.times(-1.0), (), gap, at_most,

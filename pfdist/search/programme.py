@@ -181,7 +181,8 @@ class Programme:
 
     def _until(self, moves: Moves) -> Array:
         """Sums of errors from the last measurement of each state up to and with a measurement."""
-        between = self._between(moves.before // self.relaxation.ages, moves.time)
+        windows = (moves.before // self.relaxation.ages).astype(np.int64)
+        between = self._between(windows, moves.time)
         if self.multipliers:
             way = self.relaxation.constraints.points.way(moves.time)
             between = between + self.multipliers[way] + self.multipliers[-1] * moves.begun

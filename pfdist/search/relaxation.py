@@ -38,7 +38,10 @@ NOTHING = -1
 """First entry of a window before which nothing is measured: the window is a whole beginning."""
 
 _MOST_INSTALLATIONS = 6  # whose choices have programmes, two for each more
-_MOST_STATES = 10_000_000  # and sums, with visits of which the first measurement counts
+_MOST_CHOICES = 100_000_000  # times states and sums
+# With visits of which the first measurement counts:
+_MOST_STATES = 10_000_000  # times sums
+_MOST_MOVES = 30_000_000
 
 Window = tuple[int, ...]
 """Measurement times, sorted. Every allowed instant up to the first is measured."""
@@ -47,15 +50,16 @@ START: Window = (NOTHING,)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+States = NDArray[np.int32]
 
 
 class Moves(NamedTuple):
     """All moves from one state to the next by a measurement at one time; see `Relaxation.ages`."""
 
     time: int
-    before: Indices  # (n,): the state before the measurement, sorted by the state after it
-    to: Indices  # (n,): the state after it
-    begun: Indices  # (n,): the number of visits that it begins, 0 or 1
+    before: States  # (n,): the state before the measurement, sorted by the state after it
+    to: States  # (n,): the state after it
+    begun: NDArray[np.bool_]  # (n,): whether it begins a visit
     after: Indices  # (m,): the states after it; all differ
     starts: Indices  # (m,): the first place in `before` of each state after it
 
@@ -111,7 +115,9 @@ class Relaxation:
         """
         visits = self.constraints.visits
         longest = 1 if visits is None else visits.longest(self.constraints.points)
-        return longest if len(self.windows) * longest * (self.total + 1) <= _MOST_STATES else 1
+        if longest == 1 or len(self.windows) * longest * (self.total + 1) > _MOST_STATES:
+            return 1
+        return longest if np.count_nonzero(self.after >= 0) * longest <= _MOST_MOVES else 1
 
     def priced(self, moves: Moves) -> Indices:
         """The price of each move, with a visit that it begins, in units, (n,)."""
@@ -131,9 +137,12 @@ class Relaxation:
     def installations(self) -> tuple[tuple[int, frozenset[int]], ...]:
         """For each choice of installed sensors, the price in units, and the ways of the others.
 
-        With many prices of installations, only the highest count.
+        With many prices of installations, or many states, only the highest count.
         """
         known = sorted(self.constraints.install_units)[-_MOST_INSTALLATIONS:]
+        size = len(self.windows) * self.ages * (self.total + 1)
+        while known and 2 ** len(known) * size > _MOST_CHOICES:
+            known = known[1:]
         choices = list[tuple[int, frozenset[int]]]()
         for used in product((True, False), repeat=len(known)):
             paid = sum(units for (units, _), is_used in zip(known, used, strict=True) if is_used)
@@ -230,9 +239,10 @@ class Relaxation:
         moves = []
         for time in self.constraints.allowed:
             windows = np.flatnonzero(self.after[:, time] >= 0)
-            before = (windows[:, None] * self.ages + np.arange(self.ages)).ravel()
+            states = windows[:, None] * self.ages + np.arange(self.ages)
+            before = states.ravel().astype(np.int32)
             begun, age = self._visit(before, time)
-            to = self.after[before // self.ages, time] * self.ages + age
+            to = (self.after[before // self.ages, time] * self.ages + age).astype(np.int32)
             order = np.flatnonzero(age < self.ages)
             order = order[np.argsort(to[order], kind="stable")]
             after, starts = np.unique(to[order], return_index=True)
@@ -240,12 +250,12 @@ class Relaxation:
                 moves.append(Moves(time, before[order], to[order], begun[order], after, starts))
         return moves
 
-    def _visit(self, before: Indices, time: int) -> tuple[Indices, Indices]:
-        """Whether a measurement begins a visit after each state, 0 or 1, and the age after it."""
+    def _visit(self, before: States, time: int) -> tuple[NDArray[np.bool_], Indices]:
+        """Whether a measurement begins a visit after each state, and the age after it."""
         visits, points = self.constraints.visits, self.constraints.points
         if visits is None:
-            return np.zeros(before.size, np.int64), np.zeros(before.size, np.int64)
-        window, age = np.divmod(before, self.ages)
+            return np.zeros(before.size, np.bool_), np.zeros(before.size, np.int64)
+        window, age = np.divmod(before.astype(np.int64), self.ages)
         last = self.last[window]
         first = np.where(last < 0, NOTHING, (points.instant(last) - age) * points.ways)
         if self.ages == 1:
@@ -254,7 +264,7 @@ class Relaxation:
         older = np.where(last < 0, 0, age + points.instant(time) - points.instant(last))
         possible = (last < 0) | (first >= 0)
         age = np.where(possible, np.where(begun | (self.ages == 1), 0, older), self.ages)
-        return begun.astype(np.int64), age
+        return begun, age
 
     def spent(self, times: Times) -> int:
         """The sum, in units, of the bound for a set: its size, or all of the money."""

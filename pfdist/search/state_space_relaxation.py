@@ -19,6 +19,7 @@ resource constrained elementary shortest path problem", Networks 51, 2008.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,9 +222,10 @@ class StateSpaceRelaxation:
         together = max(_PATHS_IF_EXACT, self.paths) if exact else self.paths
         share = max(_PATHS_EACH, together // len(left))
         below = {spent: np.inf if by_draws else least[spent] for spent in left}
-        paths = [t for s in left for t in near_optimal(programmes[s], s, share, below[s])]
+        paths_of = {s: near_optimal(programmes[s], s, share, below[s]) for s in left}
+        paths = [*chain.from_iterable(paths_of.values())]
         evaluated = {evaluation.measurement_times for evaluation in state.whole}
-        whole = dict.fromkeys(self._whole(programmes[max(self._sought)], paths))
+        whole = dict.fromkeys(t for s in left for t in self._whole(programmes[s], s, paths_of[s]))
         sets = tuple(times for times in whole if times not in evaluated)
         # The new windows have no errors yet: the next generation asks for them, and for the sets.
         grown = relaxation.grown(*longer(relaxation, paths)).without(state.infinite)
@@ -241,32 +243,43 @@ class StateSpaceRelaxation:
         """The best sets by their own errors; with `sought`, the best of each number or price."""
         if not self.sought:
             return best_of(state.whole)
+        found, unit = dict[Times, Evaluation](), self._start.unit
+        prices = {
+            each.measurement_times: self._price(each.measurement_times) for each in state.whole
+        }
         ranked = sorted(state.whole, key=lambda evaluation: evaluation.expected_mse)
-        within = self._start.is_within
-        best = (
-            next((each for each in ranked if within(each.measurement_times, spent)), None)
-            for spent in sorted(self.sought, reverse=not self.feasible.counted)
-        )
-        found = {each.measurement_times: each for each in best if each is not None}
+        for spent in sorted(self.sought, reverse=not self.feasible.counted):
+            # Each price that is rounded down to the sum may be the one that is sought.
+            for most in range(spent * unit, (spent + 1) * unit):
+                for each in ranked:
+                    price = prices[each.measurement_times]
+                    if price == most or (price < most and not self.feasible.counted):
+                        found[each.measurement_times] = each
+                        break
         return tuple(found.values())
 
-    def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
-        """The paths that can be paid for, completed to feasible sets.
+    def _price(self, times: Times) -> int:
+        return len(times) if self.feasible.counted else self.feasible.spent(times)
+
+    def _whole(self, programme: Programme, spent: int, paths: list[Times]) -> list[Times]:
+        """The paths of a sum that can be paid for, completed to feasible sets.
 
         Paths may break limits; then they are repaired.
 
         Where prices are rounded down, all paths may be too expensive. Then paths of smaller and
         smaller sums are tried, until one can be paid for.
         """
-        if self.feasible.is_limited:
-            return [self.feasible.repair(times, np.random.default_rng(0)) for times in paths]
-        if self.feasible.counted:
+        feasible, unit, whole, tried = self.feasible, self._start.unit, list[Times](), paths
+        if feasible.counted and not feasible.is_limited:
             return paths
-        spent, tried = programme.most, paths
+        most = min(feasible.total, spent * unit) if self.sought else feasible.total
         while True:
-            paid = [*map(self.feasible.completed, filter(self.feasible.allows, tried))]
-            if paid or programme.relaxation.unit == 1 or spent == 0:
-                return paid
+            if feasible.is_limited:
+                whole += [feasible.repair(times, np.random.default_rng(0)) for times in tried]
+            else:
+                whole += map(feasible.completed, filter(feasible.allows, tried))
+            if unit == 1 or spent == 0 or any(feasible.spent(times) <= most for times in whole):
+                return whole
             spent -= 1
             tried = near_optimal(programme, spent, len(paths), np.inf)
 

@@ -5,6 +5,7 @@ All feasible sets are written down here as the manual says them, and tried one b
 
 import re
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
@@ -12,19 +13,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+import pfdist
 from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from oracles.three_sensors import ThreeSensors
 from oracles.windows import counted_errors
-from pfdist import Problem, StateSpaceModel, budget
+from pfdist import Problem, StateSpaceModel, budget, plan
 from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_errors, expected_mse
+from pfdist.problem.clock import Clock
+from pfdist.problem.even_grids import even_grids
 from pfdist.problem.feasible import Feasible, rest_of
+from pfdist.problem.points import Points
 from pfdist.search import Exchange, Optimiser, StateSpaceRelaxation
 from pfdist.search.gaps import gaps_with
 from pfdist.search.programme import Programme, longer, near_optimal, with_multipliers
 from pfdist.search.relaxation import relaxation_with
+from pfdist.search.state_space_relaxation import first_relaxation
 
 HORIZON = 9
 PRICES = [1.0, 2, 1, 1, 2, 1, 1, 3, 1, 1]
@@ -285,6 +291,19 @@ def test_installed_sensors_and_groups(kind: str) -> None:
     assert max(excess) < 0.01
 
 
+def test_a_sensor_of_a_group_may_repeat() -> None:
+    """The others of the group wait; the ways are near a, near b, far and both."""
+    sensors = {"near": {"together": "g", "repeats": 2}, "far": {"together": "g"}, "both": {}}
+    problem = Problem(_three(0), horizon=1, measurement_budget=8, sensors=sensors)
+    feasible = problem.job(seed=1).problem.feasible
+    wanted = _every(8, lambda m: not any({t, t + 1} & {*m} and t + 2 in m for t in (0, 4)))
+    assert [*feasible.every()] == sorted(wanted)
+    for times in wanted:
+        later = range(max(times, default=-1) + 1, 8)
+        beyond = {t for t in later if (*times, t) not in wanted}
+        assert beyond == {*feasible.beyond_limits(times)} & {*later}
+
+
 # --- what is left after measurements --------------------------------------------------------------
 
 
@@ -303,6 +322,107 @@ def test_the_rest_are_the_sets_that_begin_with_what_was_measured(kind: str) -> N
             assert [tuple(t + first for t in times) for times in rest.every()] == wanted
 
 
+def test_at_the_end_fewer_measurements_fit_than_are_left() -> None:
+    feasible = _feasible({"measurement_budget": 4, "visits": {"most": 2, "within": 3}})
+    for first in range(1, HORIZON + 1):
+        rest = rest_of(feasible, (0,), first)
+        assert rest is not None
+        assert rest.total == min(3, HORIZON + 1 - first)
+
+
+def test_required_times_that_no_visit_is_left_for_are_left_out() -> None:
+    visits = {"most": 2, "within": 2}
+    feasible = _feasible({"measurement_budget": 4, "required": [5, 9], "visits": visits})
+    rest = rest_of(feasible, (0,), 1)
+    assert rest is not None
+    assert rest.required == (4,)
+
+
+@pytest.mark.parametrize("taken", [(0,), (0, 1), (0, 2), (1, 4), (2,)])
+def test_what_is_left_of_what_is_left(taken: Times) -> None:
+    """A visit that has begun goes on, however often the rest is taken."""
+    feasible = _feasible({"measurement_budget": 5, "visits": {"most": 2, "within": 4}})
+    once, (first, *later), stop = rest_of(feasible, taken, taken[-1] + 1), taken, taken[-1] + 1
+    rest = rest_of(feasible, (first,), first + 1)
+    assert rest is not None
+    twice = rest_of(rest, tuple(t - first - 1 for t in later), stop - first - 1)
+    assert once is not None
+    assert twice is not None
+    assert [*once.every()] == [*twice.every()]
+    for times in once.every():
+        beyond = {t for t in range(max(times, default=-1) + 1, once.possible)
+                  if not once.is_within_limits((*times, t))}  # fmt: skip
+        assert beyond == {*once.beyond_limits(times)} - {*range(max(times, default=-1) + 1)}
+
+
+@pytest.mark.parametrize("criterion", ["expected_mse", "information"])
+def test_a_bound_names_the_largest_number_of_measurements(tmp_path: Path, criterion: str) -> None:
+    """Two visits have no room for all six; nothing has a price."""
+    visits = {"most": 2, "within": 2}
+    problem = Problem(
+        "random_walk", horizon=9, measurement_budget=6, visits=visits, criterion=criterion,
+        engine="kalman",
+    )  # fmt: skip
+    run = plan(problem, tmp_path, changes=["comparison.draws=48"], report=False, pool="serial")
+    proved = str(pfdist.bound(run, figures=False, pool="serial"))
+    assert "no other set of at most 6 times" in " ".join(proved.split())
+
+
+# --- sizes ----------------------------------------------------------------------------------------
+
+
+def test_a_long_horizon_leaves_out_the_first_measurements_of_visits() -> None:
+    """All moves between their states would need gigabytes; the bound is then lower."""
+    visits = {"most": 3, "within": 24}
+    keys = {"horizon": 1999, "measurement_budget": 4, "visits": visits}
+    feasible = Problem("linear_gaussian", **keys).job(seed=1).problem.feasible
+    relaxation = relaxation_with(feasible, 1, 10)
+    assert relaxation.ages == 1
+    assert relaxation_with(_feasible(KINDS["at most two within three"][0]), 2, 10).ages == 3
+
+
+def test_with_many_states_only_the_highest_prices_of_installations_count() -> None:
+    """Programmes for all choices of six would need gigabytes."""
+    points = Points(Clock.counting(1499), tuple("abcdef"))
+    feasible = Feasible(
+        horizon=1499, price=(1,) * points.number, total_price=200, points=points, smaller=True,
+        installs=tuple((10 + way, (way,)) for way in range(6)),
+    )  # fmt: skip
+    choices = relaxation_with(feasible, 1, 10).installations
+    assert len(choices) == 2**5
+    assert max(price for price, _ in choices) == 11 + 12 + 13 + 14 + 15
+
+
+def test_many_visits_have_few_grids() -> None:
+    keys = {"horizon": 299, "measurement_budget": 100, "visits": {"most": 50, "within": 3}}
+    grids = even_grids(Problem("linear_gaussian", **keys).job(seed=1).problem.feasible)
+    assert len(grids) < 700
+
+
+@pytest.mark.parametrize("fee", [0, 10.5])
+def test_a_curve_in_coarse_units_has_a_plan_for_each_price(fee: float) -> None:
+    """Prices are rounded down in the programme. Each plan is one that can be paid for."""
+    prices = [20.92, 11.74, 6.02, 5.41, 25.33, 27.82, 20.17, 23.24, 18.59, 28.38]
+    visits = {"visits": {"price": fee, "within": 3}} if fee else {}
+    keys = {"price": prices, "total_price": 90, **visits}
+    feasible, model = replace(_feasible(keys), smaller=True), SYSTEMS["oscillator"]
+    start = first_relaxation(feasible, 3, 0)
+    assert start.unit > 1
+    sums = tuple(price * 100 // start.unit for price in (40, 60, 90))
+    search = StateSpaceRelaxation(feasible, sought=sums, start=start)
+    state, rng = search.init(), np.random.default_rng(1)
+    while not search.done(state):
+        state = search.tell(state, exactly(model, HORIZON, search.ask(state, rng)))
+    found = [each.measurement_times for each in search.finalists(state)]
+    every = [times for n in range(8) for times in combinations(range(HORIZON + 1), n)]
+    for price in (40, 60, 90):
+        own, best = (
+            expected_mse(model, HORIZON, [m for m in sets if feasible.price_of(m) <= price]).min()
+            for sets in (found, every)
+        )
+        assert own < 1.02 * best
+
+
 # --- refusals and words ---------------------------------------------------------------------------
 
 SENSORS = {"near": {"price": 1}, "far": {"price": 2}, "both": {"price": 1}}
@@ -317,6 +437,8 @@ SENSORS = {"near": {"price": 1}, "far": {"price": 2}, "both": {"price": 1}}
         ({"visits": {"price": 2, "within": 2}}, "visits.price needs total_price"),
         ({"visits": {"most": 2, "per": "day"}}, "visits.per = 'day' needs dates"),
         ({"visits": {"most": 2, "allowed": ["3:5", "5:7"]}}, "must list visits one after"),
+        ({"visits": {"most": 2, "allowed": []}}, "should have at least 1 item"),
+        ({"visits": {"most": 2, "allowed": ["1:5:2"]}}, "all instants from one to another"),
         ({"visits": {"most": 1, "within": 2}, "required": ["0 5 far"]}, "must keep the limits"),
         ({"visits": {"most": 1, "within": "2 h"}}, "the clock has no unit"),
         ({"visits": {"most": 0, "within": 2}}, "at least 1, got 0"),
@@ -344,6 +466,10 @@ def test_answers_and_refusals_name_visits() -> None:
         "Mon 4 May: 08:00, 16:00",
         "Wed 6 May: 00:00",
     ]
+    by_days = {"start": "2026-05-04", "step": "1 d"}
+    weeks = {"measurement_budget": 4, "clock": by_days, "visits": {"most": 2, "per": "week"}}
+    days = Problem("linear_gaussian", horizon=20, **weeks).job(seed=1).problem
+    assert days.by_visit(["2026-05-06"]) == ["t = 2026-05-06"]
     too_many = problem.broken([f"2026-05-0{day}T08:00" for day in (4, 5, 6)])
     assert too_many == ["problem.visits.most is 2, got 3 visits"]
     paid = Problem("linear_gaussian", horizon=HORIZON, **KINDS["paid within three"][0])
