@@ -73,7 +73,7 @@ COMMANDS = {
     ),
     "budget": Command(
         "pfdist.questions.budget:budget",
-        "Find times for each number of measurements, and compare them with regular times.",
+        "Find times for each number or price, and compare them with evenly spaced ones.",
         {
             "pfdist budget jobs/plan.toml --measurements 5:41": (
                 "Show how the error falls with 5, 6, ..., 41 measurements"

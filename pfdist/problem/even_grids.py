@@ -27,8 +27,9 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
 
     Each is t = first + k * step, moved to the nearest instants, and then, if it is not feasible, to
     the nearest feasible set of instants. A set in which two times would be one instant is left out.
-    With several sensors there are the regular times alone. With visits, these are evenly spaced, as
-    many as possible or fewer, and so are the measurements of each.
+    With several sensors these are regular times of each sensor alone, and of all in rotation. With
+    visits, these are evenly spaced, as many as possible or fewer, and so are the measurements of
+    each; one sensor measures.
 
     `ends` is the number of first times, and that of last times, over one step from an end of the
     horizon. Whole steps, which few measurements of an oscillation may need, have four places, or
@@ -38,16 +39,17 @@ def even_grids(feasible: Feasible, *, ends: int = _ENDS, every: bool = False) ->
     >>> grids[0], (0, 3, 6, 9) in grids, len(grids)
     ((0, 4, 7, 11), True, 41)
     """
-    regular = feasible.regular()
-    instants = np.array(feasible.points.clock.times, np.float64)
+    regular, points = feasible.regular(), feasible.points
+    instants = np.array(points.clock.times, np.float64)
     if feasible.visits:
         fewer = np.geomspace(max(1, feasible.visits.number(regular)), 1, _NUMBERS).round()
         numbers = dict.fromkeys(fewer.astype(int).tolist())
         spans = ((number, span) for number in numbers for span in _spans(instants, number, ends))
-        near = (feasible.visits_near(np.linspace(*span, number).tolist()) for number, span in spans)
+        targets = [np.linspace(*span, number).tolist() for number, span in spans]
+        near = (feasible.visits_near(each, way) for way in range(points.ways) for each in targets)
         return tuple(dict.fromkeys((regular, *(times for times in near if times))))
-    if feasible.points.ways > 1:
-        return (regular,)
+    if points.ways > 1:
+        return tuple(dict.fromkeys((regular, *feasible.references.values())))
     found, number = [regular], len(regular)
     grids = [
         tuple(np.abs(instants - np.linspace(*span, number)[:, None]).argmin(axis=1).tolist())

@@ -222,14 +222,14 @@ class Feasible(Constraints):
                         moved.append(changed)
         return moved
 
-    def visits_near(self, targets: Sequence[float]) -> Times | None:
+    def visits_near(self, targets: Sequence[float], way: int | None = None) -> Times | None:
         """As many measurements as possible in visits around some times; None if there are none.
 
-        The cheapest sensor measures. The measurements are divided evenly among the visits, and are
-        evenly spaced in each. A visit lies around the nearest allowed time.
+        One sensor measures, by default the cheapest. The measurements are divided evenly among the
+        visits, and are evenly spaced in each. A visit lies around the nearest allowed time.
         """
-        times = self.points.clock.times
-        own = np.array([t for t in self.allowed if self.points.way(t) == self.cheapest])
+        times, way = self.points.clock.times, self.cheapest if way is None else way
+        own = np.array([t for t in self.allowed if self.points.way(t) == way])
         if self.visits is None or not own.size:
             return None
         when = np.array([times[self.points.instant(t)] for t in own.tolist()])

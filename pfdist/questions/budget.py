@@ -42,7 +42,7 @@ def budget(
     reuse: str | Path | Iterable[str | Path] = (),
     **options: Unpack[Options],
 ) -> Run:
-    """Find times for each number of measurements or price, and compare them with others.
+    """Find times for each number or price, and compare them with evenly spaced ones.
 
     One dynamic programme finds the times for all numbers. The found times and the evenly spaced
     times of each number then filter the same fresh draws. Another programme proves for each number

@@ -268,14 +268,8 @@ def test_a_mistake_is_one_line(
     assert not Path("nowhere").exists()
 
 
-def test_money_and_other_searches_are_refused(small_job: Job) -> None:
+def test_other_searches_are_refused(small_job: Job) -> None:
     text = small_job.path.read_text()
-    money = text.replace("measurement_budget = 4", f"price = {[1] * 13}\ntotal_price = 4")
-    small_job.path.write_text(money)
-    with pytest.raises(
-        JobError, match=r"needs problem.measurement_budget, got problem.total_price"
-    ):
-        pfdist.budget(small_job.path, (2, 3))
     small_job.path.write_text(f"{text}\n[budget]\nleast = 2\nmost = 3\n")
     with pytest.raises(JobError, match=f"search of method '{DEFAULT_METHOD}', got genetic, random"):
         pfdist.load_job(small_job.path)
