@@ -23,6 +23,7 @@ from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
+from pfdist.kernels.rules import Rule
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.library.linear_gaussian import linear_gaussian
@@ -64,7 +65,8 @@ class Case:
     Parameters
     ----------
     series : str
-        The varied quantity: a key of `SIZES`, or ``kind`` for model and resampling.
+        The varied quantity: a key of `SIZES`, ``kind`` for model and resampling, or ``rule`` for
+        filters that measure by a rule, with as many measurements on average.
     """
 
     series: str = "kind"
@@ -93,6 +95,8 @@ def cases(quick: bool) -> Iterator[Case]:
     for model in installed_of(MODELS):
         for resampling in _fitting(model):
             yield Case(model=model, resampling=resampling)
+    for size in SIZES["particles"][1:5]:
+        yield Case("rule", particles=size, draws=Case().draws * 500 // size)
     for series, sizes in SIZES.items():
         for resampling in ("multinomial", "systematic"):
             for size in sizes[: len(sizes) // 2 + 1 : 2] if quick else sizes:
@@ -156,6 +160,8 @@ def _calls(case: Case) -> Callable[[], None]:
     draws = simulate(model, case.horizon, range(case.draws), stream=1)
     times = regular(case.horizon, case.measurement_budget)
     settings = Estimation(case.particles, case.resampling)
+    if case.series == "rule":
+        times, settings = tuple(range(case.horizon + 1)), replace(settings, rule=Rule(6.18))
     once = partial(filter_checked_draws, model, draws, times, 2, settings)
 
     def call() -> None:
@@ -233,6 +239,7 @@ def summary(tables: Tables) -> str:
             f"otherwise. Processor time, least of {rows['repeats'].iloc[0]} repeats in turns; the "
             f"median lies up to {spread:.0%} higher, the least wall time {busy:.0%}.",
             by_kind,
+            *_rule_table(rows),
             "How it grows (multinomial). Power: time grows as size to it, least squares "
             "over all sizes.",
             _growth_table(rows),
@@ -241,6 +248,17 @@ def summary(tables: Tables) -> str:
             _first_call_table(tables["first_call"]),
         ]
     )
+
+
+def _rule_table(rows: pd.DataFrame) -> list[str]:
+    fixed = rows[(rows["series"] == "particles") & (rows["resampling"] == "multinomial")]
+    both = rows[rows["series"] == "rule"].merge(fixed, on="particles", suffixes=("", "_fixed"))
+    lines = (
+        [f"{particles:,.0f}", f"{ns:.2f}", f"{fixed_ns:.2f}", f"{ns / fixed_ns:.2f}"]
+        for particles, ns, fixed_ns in both[["particles", "ns", "ns_fixed"]].to_numpy(float)
+    )
+    head = ["particles", "by a rule, ns a particle-step", "fixed times", "ratio"]
+    return [markdown(head, lines)] if len(both) else []
 
 
 def _growth_table(rows: pd.DataFrame) -> str:

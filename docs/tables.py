@@ -23,7 +23,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import program
 from pfdist.cli.words import FLAGS, shown_default
 from pfdist.common.component_names import Component
-from pfdist.common.rounding import with_error
+from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.section import JobSection, keys_of_section
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
@@ -503,6 +503,28 @@ def robust() -> str:
     return _table(["job", "planned for", *errors, *losses], rows)
 
 
+def rules() -> str:
+    """Give the table of rules against plans, from their benchmark."""
+    rows = []
+    for row in pd.read_csv(BENCHMARKS / "rules.csv", comment="#").to_dict("records"):
+        power = f" x rest^{row['exponent']:g}" * (row["exponent"] > 0)
+        most = f", at most {row['limit']}" * (row["limit"] > 0)
+        excess, *ends = with_interval(*(100 * row[f"excess{end}"] for end in ("", "_low", "_high")))
+        rows.append([
+            f"`{row['job']}`, {row['budget']}",
+            f"{row['threshold']:g}{power}{most}",
+            f"{with_error(row['numbers'], row['numbers_error'])}, {row['numbers_deviation']:.1f}",
+            *(with_error(row[f"{kind}_mse"], row[f"{kind}_error"])
+              for kind in ("rule", "plan", "even")),
+            f"{excess} ({' to '.join(ends)})",
+        ])  # fmt: skip
+    head = [
+        "job, N", "rule", "measurements ± SE, deviation", "expected MSE ± SE", "plan ± SE",
+        "evenly spaced ± SE", "rule less plan, % (95 % CI)",
+    ]  # fmt: skip
+    return _table(head, rows)
+
+
 def engines() -> str:
     """Give the table of engines."""
     rows = [[f"`{engine.name}`", _sentence(engine.description)] for engine in ENGINES.values()]
@@ -583,7 +605,7 @@ TABLES: dict[str, Callable[[], str]] = {
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
         gallery, genetic, stone_soup, wall, simulators, backtest, guided, size, seconds_of_plan,
-        ways, driver, searches, robust, engines, schemes, commands, figures, panels,
+        ways, driver, searches, robust, rules, engines, schemes, commands, figures, panels,
         pools, densities,
     )
 }  # fmt: skip

@@ -33,6 +33,7 @@ from .questions.particle_losses import particle_losses as particle_losses
 from .questions.plan import plan as plan
 from .questions.planner import Planner as Planner
 from .questions.report import report as report
+from .questions.rule import rule as rule
 from .questions.run import run as run
 from .questions.simulate import simulate as simulate
 from .questions.sweep import Sweep as Sweep

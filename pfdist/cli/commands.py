@@ -113,6 +113,15 @@ COMMANDS = {
         },
         resumes=True,
     ),
+    "rule": Command(
+        "pfdist.questions.rule:rule",
+        "Measure when the filter is unsure, and compare this with the plan of a run.",
+        {
+            "pfdist rule jobs/plan.toml": "Tune a rule that measures as often as the plan",
+            "pfdist rule jobs/plan.toml --hard": "Never measure more often than the plan",
+        },
+        resumes=True,
+    ),
     "sweep": Command(
         "pfdist.cli.own:sweep",
         "Run a job at many values of its keys, with the same workers.",
@@ -204,6 +213,9 @@ COMMANDS = {
             "pfdist next jobs/plan.toml patient.csv": "Choose the patient's next measurement time",
             "pfdist next jobs/plan.toml patient.csv --now 17": (
                 "The same, if nothing was measured since, up to t = 17"
+            ),
+            "pfdist next jobs/plan.toml patient.csv --rule": (
+                "Measure by the rule that pfdist rule has tuned"
             ),
         },
     ),

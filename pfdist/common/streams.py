@@ -4,8 +4,8 @@ import hashlib
 import json
 from typing import Any
 
-CHOOSING = ("search", "shortlist", "online", "particles", "proposal", "explore")
-"""Purposes of draws that decide between sets, numbers of particles, or proposals.
+CHOOSING = ("search", "shortlist", "online", "particles", "proposal", "explore", "rule")
+"""Purposes of draws that decide between sets, rules, numbers of particles, or proposals.
 
 Errors on such draws are never reported as proof.
 """

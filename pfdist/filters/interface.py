@@ -128,9 +128,10 @@ def one_by_one(
     mse, degenerate = np.empty((count, len(sets))), np.empty((count, len(sets)), np.bool_)
     sums = np.zeros((len(sets), instants))
     each_draw = np.zeros((*mse.shape, instants if errors else 0))
+    measured = np.empty((count, 0), np.uint8)
     for column, (times, some) in enumerate(zip(sets, map(draws.upto, ends), strict=True)):
         filters = [filter_checked_draws(model, some, times, key, settings, True) for key in keys]
-        until = some.z.shape[1]
+        until, measured = some.z.shape[1], filters[0].measured
         mse[:, column] = _mse(filters, some, estimator) * (until / instants)
         degenerate[:, column] = np.any([each.degenerate for each in filters], axis=0)
         with np.errstate(all="ignore"):
@@ -144,7 +145,7 @@ def one_by_one(
             sums[column] = np.nan
     if errors == SUMS:
         return FilterArrays(mse, degenerate, errors=sums)
-    return FilterArrays(mse, degenerate, errors=all_or_none(each_draw, mse))
+    return FilterArrays(mse, degenerate, errors=all_or_none(each_draw, mse), measured=measured)
 
 
 def all_or_none(errors: Array, mse: Array) -> Array:

@@ -28,6 +28,7 @@ from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan_prefixes
+from pfdist.kernels.rules import Rule
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
@@ -106,7 +107,7 @@ def filter_checked_sets(
         of_instants[~np.isfinite(mse).all(axis=0)] = np.nan
     else:
         of_instants = all_or_none(of_instants, mse)
-    return FilterArrays(mse, degenerate, errors=of_instants)
+    return FilterArrays(mse, degenerate, errors=of_instants, measured=found.measured)
 
 
 def _filter(
@@ -115,10 +116,16 @@ def _filter(
     planned: Plan,
     stream: int,
     settings: Estimation,
-    **others: NDArray[np.float64],
+    **others: NDArray[Any],
 ) -> FilterArrays:
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
+    candidates, apart = np.empty(0, np.uint8), np.empty(0, np.int64)
+    if settings.rule is not None:  # the filter fills the set of each draw itself
+        candidates = planned.measured[0, :, 0].copy()
+        apart = np.array(settings.apart[draws.start :] or draws.instants) - draws.start
+        planned = planned._replace(measured=np.zeros_like(planned.measured))
+        others["measured"] = np.zeros(draws.z.shape[:2], np.uint8)
     mse = np.empty((len(draws.index), len(planned.measured)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
@@ -165,6 +172,9 @@ def _filter(
         kinds=kinds,
         lag=int(np.max(settings.lag)),
         first_smoothed=first_smoothed(settings.lag, draws.instants),
+        rule=settings.rule or Rule(0.0),
+        candidates=candidates,
+        apart=apart,
     )
     filter_all(blocks, request, planned, results, scheme.name)
     callbacks.raise_callback_error()

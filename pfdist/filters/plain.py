@@ -6,6 +6,7 @@ programs, and functions of batched models are called directly.
 """
 
 import math
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, SupportsIndex
@@ -21,6 +22,7 @@ from pfdist.filters.work import Estimation
 from pfdist.kernels.ancestors import LEVELS, ancestors_of, weights_of
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.rules import Rule
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import (
     FILTER_INITIAL,
@@ -80,6 +82,8 @@ def filter_checked_draws(
 
     With a lag, `lines` says whether z along the lines of all particles is wanted, too.
     """
+    if settings.rule is not None:
+        return _by_rule(model, draws, measurement_times, stream, settings, settings.rule)
     count = max(1, _AT_ONCE // settings.particles)
     model = twin_of(model, draws.instants)
     with np.errstate(all="ignore"):
@@ -87,12 +91,42 @@ def filter_checked_draws(
             _filter(model, draws[first : first + count], measurement_times, stream, settings, lines)
             for first in range(0, len(draws.index), count)
         ]
+    return _joined(blocks)
+
+
+def _joined(blocks: list[FilterArrays]) -> FilterArrays:
+    """The arrays of all draws from those of successive blocks."""
     return FilterArrays(
         *(
             np.concatenate(parts, axis=1 if name in ("ranks", "told") else 0)
             for name, parts in zip(FilterArrays._fields, zip(*blocks, strict=True), strict=True)
         )
     )
+
+
+def _by_rule(
+    model: StateSpaceModel, draws: Draws, candidates: Times, stream: int, settings: Estimation,
+    rule: Rule,
+) -> FilterArrays:  # fmt: skip
+    """The filter of each draw with the set that a rule makes of its candidates.
+
+    The set grows by one measurement at a time, and the filter runs again from the beginning.
+    """
+    fixed, end, blocks = replace(settings, rule=None), draws.instants.stop, list[FilterArrays]()
+    for place in range(len(draws.index)):
+        alone, times, left = draws[place : place + 1], Times(), [*candidates]
+        while left:
+            found = filter_checked_draws(model, alone, times, stream, replace(fixed, lag=0))
+            deviation = np.sqrt(found.variance[0].sum(axis=1))
+            level = {t: rule.level(end - t, len(times)) for t in left}
+            high = [t for t in left if deviation[t - draws.start] > level[t]]
+            times += (*high[:1],)
+            following = settings.apart[times[-1]] if high and settings.apart else 0
+            left = [t for t in left if high and t > high[0] and t >= following]
+        own = filter_checked_draws(model, alone, times, stream, fixed)
+        measured = np.isin([*draws.instants], times)[None].view(np.uint8)
+        blocks.append(own._replace(measured=measured))
+    return _joined(blocks)
 
 
 def _filter(
@@ -161,7 +195,7 @@ def _filter(
     mse[degenerate & scheme.holds_truth] = np.nan
     return FilterArrays(
         mse, degenerate, mean, variance, sizes, np.empty((0, 0)), ranks, last, carried, lines,
-        line_z, line_weight, told,
+        line_z, line_weight, told, np.empty((count, 0), np.uint8),
     )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from pfdist.kernels.estimators import (
     SQUARED_ERROR,
 )
 from pfdist.kernels.prefixes import plan_prefixes
+from pfdist.kernels.rules import Rule
 from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
 
 if TYPE_CHECKING:
@@ -50,6 +51,9 @@ class Estimation:
     # instants: the estimate of z(t) uses measurements until t + lag; see `pfdist.kernels.lines`. A
     # tuple, (T+1,), has the lag of each instant
     lag: Lag = 0
+    rule: Rule | None = None  # decides at which of the given times each draw is measured
+    # (T+1,): after a measurement at each instant, the first that a rule may measure
+    apart: Times = ()
 
     @property
     def carries(self) -> bool:
@@ -57,12 +61,15 @@ class Estimation:
         return self.threshold < ALWAYS
 
     @property
-    def recorded(self) -> dict[str, int | float | str]:
+    def recorded(self) -> dict[str, Any]:
         """The fields by name, without those of an evaluator, unused fields and defaults."""
         recorded = {**vars(self)}
         del recorded["prior"], recorded["lag"]
         if not self.carries:
             del recorded["threshold"]
+        for name in ("rule", "apart"):
+            if not recorded[name]:
+                del recorded[name]
         if self.proposal == PLAIN:
             del recorded["proposal"]
         return recorded

@@ -278,6 +278,23 @@ def sum_of_first(values, origin, particles):
 
 
 @vectorised("16 f8")
+def _add_deviations(
+    total: Vector, values: VectorArray, i: Vector, mean: Vector, left: Vector
+) -> Vector:
+    apart = values.load(i, LANES).to("f8") - splat(mean, LANES)
+    return total + _first_lanes(left).select(apart * apart, apart.number(0.0))
+
+
+@compiled
+def sum_of_deviations(values, origin, particles, mean):
+    """The sum of squared deviations of the values of a draw, all with weight 1."""
+    total = _numbers(0.0)
+    for i in range(np.int64(0), particles, np.int64(LANES)):
+        total = _add_deviations(total, values, origin + i, mean, particles - i)
+    return _total(total)
+
+
+@vectorised("16 f8")
 def _add_squares(total: Vector, weight: VectorArray, i: Vector) -> Vector:
     weights = weight.load(i, LANES).to("f8")
     return weights.fma(weights, total)

@@ -16,6 +16,7 @@ from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.memory import ahead, call, readers
 from pfdist.kernels.prefixes import Plan
+from pfdist.kernels.rules import Rule
 from pfdist.kernels.variates import Key, VariateRow
 
 INITIAL, TRANSITION, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
@@ -95,6 +96,10 @@ class FilterRequest(NamedTuple):
     lag: int
     # (T+1,): the first instant whose estimate uses the measurement at each instant
     first_smoothed: NDArray[np.int64]
+    rule: Rule
+    # (T+1,): whether the rule may measure at each instant; empty without a rule
+    candidates: NDArray[np.uint8]
+    apart: NDArray[np.int64]  # (T+1,): and the first instant after a measurement at each
 
 
 INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
@@ -144,6 +149,8 @@ class FilterArrays(NamedTuple):
     # (2, D, T+1), of the plain twin: log evidence of an instant's measurements, and the particles'
     # mean log-likelihood after them; 0 without a measurement
     told: NDArray[np.float64] = np.empty((2, 0, 0))
+    # (D, T+1): whether a rule measures each draw at each instant; else empty
+    measured: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
 
 
 class Wanted(NamedTuple):
@@ -211,6 +218,7 @@ class Steps(NamedTuple):
     save: int
     move: int
     put_truth: int
+    decide: int
     forget: int
     weigh: int
     leave_out: int

@@ -16,6 +16,7 @@ from pfdist.kernels.ancestors import (
     Search,
     resampling_scratch,
     sort_by_state,
+    sum_of_deviations,
     sum_of_squares,
     sum_of_weights,
     take_ancestors,
@@ -111,25 +112,23 @@ def _filter_set(at, s):
         begin, stop = stop, plan.stops[k]
         for t in range(begin, stop):
             resamples = goes_on or t + 1 < plan.ends[s]
-            _filter_instant(at, s, t, measuring(at, s, t), resamples)
+            _filter_instant(at, s, t, resamples)
         if plan.slots[k] >= 0:
             call(steps.save, Slot(at, plan.slots[k]))
     call(steps.finish, Instant(at, s, 0, 0, 0))
 
 
 @compiled
-def _filter_instant(at, s, t, sensors, resamples):
+def _filter_instant(at, s, t, resamples):
     """Propagate, weight, estimate and resample; sensors weigh in their turn.
 
     The cloud is also resampled between two sensors, but not propagated. The estimate comes before
-    the last resampling, which adds noise. `sensors` has a bit for each sensor that measures.
+    the last resampling, which adds noise.
     """
     request, steps = request_of(at.work), steps_of(at.work)
+    _predict(Instant(at, s, t, 0, 0))
+    sensors = measuring(at, s, t)
     instant = Instant(at, s, t, sensors, 0)
-    if t > 0:
-        call(steps.move, instant)
-    if steps.put_truth != 0:
-        call(steps.put_truth, instant)
     if steps.set_out != 0 and t == 0:  # with a prior, the path to the first measurement begins here
         call(steps.set_out, instant)
     if sensors != 0:
@@ -144,6 +143,18 @@ def _filter_instant(at, s, t, sensors, resamples):
         call(steps.resample, Instant(at, s, t, sensors, request.sensors))
         if steps.set_out != 0:
             call(steps.set_out, instant)
+
+
+@compiled
+def _predict(instant):
+    """Propagate to an instant; then a rule decides whether it is measured."""
+    steps = steps_of(instant.at.work)
+    if instant.t > 0:
+        call(steps.move, instant)
+    if steps.put_truth != 0:
+        call(steps.put_truth, instant)
+    if steps.decide != 0:
+        call(steps.decide, instant)
 
 
 @compiled
@@ -266,6 +277,46 @@ def _put_truth(instant):
         x = ahead(request.x, ((at.first + d) * request.instants + t) * request.states)
         for c in range(request.states):
             cloud[c * batch.stride + d * batch.width] = x[c]
+
+
+@entry(Instant)
+def _decide(instant):
+    """Measure if the standard deviation of z exceeds the level of the rule, see `Rule`.
+
+    The batch has a single draw, whose set is that of the plan. Later steps read the set there.
+    """
+    at, s, t, _, _ = read(instant)
+    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
+    rule, row, measured = request.rule, batch.row, plan_of(at.work).measured
+    own, level = ahead(results.measured, at.first * request.instants), rule.threshold
+    if rule.limit > 0:
+        left = rule.limit
+        for earlier in range(t):
+            left -= own[earlier]
+        level = np.inf
+        if left > 0:
+            level = rule.threshold * ((request.instants - t) / left) ** rule.exponent
+    own[t] = 0
+    last = t - 1
+    while last >= 0 and own[last] == 0:
+        last -= 1
+    is_apart = last < 0 or t >= request.apart[last]
+    mean = ahead(batch.moments, request.quantities * row)
+    _fill_mean_of_z(at, t, mean)
+    if request.candidates[t] != 0 and is_apart and level < np.inf:
+        total = 0.0
+        if request.is_state and batch.weighted[0] == 0:  # the same, in one pass
+            for c in range(request.quantities):
+                values = ahead(present(at), request.components_of_state[c] * batch.stride)
+                total += sum_of_deviations(values, 0, request.particles, mean[c * row])
+            total /= request.particles
+        else:
+            variance = ahead(mean, request.quantities * row)
+            _fill_variances(at, t, mean, variance)
+            for c in range(request.quantities):
+                total += variance[c * row]
+        own[t] = np.sqrt(total) > level
+    measured[s * request.instants + t] = own[t]
 
 
 # --- measurements ---------------------------------------------------------------------------------
@@ -435,9 +486,19 @@ def _resample(instant):
 def _estimate(instant):
     """Estimate z(t) of each draw, and add the errors."""
     instant = read(instant)
-    at, s, t, _, _ = instant
+    at, s, t, sensors, _ = instant
     request, steps, batch = request_of(at.work), steps_of(at.work), batch_of(at.work)
-    cloud, mean = present(at), ahead(batch.moments, request.quantities * batch.row)
+    if steps.decide == 0 or sensors != 0:  # else the mean is that by which the rule decided
+        _fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row))
+    if steps.estimate_variance != 0:
+        call(steps.estimate_variance, instant)
+    add_squared_errors(at, s, t)
+
+
+@compiled
+def _fill_mean_of_z(at, t, mean):
+    """Fill rows of draws with the weighted mean of each component of z."""
+    request, batch, cloud = request_of(at.work), batch_of(at.work), present(at)
     if request.is_state:
         for r in range(request.means):
             values = ahead(cloud, request.components_of_state[r] * batch.stride)
@@ -446,9 +507,14 @@ def _estimate(instant):
         of_particles(at, QUANTITY, t, cloud, batch.quantity)
         _fill_means(at, batch.means, request.means)
     of_draws(at, ESTIMATE, t, batch.means, mean)
-    if steps.estimate_variance != 0:
-        call(steps.estimate_variance, instant)
-    add_squared_errors(at, s, t)
+
+
+@compiled
+def _fill_variances(at, t, mean, variance):
+    """Fill rows of draws with the variance of each component of z around a mean."""
+    batch = batch_of(at.work)
+    with_given(at, DEVIATIONS, t, present(at), batch.quantity, mean, 1, batch.row)
+    _fill_means(at, variance, request_of(at.work).quantities)
 
 
 @compiled
@@ -468,8 +534,7 @@ def _estimate_variance(instant):
     quantities, row = request.quantities, batch.row
     mean = ahead(batch.moments, quantities * row)
     variance = ahead(mean, quantities * row)
-    with_given(at, DEVIATIONS, t, present(at), batch.quantity, mean, 1, row)
-    _fill_means(at, variance, quantities)
+    _fill_variances(at, t, mean, variance)
     if wanted_of(at.work).moments and sensors != 0:
         record_sizes(at, t)
     add_variances(at, s, t, mean, variance)
@@ -554,6 +619,8 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
+    if request.candidates.size:  # by the rule, each draw has a set of its own
+        draws = 1
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
     )
@@ -584,6 +651,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         save=address(_save, saves),
         move=address(_move),
         put_truth=address(_put_truth, request.holds_truth),
+        decide=address(_decide, request.candidates.size > 0),
         forget=address(_forget),
         weigh=address(_weigh),
         leave_out=address(guided.leave_out, draws_again),
@@ -619,7 +687,8 @@ def _arrays(
     sets = request.sets if request.filters > 1 else 0
     steps, most = 0, int(request.rows.max(initial=0))
     if request.rows.size:
-        steps = guided.longest_gap(plan) + 1
+        by_rule = request.candidates.size > 0  # which may leave any gap
+        steps = (request.instants if by_rule else guided.longest_gap(plan)) + 1
     memory, arrays = zeros(
         CloudBatch,
         half=1,

@@ -10,6 +10,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from pfdist.common.estimate import Estimate
@@ -23,7 +24,7 @@ from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.measurements import Measurements, read_measurements
+from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, few_at
 from pfdist.questions.planned_run import (
@@ -36,6 +37,7 @@ from pfdist.questions.planned_run import (
     table_argument,
 )
 from pfdist.questions.planner import Planner
+from pfdist.questions.rule import NextByRule, rule_of, spread_of
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
@@ -193,10 +195,11 @@ def next_time(
     prior: UserTable | Prior | ArrayLike = "",
     columns: Mapping[str, str] | None = None,
     within: float | None = None,
+    rule: bool = False,
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     say: Say = silent,
-) -> NextTime:
+) -> NextTime | NextByRule:
     """Choose when to measure a system next, from the measurements so far.
 
     Parameters
@@ -223,6 +226,8 @@ def next_time(
     within : float, optional
         Largest distance from a time to the instant that is used instead, if the model's step does
         not read p.dt; by default half a step.
+    rule : bool
+        Measure by the rule that ``pfdist rule`` tuned last for the run, instead of a new plan.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if only that holds a run.
@@ -234,12 +239,13 @@ def next_time(
 
     Returns
     -------
-    NextTime
+    NextTime, or NextByRule
 
     Raises
     ------
     StoreError
-        There is no finished run of the job, or the run is of another job or of other models.
+        There is no finished run of the job, it has no rule, or it is of another job or of other
+        models.
     JobError
         The run has no set of this name.
     MeasurementsError, PriorError
@@ -251,6 +257,11 @@ def next_time(
     plan = planned_run(job, results, changes, say, planned, prior)
     believed = plan.built.evaluator.believed
     clock, points = plan.built.job.problem.clock, plan.built.job.problem.points
+    if rule:
+        by_rule = _by_rule(plan, table, now, reading_of(plan.built, columns, within, say))
+        for line in by_rule.doubts if say is silent else ():
+            warnings.warn(line, PfdistWarning, stacklevel=2)
+        return by_rule
     planner = Planner(plan.built, points.written_of(plan.times), prior=plan.prior)
     feasible = planner.feasible
     start = clock.instant(planner.estimate().t)
@@ -291,6 +302,39 @@ def next_time(
     for line in result._page().alarms if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
+
+
+def _by_rule(
+    plan: PlannedRun, table: Path | pd.DataFrame, now: Any, reading: Reading
+) -> NextByRule:
+    """The first instant at which the spread exceeds the level of the run's rule."""
+    rule, built = rule_of(plan.run.path), plan.built
+    believed, feasible, clock = built.evaluator.believed, built.feasible, built.job.problem.clock
+    start = 0 if plan.prior is None else plan.prior.t
+    rows = read_measurements(table, believed, clock, start, reading)
+    fine = on_clock_of(plan, rows)
+    filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
+    estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
+    at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
+    made = clock.nearest(rows.clock.times[t] for t in rows.t)
+    first = max(start, feasible.spacing.after(max(made, default=-1)))
+    left = [k for k in feasible.allowed if k >= first and at[k] > last]
+    if now is not None and left:
+        passed = _instant_now(now, max(left[0] - 1, 0), clock)
+        left = [k for k in left if k > passed]
+    following, spread, level = None, 0.0, 0.0
+    for k in left:
+        spread = spread_of(filtering.predict(at[k]), believed.is_angle)
+        level = rule.level(feasible.horizon + 1 - k, len(rows.t))
+        if spread > level:
+            following = clock.time(k)
+            break
+    surprise = _surprise_of(estimates)
+    few = next((each.collapsed for each in estimates if each.collapsed is not None), None)
+    doubts = few_at(None if few is None else rows.clock.time(few), clock)
+    doubts += [_SEE_SURPRISE] * (surprise is not None and surprise < IMPROBABLE)
+    measured = tuple(rows.clock.time(t) for t in rows.t)
+    return NextByRule(plan.run.path, rule, measured, following, spread, level, clock, doubts)
 
 
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:

@@ -33,6 +33,7 @@ from pfdist.store.schema import (
     EVEN_PHASE,
     FILTERED_PERCENTS,
     QUESTIONS,
+    RULE_PHASE,
     SCHEMA_VERSION,
     SMOOTHED_START,
     WHY_PHASE,

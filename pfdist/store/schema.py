@@ -70,10 +70,11 @@ KEYS: dict[str, list[str]] = {
 TABLES = tuple(KEYS)
 
 BOUND_PHASE, WHY_PHASE, EVEN_PHASE = "bound.proof", "why.measurements", "evenly.spaced"
-"""Prefix of the phases of lower bounds, the phase of everything that `why` computes, and that of
-the comparison with other numbers of evenly spaced measurements."""
+RULE_PHASE = "rule.draws"
+"""Prefix of the phases of lower bounds, the phase of everything that `why` computes, that of the
+comparison with other numbers of evenly spaced measurements, and that of the draws of rules."""
 
-QUESTIONS = (BOUND_PHASE, WHY_PHASE, EVEN_PHASE)
+QUESTIONS = (BOUND_PHASE, WHY_PHASE, EVEN_PHASE, RULE_PHASE)
 """Phases of questions, without which a run is finished. No search may have these names."""
 
 

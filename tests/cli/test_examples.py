@@ -69,6 +69,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert main(["plan", "jobs/plan.toml", "--bound-draws", "0"]) == 0
+        assert main(["rule", "jobs/plan.toml"]) == 0  # for `pfdist next --rule`
         again = ["--bound-draws", "0", "--set", "seed=2", "--results", "results/budgets/seed=2"]
         assert main(["plan", "jobs/plan.toml", *again]) == 0
         shutil.copytree("results/plan", "results/budgets/seed=1")
@@ -120,7 +121,7 @@ def _run_in_bash(line: str, home: Path) -> None:
 
 
 TAKE_A_RUN = ["compare", "list", "plot", "report", "status", "table", "verify"]
-ASK = {"bound": [], "filter": ["patient.csv"], "next": ["patient.csv"], "why": []}
+ASK = {"bound": [], "filter": ["patient.csv"], "next": ["patient.csv"], "rule": [], "why": []}
 
 
 @pytest.mark.parametrize(

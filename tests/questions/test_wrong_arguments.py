@@ -34,6 +34,7 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("simulate", (PROBLEM,), {"draws": 0}),
     ("check_model", (5,), {}),
     ("why", ("lacking",), {}),
+    ("rule", ("lacking",), {}),
     ("bound", (FINISHED, 5), {}),
     ("filter_measurements", (FINISHED, 5), {}),
     ("filter_measurements", (FINISHED, MEASURED), {"prior": "lacking.csv"}),

@@ -1,0 +1,398 @@
+"""A rule that measures when it is needed, against times that are fixed in advance."""
+
+import json
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+import pandas as pd
+
+from pfdist.common.estimate import Estimate
+from pfdist.common.parsing import parse_json, read_text
+from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
+from pfdist.common.rounding import rounded, unrounded
+from pfdist.common.section import checked
+from pfdist.common.shown import Shown
+from pfdist.errors import JobError, StoreError
+from pfdist.filters.engines import NUMPY
+from pfdist.filters.filter_estimate import FilterEstimate
+from pfdist.kernels.rules import Rule
+from pfdist.models import squared_error
+from pfdist.problem.clock import Clock, Time
+from pfdist.problem.problem import JobSource
+from pfdist.problem.set_key import phrase_of
+from pfdist.questions.at_work import at_work, noted
+from pfdist.questions.options import (
+    Chosen,
+    ComparedDraws,
+    Options,
+    following,
+    other_criterion,
+    with_options,
+)
+from pfdist.questions.run_of_job import own_store, run_and_job
+from pfdist.questions.subject import change_of, effect, is_clear, mse_cell, number_of
+from pfdist.results import Run, finite
+from pfdist.results.online import is_online
+from pfdist.results.pairs import pairs_table
+from pfdist.results.sets import best_first, rows_of_sets
+from pfdist.results.stored_run import check_one_number
+from pfdist.runner.build import Built
+from pfdist.runner.door import RunSession, WorkBatch, complete
+from pfdist.runner.ruling import TUNING_DRAWS, filtered_by, followed, judged_work, tuned
+from pfdist.store import RULE_PHASE, write_file
+
+RULE = "rule"
+FILE = "rule.json"
+"""The last rule that was tuned, in the folder of its run."""
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+@dataclass(frozen=True, repr=False)
+class Ruled(Shown):
+    """Result of `rule`.
+
+    Parameters
+    ----------
+    run : Path
+        Folder of the run.
+    rule : Rule
+        The tuned rule: threshold, exponent, limit (0: none).
+    budget : int
+        The number N of measurements of the plan.
+    plan : str
+        Name of the compared set that was planned.
+    table : DataFrame
+        A row for each judged draw: measurements (their number with the rule), degenerate (whether
+        no particle explains one of them), mse_rule, and the MSE of each other set, as ``mse_NAME``.
+    labels : mapping of str to str
+        The other sets as answers call them.
+    unit : str
+        The unit of z; empty if it is not known.
+    figures : list of Path
+    """
+
+    run: Path
+    rule: Rule
+    budget: int
+    plan: str
+    table: pd.DataFrame
+    labels: Mapping[str, str]
+    unit: str
+    figures: Sequence[Path] = ()
+
+    @property
+    def measurements(self) -> Estimate:
+        """The mean number of measurements of a draw."""
+        return Estimate.of_mean(self.table["measurements"].to_numpy())
+
+    @property
+    def degenerate_draws(self) -> int:
+        """Draws in which no particle explains a measurement of the rule."""
+        return int(self.table["degenerate"].sum())
+
+    @property
+    def pairs(self) -> pd.DataFrame:
+        """The rule against each other set: the columns of the table ``pairs`` of a run."""
+        names = [RULE, *self.labels]
+        errors = self.table[[f"mse_{name}" for name in names]].to_numpy()
+        pairs = pairs_table(names, [errors], {})
+        return pairs[pairs["first"] == RULE].set_index("second")
+
+    def error(self, name: str = RULE) -> Estimate:
+        """The expected MSE with the rule, or with another set, on the same draws."""
+        return Estimate.of_mean(self.table[f"mse_{name}"].to_numpy())
+
+    def gain(self, name: str) -> tuple[float, tuple[float, float]]:
+        """How far the rule's expected MSE lies below that of a set, as a share, with interval."""
+        pair = self.pairs.loc[name]
+        gain, low, high = map(float, pair["gain_of_means":"gain_of_means_high"])
+        return gain, (low, high)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the rule is "better" or "worse" than the plan, or "not clearly" different."""
+        gain, interval = self.gain(self.plan)
+        return ("better" if gain > 0 else "worse") if is_clear(interval) else "not clearly"
+
+    def as_json(self) -> dict[str, Any]:
+        """The result as JSON values; the rule is three numbers."""
+        numbers = self.table["measurements"].astype(int)
+        mean = self.measurements
+        sets = {
+            name: {"expected_mse": self.error(name).value,
+                   "standard_error": self.error(name).standard_error,
+                   **self.pairs.loc[name, "difference":"high"].to_dict(),
+                   **self.pairs.loc[name, "gain_of_means":"gain_of_means_high"].to_dict()}
+            for name in self.labels
+        }  # fmt: skip
+        return finite(
+            {
+                "run": str(self.run),
+                "rule": self.rule._asdict(),
+                "budget": self.budget,
+                "expected_mse": self.error().value,
+                "standard_error": self.error().standard_error,
+                "draws": len(self.table),
+                "degenerate_draws": self.degenerate_draws,
+                "tuning_draws": TUNING_DRAWS,
+                "measurements": {
+                    "mean": mean.value,
+                    "standard_error": mean.standard_error,
+                    "standard_deviation": float(numbers.std()),
+                    "draws_by_number": numbers.value_counts().sort_index().to_dict(),
+                },
+                "plan": self.plan,
+                "verdict": self.verdict,
+                "sets": sets,
+                "figures": [*map(str, self.figures)],
+            }
+        )
+
+    def _page(self) -> Page:
+        numbers, mean = self.table["measurements"].astype(int), self.measurements
+        said = effect(*self.gain(self.plan), "the plan", "the rule's expected MSE")
+        if self.verdict == "worse":
+            said = f"The rule is worse than the plan, so keep the plan. {said}"
+        spread = f"{numbers.std():.2g}; {numbers.min()} to {numbers.max()}"
+        level = level_text(self.rule, self.unit)
+        facts = [
+            ("rule", f"measure when the standard deviation of z exceeds {level}"),
+            ("measurements", f"{mean.text} on average (standard deviation {spread})"),
+            ("draws", f"{len(numbers):,}, none of which tuned the rule"),
+        ]
+        rows = [[Cell("the rule"), Cell(mean.text, mean.value), self._cell(RULE), Cell("")]]
+        for name, label in self.labels.items():
+            change = change_of(*self.gain(name))
+            number = Cell(str(self.budget), self.budget)
+            rows.append([Cell(label), number, self._cell(name), Cell(change)])
+        head = ("times", "measurements ± SE", "expected MSE ± SE", "rule's error")
+        blocks = Text(f"{said}.", prominent=True), Facts(facts), Table("", head, rows)
+        over = mean.value - self.budget
+        more = f"On these draws the rule measures {mean.text} times on average, more than "
+        warnings = [f"{more}{self.budget}."] * (over > 2 * mean.standard_error)
+        degenerate = self.degenerate_draws
+        few = f"In {degenerate:,} draws, no particle explains a measurement of the rule."
+        return Page("", "", [Section("", blocks)], warnings + [few] * (degenerate > 0))
+
+    def _cell(self, name: str) -> Cell:
+        return mse_cell(self.error(name).value, self.error(name).standard_error)
+
+
+@with_options
+@checked
+def rule(
+    job: JobSource | Run,
+    *,
+    hard: bool = False,
+    draws: ComparedDraws | None = None,
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
+    **options: Unpack[Options],
+) -> Ruled:
+    """Measure when the filter is unsure, and compare this with the plan of a run.
+
+    A rule measures at an instant if the predicted standard deviation of z, which the filter's own
+    particles have, exceeds a threshold. The threshold is tuned on separate draws, so that the mean
+    number of measurements is at most that of the plan. The rule and the run's sets then filter the
+    same fresh draws: those of its comparison. The same call resumes where it was stopped.
+
+    Parameters
+    ----------
+    job : Problem, Job, str, Path or Run
+        A job file, whose run is meant, or the folder of a run. If the run has online times, the
+        rule is also compared with these.
+    hard : bool
+        Never measure a draw more often than the plan does. The threshold then grows with the time
+        that is left, and falls with the budget that is left.
+    draws : int, optional
+        Use only the first draws of the comparison; by default all, or all with online times.
+    results : str or Path, optional
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if only that holds a run.
+    changes : iterable of str, optional
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
+    options
+        See `Options`.
+
+    Returns
+    -------
+    Ruled
+
+    Raises
+    ------
+    StoreError
+        There is no finished run of the job, or the run is of another job or of other models.
+    JobError
+        The job has sensors, prices, required times, another criterion, an exact engine, or a model
+        with its own error.
+    TaskError, PoolError
+        A task failed, or no worker answers. All finished draws are kept.
+    """
+    chosen = Chosen(**options)
+    with following(chosen.progress, chosen.say) as (show, tell):
+        run, built = run_and_job(job, results, changes, tell, chosen.execution)
+        check_one_number(run)
+        check_rule(built)
+        with own_store(run, built, tell) as store:
+            session = RunSession(built, store, show, tell)
+            with noted(session):
+                pool = at_work(built.job.execution, [built.evaluator.engine], tell)
+                found: Ruled = complete(_judge(session, run, draws, is_hard=hard), pool)
+            session.reporter.finish()
+        if store.path != run.path:  # of another version
+            return found
+    if chosen.figures:
+        found = replace(found, figures=_draw(found, built))
+    text = json.dumps(found.as_json(), indent=2)
+    write_file(run.path / FILE, lambda path: path.write_text(text, encoding="utf-8"))
+    return found
+
+
+def check_rule(built: Built) -> None:
+    """Raise `JobError` if no rule can be tuned for a job."""
+    job, feasible, evaluator = built.job, built.feasible, built.evaluator
+    if not job.criterion.is_mean:
+        raise other_criterion(job)
+    refused = {
+        "filter.engine = 'kalman' (its spread does not depend on y, so a rule is a fixed set)":
+            not evaluator.has_particles,
+        "filter.engine = 'numpy' (which takes too long)": evaluator.engine == NUMPY.name,
+        "an error that the model defines": evaluator.model.error is not squared_error,
+        "sensors": evaluator.points.ways > 1,
+        "prices": not feasible.counted,
+        "problem.required": bool(feasible.required),
+    }  # fmt: skip
+    for what, is_given in refused.items():
+        if is_given:
+            raise JobError(f"no rule is tuned for a job with {what} ({job.path})")
+
+
+def _draw(found: Ruled, built: Built) -> list[Path]:
+    """Draw the first draw with the median number of measurements."""
+    # Not above: the help of the command waits for no Matplotlib.
+    from pfdist.pages.ruled import draw_rule  # noqa: PLC0415
+
+    numbers, table = found.table["measurements"].to_numpy(), found.table
+    usual = np.abs(numbers - np.median(numbers))
+    usual[table["degenerate"] | ~np.isfinite(table["mse_rule"])] = np.inf
+    draw = int(np.argmin(usual))
+    if np.isinf(usual[draw]):
+        return []
+    work = judged_work(built, found.rule, draw + 1)
+    shown = followed(built.evaluator, work, draw)
+    quantities, clock = built.evaluator.model.named("z"), built.job.problem.clock
+    return draw_rule(found.run, shown, numbers, quantities, clock)
+
+
+def _judge(
+    session: RunSession, run: Run, draws: int | None, *, is_hard: bool
+) -> Generator[WorkBatch, None, Ruled]:
+    """Driver that tunes the rule, and filters the draws of the run's comparison with it."""
+    built, store = session.built, session.store
+    table, plan = _compared(run, draws), best_first(rows_of_sets(run))[0]
+    session.reporter.begin(RULE)
+    own = yield from tuned(session, is_hard=is_hard)
+    session.reporter.foresee(judged_work(built, own, len(table)).steps)
+    ((mse, numbers, degenerate),) = yield from filtered_by(
+        session, [judged_work(built, own, len(table))]
+    )
+    session.commit()
+    for name in ("draws", "timings"):
+        store.settle(name, RULE_PHASE)
+    table.insert(0, "measurements", numbers.astype(int))
+    table.insert(1, "degenerate", degenerate > 0)
+    table.insert(2, "mse_rule", mse)
+    labels = {name: phrase_of(run.labels[name]) for name in (plan, run.names[0])}
+    labels |= {"online": "online times"} if "mse_online" in table else {}
+    (quantity, *others) = built.evaluator.model.named("z")
+    unit = "" if others else quantity.unit
+    return Ruled(run.path, own, built.feasible.total, plan, table, labels, unit)
+
+
+def _compared(run: Run, draws: int | None) -> pd.DataFrame:
+    """The errors of a run's sets with the same draws, and of its online times."""
+    table = run.table("comparison", draws).filter(regex="^(draw|mse_.*)$")
+    if is_online(run):
+        online = run.table("online", draws)[["draw", "mse"]].rename(columns={"mse": "mse_online"})
+        table = table.merge(online, on="draw")
+    return table.drop(columns="draw").reset_index(drop=True)
+
+
+def level_text(rule: Rule, unit: str = "") -> str:
+    """The level of a rule as a formula.
+
+    >>> level_text(Rule(6.0), "m"), level_text(Rule(3.5, 0.5, 21))
+    ('6 m', '3.5 x (rest of time / rest of budget)^0.5, at most 21 times')
+    """
+    threshold, exponent, limit = rule
+    power = f" x (rest of time / rest of budget)^{unrounded(exponent)}" * (exponent > 0)
+    most = f", at most {limit} times" * (limit > 0)
+    return f"{unrounded(threshold)} {unit}".rstrip() + power + most
+
+
+# --- real measurements ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, repr=False)
+class NextByRule(Shown):
+    """Result of `next_time` with a rule.
+
+    Parameters
+    ----------
+    run : Path
+    rule : Rule
+        That of the file ``rule.json`` in the folder of the run.
+    measured : tuple of int or float
+        Times with a measurement.
+    next : int, float or None
+        The first time, on the clock of the job, at which the rule measures if nothing is measured
+        before; None if there is none.
+    standard_deviation, level : float
+        Predicted standard deviation of z at that time, and the level that it exceeds; without such
+        a time, both at the last instant that is left.
+    clock : Clock
+        That of the job.
+    doubts : sequence of str
+        Sentences that put the answer in doubt.
+    """
+
+    run: Path
+    rule: Rule
+    measured: tuple[Time, ...]
+    next: Time | None
+    standard_deviation: float
+    level: float
+    clock: Clock
+    doubts: Sequence[str]
+
+    def as_json(self) -> dict[str, Any]:
+        """The result as JSON values."""
+        names = ("measured", "next", "standard_deviation", "level")
+        values = {name: getattr(self, name) for name in names}
+        return finite({"run": str(self.run), "rule": self.rule._asdict(), **values})
+
+    def _page(self) -> Page:
+        said = f"The rule measures no more after {number_of(len(self.measured), 'measurement')}"
+        facts = [("rule", f"standard deviation of z above {level_text(self.rule)}")]
+        if self.next is not None:
+            said = f"Measure next at t = {self.clock.listed([self.next])}"
+            spread = f"{rounded(self.standard_deviation)}, above {rounded(self.level)}"
+            facts.append(("predicted standard deviation", spread))
+        blocks = Text(f"{said}.", prominent=True), Facts(facts)
+        return Page("", "", [Section("", blocks)], alarms=self.doubts)
+
+
+def rule_of(run: Path) -> Rule:
+    """The rule that was tuned last for a run; a `StoreError` if there is none."""
+    if not (run / FILE).exists():
+        raise StoreError(f"{run} has no rule: `pfdist rule {run}` tunes one")
+    return Rule(**parse_json(read_text(run / FILE))["rule"])
+
+
+def spread_of(estimate: FilterEstimate, is_angle: Sequence[bool]) -> float:
+    """The standard deviation of z by which a rule decides; of angles, 1 - R is the variance."""
+    squares = estimate.standard_deviation**2
+    return float(np.sqrt(np.sum(np.where(is_angle, -np.expm1(-squares / 2), squares))))

@@ -1,0 +1,126 @@
+"""Filters that measure by a rule: against fixed sets, exact filters and exact policies."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from oracles import beliefs
+from oracles.batched import batched
+from oracles.kalman import SCALAR, THREE, kalman_filter, riccati_cost
+from pfdist import StateSpaceModel, load_model
+from pfdist.common.measurement_times import Lag
+from pfdist.filters import plain
+from pfdist.filters.particle_filter import filter_checked_draws
+from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
+from pfdist.kernels.rules import Rule
+
+INSTANTS = tuple(range(13))
+SLOW = pytest.mark.slow
+RULES = Rule(5.0), Rule(3.0, 0.5, 4), Rule(2.0, 1.0, 2)
+
+
+@pytest.mark.parametrize("lag", [0, pytest.param(3, marks=SLOW), 12])
+@pytest.mark.parametrize("rule", RULES)
+def test_both_engines_decide_alike_and_as_filters_with_the_sets_that_they_choose(
+    ungm: StateSpaceModel, rule: Rule, lag: Lag
+) -> None:
+    draws, candidates = simulate(ungm, 12, range(5, 9), 17), INSTANTS[1:]
+    apart = tuple(t + 2 for t in INSTANTS) if rule.limit == 4 else ()
+    settings = Estimation(70, "systematic", rule=rule, lag=lag, apart=apart)
+    found, slow = (
+        filtered(ungm, draws, candidates, 3, settings)
+        for filtered in (filter_checked_draws, plain.filter_checked_draws)
+    )
+    np.testing.assert_array_equal(found.measured, slow.measured)
+    np.testing.assert_allclose(found.mse, slow.mse, rtol=1e-9)
+    assert not found.measured[:, 0].any()
+    assert found.measured.any(axis=1).all()
+    assert not rule.limit or found.measured.sum(axis=1).max() <= rule.limit
+    gaps = [np.diff(np.flatnonzero(row)).min(initial=9) for row in found.measured]
+    assert not apart or min(gaps) == 2
+    if not lag:  # the guided filter has no plain twin
+        settings = replace(settings, proposal="guided")
+        found = filter_checked_draws(ungm, draws, candidates, 3, settings)
+    fixed = replace(settings, rule=None)
+    for place, row in enumerate(found.measured):
+        times = tuple(np.flatnonzero(row).tolist())
+        alone = filter_checked_draws(ungm, draws[place : place + 1], times, 3, fixed)
+        assert alone.mse[0] == found.mse[place]  # the same bits
+
+
+@pytest.mark.parametrize(
+    ("model", "level", "settings"),
+    [
+        pytest.param(THREE.as_model(), 1.2, Estimation(70, "residual"), id="sums of components"),
+        pytest.param(batched(load_model("ungm")), 5.0, Estimation(70), id="batched", marks=SLOW),
+        pytest.param(load_model("ungm"), 5.0, Estimation(70, threshold=0.5), id="carried weights"),
+        pytest.param(load_model("robot"), 0.05, Estimation(70), id="angle", marks=SLOW),
+    ],
+)
+def test_any_spread_and_any_weights_decide_as_in_the_plain_filter(
+    model: StateSpaceModel, level: float, settings: Estimation
+) -> None:
+    draws = simulate(model, 12, range(4), 17)
+    settings = replace(settings, rule=Rule(level))
+    found, slow = (
+        filtered(model, draws, INSTANTS, 3, settings)
+        for filtered in (filter_checked_draws, plain.filter_checked_draws)
+    )
+    np.testing.assert_array_equal(found.measured, slow.measured)
+    np.testing.assert_allclose(found.mse, slow.mse, rtol=1e-9)
+    assert 0 < found.measured.sum() < found.measured.size
+
+
+def test_without_a_spread_that_depends_on_y_a_rule_is_a_fixed_set() -> None:
+    model, nothing = SCALAR.as_model(), np.zeros((13, 1))
+    draws = simulate(model, 12, range(40), 1)
+    chosen = dict[tuple[int, ...], float]()
+    for level in (0.9, 1.25, 1.5):
+        times, gap = (), np.inf
+        for t in INSTANTS:  # the exact filter measures where its own deviation is too large
+            deviation = np.sqrt(kalman_filter(SCALAR, nothing, times)[1][t, 0])
+            times += (t,) * int(deviation > level)
+            gap = min(gap, abs(deviation / level - 1))
+        found = filter_checked_draws(model, draws, INSTANTS, 2, Estimation(4000, rule=Rule(level)))
+        wrong = (found.measured != np.isin(INSTANTS, times)).any(axis=1).mean()
+        assert gap > 0.06  # more than 5 standard errors of a deviation of 4,000 particles
+        assert wrong == 0, level
+        chosen[times] = riccati_cost(SCALAR, 12, times)
+    assert len(chosen) == 3
+    for times, error in chosen.items():
+        every = combinations(INSTANTS, len(times))
+        assert error >= min(riccati_cost(SCALAR, 12, each) for each in every) - 1e-12
+
+
+def test_on_a_chain_of_two_states_the_best_rule_is_worse_than_the_plan_and_than_any_bound() -> None:
+    instants, rules = (
+        range(beliefs.HORIZON + 1),
+        [
+            Rule(threshold, exponent, beliefs.BUDGET)
+            for threshold in np.linspace(0.05, 0.5, 10)
+            for exponent in (0.0, 0.5, 1.0, 2.0)
+        ]
+        + [Rule(0.18, 1.0, beliefs.BUDGET)],
+    )
+    (best, number), rule = min((beliefs.of_rule(rule), rule) for rule in rules)
+    plan = min(map(beliefs.of_set, combinations(instants, beliefs.BUDGET)))
+    assert (round(plan, 5), round(best, 5)) == (0.12233, 0.12317)
+    assert plan == beliefs.of_set((1, 3, 5))
+    policy = beliefs.best_policy(beliefs.BUDGET)
+    assert round(policy, 5) == 0.12118
+    bound = beliefs.average_bound(beliefs.BUDGET, np.linspace(0.03, 0.07, 9))
+    assert bound <= policy < plan < best
+    for average in (Rule(0.458), Rule(0.43)):
+        error, number = beliefs.of_rule(average)
+        assert error >= beliefs.average_bound(number, np.linspace(0.0, 0.2, 5))
+    # The particle filter finds the same error: the best rule's decisions leave room for its noise.
+    draws = simulate(beliefs.CHAIN, beliefs.HORIZON, range(4000), 1)
+    found = filter_checked_draws(
+        beliefs.CHAIN, draws, tuple(instants), 2, Estimation(1000, rule=rule)
+    )
+    error = found.mse.std() / np.sqrt(found.mse.size)
+    assert abs(found.mse.mean() - best) < 4 * error
+    assert found.measured.sum(axis=1).max() == beliefs.BUDGET

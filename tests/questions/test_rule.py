@@ -1,0 +1,174 @@
+"""A rule that is tuned, judged and used: on small jobs, and against fixed times."""
+
+import json
+import shutil
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from oracles import beliefs
+from pfdist import Problem, Run, load_job
+from pfdist.cli.main import main
+from pfdist.errors import JobError, StoreError
+from pfdist.kernels.rules import Rule
+from pfdist.questions.rule import NextByRule, Ruled, _draw
+from pfdist.runner import ruling
+from pfdist.runner.build import build
+
+
+@pytest.fixture(autouse=True)
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ruling, "_STEPS", 256)
+    monkeypatch.setattr(ruling, "_STEP", 1.03)
+    monkeypatch.setattr(ruling.tuned, "__kwdefaults__", {"draws": 300})
+
+
+@pytest.fixture
+def run(finished: Callable[..., Path], tmp_path: Path) -> Run:
+    return pfdist.open_run(shutil.copytree(finished(), tmp_path / "run"))
+
+
+def asked(run: Run, **options: Any) -> Ruled:
+    return pfdist.rule(run.path / "job.toml", results=run.path, figures=False, **options)
+
+
+def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
+    found = asked(run)
+    assert found.rule[1:] == (0.0, 0)
+    compared = run.table("comparison")
+    for name in found.labels:
+        np.testing.assert_array_equal(found.table[f"mse_{name}"], compared[f"mse_{name}"])
+    answer = found.as_json()
+    difference = found.table["mse_rule"] - found.table[f"mse_{found.plan}"]
+    own = answer["sets"][found.plan]
+    assert own["difference"] == pytest.approx(difference.mean())
+    half = 1.9695 * difference.std() / np.sqrt(len(difference))
+    assert own["high"] - own["low"] == pytest.approx(2 * half, rel=1e-3)
+    mean = found.measurements
+    assert mean.value - 3 * mean.standard_error < found.budget == 4
+    assert mean.value > 3.4
+    counted = answer["measurements"]["draws_by_number"]
+    assert sum(counted.values()) == answer["draws"] == 250
+    assert json.loads((run.path / "rule.json").read_text())["rule"] == found.rule._asdict()
+
+
+def test_with_a_hard_limit_no_draw_is_measured_more_often(run: Run) -> None:
+    found = asked(run, hard=True, draws=200)
+    assert found.rule.limit == 4
+    assert found.table["measurements"].max() <= 4
+    assert len(found.table) == 200
+
+
+def test_it_resumes_and_does_not_depend_on_the_workers(run: Run, tmp_path: Path) -> None:
+    other = pfdist.open_run(shutil.copytree(run.path, tmp_path / "other"))
+    whole = asked(run, pool="threads", workers=2)
+
+    class EndedError(Exception):
+        pass
+
+    class Stops:
+        seen = 0
+
+        def __call__(self, progress: Any) -> None:
+            self.seen += 1
+            if self.seen == 5:
+                raise EndedError
+
+    with pytest.raises(EndedError):
+        asked(other, pool="serial", progress=Stops())
+    again = asked(other, pool="serial")
+    pd.testing.assert_frame_equal(again.table, whole.table)
+    assert again.rule == whole.rule
+
+
+def test_it_computes_nothing_twice(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = asked(run)
+    monkeypatch.setattr(ruling.RuleWork, "result", None)
+    pd.testing.assert_frame_equal(asked(run).table, first.table)
+    assert pfdist.open_run(run.path).state == "finished"
+
+
+def test_a_figure_shows_a_draw_even_if_others_are_degenerate(run: Run) -> None:
+    found = asked(run)
+    found.table["degenerate"] = True
+    built = build(load_job(run.path / "job.toml"))
+    assert _draw(found, built) == []
+    found.table.loc[7, "degenerate"] = False
+    assert [file.name for file in _draw(found, built)] == ["rule.svg"]
+
+
+def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None:
+    problem = Problem(
+        beliefs.CHAIN, horizon=beliefs.HORIZON, measurement_budget=beliefs.BUDGET, particles=200,
+        proposal="plain",
+    )  # fmt: skip
+    fewer = ["comparison.draws=3000", "search.exhaustive.evaluation.draws=500"]
+    given: Any = {"results": tmp_path / "run", "figures": False, "pool": "serial"}
+    planned = pfdist.plan(problem, search="exhaustive", changes=fewer, bound_draws=0, **given)
+    found = pfdist.rule(planned, figures=False, pool="serial")
+    assert found.verdict == "worse"
+    assert "The rule is worse than the plan, so keep the plan." in repr(found)
+    assert found.rule.threshold > 0.45
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        (["model.name=random_walk", "filter.engine=kalman"], "a rule is a fixed set"),
+        (["problem.required=3"], "problem.required"),
+    ],
+)
+def test_other_problems_are_not_accepted(
+    finished: Callable[..., Path], changes: list[str], what: str
+) -> None:
+    with pytest.raises(JobError, match=what):
+        pfdist.rule(finished(*changes) / "job.toml", results=finished(*changes), figures=False)
+
+
+def test_the_function_in_the_manual_decides_as_the_rule(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "rule.md").read_text(encoding="utf-8")
+    code = text.partition("```python\n")[2].partition("```")[0]
+    (tmp_path / "results" / "plan").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    for rule in (Rule(2.0), Rule(2.0, 0.5, 3)):
+        answer = json.dumps({"rule": rule._asdict()})
+        Path("results/plan/rule.json").write_text(answer, encoding="utf-8")
+        names = dict[str, Any]()
+        exec(code, names)
+        for t, spent in product(range(13), range(5)):
+            level = rule.level(13 - t, spent)
+            for deviation in (1.99, 2.01, level - 0.01, level + 0.01):
+                assert names["measures"](deviation, t, 12, spent) is (deviation > level)
+
+
+def test_next_measures_where_the_filter_of_the_run_would(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = pd.DataFrame({"t": [1], "y0": [0.5]})
+    given = {"results": run.path, "rule": True}
+    with pytest.raises(StoreError, match="has no rule"):
+        pfdist.next_time(run.path / "job.toml", table, **given)
+    rule = asked(run).rule
+    found = pfdist.next_time(run.path / "job.toml", table, **given)
+    assert isinstance(found, NextByRule)
+    own = pfdist.Filter("ungm", 40, 1, resampling="multinomial", horizon=12)
+    own.update(1, 0.5)
+    spread = {t: float(own.predict(t).standard_deviation[0]) for t in range(2, 13)}
+    assert found.next == next(t for t in spread if spread[t] > rule.threshold)
+    assert found.standard_deviation == pytest.approx(spread[found.next])
+    later = pfdist.next_time(run.path / "job.toml", table, now=found.next, **given)
+    assert later.next > found.next
+    table.to_csv(tmp_path / "one.csv", index=False)
+    assert main(["next", str(run.path), str(tmp_path / "one.csv"), "--rule", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["next"] == found.next
+    spent = Rule(1.0, 0.5, 1)
+    (run.path / "rule.json").write_text(json.dumps({"rule": spent._asdict()}))
+    assert pfdist.next_time(run.path / "job.toml", table, **given).next is None
