@@ -300,3 +300,12 @@ COMMANDS = {
     ),
 }
 """All commands by name, in the order of the help."""
+
+GROUPS = {
+    "Plan": ("plan", "budget", "run", "sweep"),
+    "Ask": ("evaluate", "compare", "why", "bound", "explore"),
+    "Real data": ("filter", "next", "rule", "online", "backtest"),
+    "Runs": ("status", "list", "table", "report", "plot", "verify"),
+    "Models": ("check-model", "models", "completion"),
+}
+"""The groups of the help, with their commands in order."""

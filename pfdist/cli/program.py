@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Group
 from cyclopts.exceptions import UnknownCommandError, UnknownOptionError, UnusedCliTokensError
 
 import pfdist
-from pfdist.cli.commands import COMMANDS
+from pfdist.cli.commands import COMMANDS, GROUPS
 from pfdist.common.gone import gone
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import one_line, shown, shown_text
@@ -46,11 +46,18 @@ def program(command: str = "") -> App:
         help_epilogue=_end_of_help(_DESCRIBES, _way_in()),
         version=f"pfdist {pfdist.__version__}",
     )
-    for place, (name, each) in enumerate(COMMANDS.items()):
+    groups = {
+        name: group
+        for place, (title, names) in enumerate(GROUPS.items())
+        for group in [Group(title, sort_key=place)]
+        for name in names
+    }
+    for name, each in COMMANDS.items():
         app.command(
             f"pfdist.cli.words:{name}",
             name=name,
-            sort_key=place,
+            group=groups[name],
+            sort_key=[*groups].index(name),
             help=None if name == command else each.sentence,
             help_epilogue=_end_of_help(_RESUMES * each.resumes, each.examples),
         )

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
@@ -45,16 +46,20 @@ def _show_each(answers: Iterator[Any], line: Line, stream: TextIO) -> None:
         for each in answers:
             made.append(each)
             if not line.json:
-                is_text = isinstance(each, str)
-                lines = [one_line(each)] if is_text else wrapped(
-                    f"{each.name}: {each.text}", f"{each.state:5} "
-                )  # fmt: skip
-                print("\n".join(lines), flush=True)
+                print("\n".join(_lines(each)), flush=True)
         is_whole = True
     finally:
         if line.json and (made or is_whole):
             checks = [dataclasses.asdict(each) for each in made if not isinstance(each, str)]
             _print_json({"checks": checks} if checks else {"lines": made}, stream)
+
+
+def _lines(each: Any) -> list[str]:
+    """The lines of a check, or of a line; those of a name with its description are aligned."""
+    if not isinstance(each, str):
+        return wrapped(f"{each.name}: {each.text}", f"{each.state:5} ")
+    named = re.match(r"(\S+ {2,})(\S.*)", each)
+    return wrapped(named[2], named[1]) if named else [one_line(each)]
 
 
 def _as_json(answer: Any, line: Line) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """The parts of an answer: its content, without its appearance.
 
 Each answer is made once, as a `Page` of parts. `pages.terminal`, `pages.html` and `common.shown`,
-for notebooks, show it. Terminals show a part that is a detail only with ``--verbose``.
+for notebooks, show it. Terminals show a part that is a detail only with ``--verbose``; pages fold
+the details of a section away.
 """
 
 from collections.abc import Sequence
@@ -88,7 +89,6 @@ class Table:
     head : sequence of str
     rows : sequence of sequences of Cell
     detail : bool
-        Pages fold the table away under its caption.
     optional : sequence of str
         Columns that a narrow terminal leaves out, in this order; pages and JSON have them.
     """
@@ -130,7 +130,6 @@ class Facts:
     facts : sequence of (str, str)
     title : str
     detail : bool
-        Pages fold the facts away under their title.
     """
 
     kind: ClassVar[str] = "facts"
@@ -151,12 +150,15 @@ class Picture:
         A line for readers who cannot see the figure.
     svg : str
         An element ``svg`` without references to anything outside it.
+    wide : bool
+        Whether it has no room for words beside it.
     """
 
     kind: ClassVar[str] = "picture"
     title: str
     description: str
     svg: str
+    wide: bool = False
     detail: bool = False
 
 
@@ -189,10 +191,13 @@ class Section:
     ----------
     title : str
     blocks : sequence of blocks
+    folded : bool
+        Pages have its title alone, under which it is folded away; it is not printed.
     """
 
     title: str
     blocks: Sequence[Block]
+    folded: bool = False
 
 
 @dataclass(frozen=True)

@@ -35,9 +35,11 @@ function ticks(low, high, count) {
 export function mount(element, connection) {
   const view = Math.random().toString(36).slice(2);
   const kept = new Map(); // the times of each name
+  const past = []; // the times before each change, for undo
   const asked = new Map(); // what to do with the answer to each message
   let facts = null, answer = null, online = false, serial = 0, component = 0, drawn = 0;
   let own = [], selected = null, held = null; // own: objects with a measurement and its handle
+  let dragged = false; // whether the held one has moved: a drag is one change
   let pending = null, waiting = null, rest = 0, slow = 0, quiet = 0;
 
   // --- the elements ------------------------------------------------------------------------------
@@ -50,6 +52,9 @@ export function mount(element, connection) {
   const legend = make("p", { class: "legend" });
   const lanes = draw("svg", { class: "lanes", role: "group", "aria-label": "Measurement times" });
   const tools = make("div", { class: "tools" }), remove = button("Remove", () => drop(selected));
+  const nudges = [["-", "Earlier", -1], ["+", "Later", 1]].map(([text, title, by]) =>
+    filled(button(text, () => nudge(by)), { title, "aria-label": title }, []));
+  const undoing = filled(button("Undo", undo), { title: "Ctrl+Z", disabled: "" }, []);
   const verdict = make("dl", { class: "verdict" }), readout = make("dl"), mark = make("p", { class: "mark" });
   const broken = make("ul", { class: "broken" });
   const live = make("p", { class: "live", role: "status" });
@@ -144,14 +149,37 @@ export function mount(element, connection) {
 
   function changed() { place(); want(0); }
 
+  function remember() {
+    past.push(times());
+    undoing.disabled = false;
+  }
+
+  function undo() {
+    const before = past.pop();
+    undoing.disabled = !past.length;
+    if (before) restore(before);
+  }
+
   function move(each, m) {
     if (m === undefined || each.m === m || locked(each)) return;
+    if (!held || !dragged) remember();
+    dragged = Boolean(held);
     each.m = m;
     changed();
   }
 
+  function nudge(by) { // for fingers: the selected time, or the first one
+    const each = selected ?? own[0], step = by * many();
+    if (!each) return;
+    const all = free(each.m % many(), others(each));
+    move(each, by > 0 ? all.find((m) => m >= each.m + step)
+      : all.reverse().find((m) => m <= each.m + step));
+    select(each);
+  }
+
   function add(m) {
     if (m === undefined) return;
+    remember();
     own.push({ m });
     changed();
     own.at(-1).handle.focus();
@@ -165,6 +193,7 @@ export function mount(element, connection) {
 
   function drop(each) {
     if (!own.includes(each) || locked(each)) return;
+    remember();
     own = own.filter((other) => other !== each);
     each.handle.remove();
     changed();
@@ -172,6 +201,11 @@ export function mount(element, connection) {
   }
 
   function use(chosen) {
+    remember();
+    restore(chosen);
+  }
+
+  function restore(chosen) {
     own = chosen.map((m) => ({ m }));
     layout();
     want(0);
@@ -196,12 +230,17 @@ export function mount(element, connection) {
     event.preventDefault();
   }
 
+  root.addEventListener("keydown", (event) => {
+    if (event.key !== "z" || !(event.ctrlKey || event.metaKey) || event.target === name) return;
+    event.preventDefault();
+    undo();
+  });
   lanes.addEventListener("pointermove", (event) => {
     if (!held) return;
     lanes.setPointerCapture(event.pointerId); // not before: a double click belongs to the handle
     move(held, nearest(held.m % many(), timeAt(event), others(held)));
   });
-  lanes.onpointerup = lanes.onpointercancel = () => { held = null; };
+  lanes.onpointerup = lanes.onpointercancel = () => { held = null; dragged = false; };
 
   // --- pictures ----------------------------------------------------------------------------------
 
@@ -340,11 +379,11 @@ export function mount(element, connection) {
     const named = ([kind, text]) => make("span", { class: `key ${kind}` }, text);
     legend.replaceChildren(...keys.map(named));
     tools.replaceChildren(...found.sensors.map((each, number) =>
-      button(`Add ${each || "a time"}`, () => addToGap(number))), remove,
+      button(`Add ${each || "a time"}`, () => addToGap(number))), remove, ...nudges, undoing,
     ...shown().slice(0, -1).map((set) =>
       button(`Start from ${SETS[set].toLowerCase()}`, () => use(facts[set]))));
     list(found.judged);
-    use(start);
+    restore(start);
   }
 
   function show(found) {

@@ -204,9 +204,9 @@ class ExplorerSession:
     def _mark(self, times: Times, draws: int) -> str:
         if not draws:
             return "exact"
-        is_judged = any(each.times == times for each in self._judged)
-        how = "judged on fresh draws below" if is_judged else "not judged yet"
-        return f"{ON_THESE_DRAWS} ({draws:,}); {how}"
+        if any(each.times == times for each in self._judged):
+            return f"{ON_THESE_DRAWS} ({draws:,}); judged on fresh draws below"
+        return f"{ON_THESE_DRAWS} ({draws:,}); provisional: press Judge for a fair comparison"
 
     def _facts(
         self, times: Times, known: Mapping[str, Evaluation], typical: Mapping[str, str]

@@ -123,7 +123,7 @@ def repeated(model: "StateSpaceModel", repeats: int) -> "StateSpaceModel":
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StateSpaceModel:
     """A system that can be simulated and measured.
 
@@ -236,6 +236,16 @@ class StateSpaceModel:
         for kind in _NAMES:
             self.named(kind)
         self.is_angle  # noqa: B018  evaluated here, because it refuses unknown components
+
+    def __repr__(self) -> str:
+        given = vars(self) | {"sensors": [*self.sensors]}
+        texts = (
+            f"{each.name}={getattr(given[each.name], '__name__', repr(given[each.name]))}"
+            for each in dataclasses.fields(self)
+            if each.name != "parameter_ranges"
+            and given[each.name] not in (each.default, (), {}, [])
+        )
+        return f"StateSpaceModel({', '.join(texts)})"
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, without the values that are cached beside them."""

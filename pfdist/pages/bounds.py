@@ -1,6 +1,5 @@
 """The budget curve, and the lower bound against the work of its proof."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from pfdist.common.percent import at_most
-from pfdist.pages.figure import Plot, Tables, figure, one_number, save_plots
+from pfdist.pages.figure import Plot, Tables, figure, one_number
 from pfdist.pages.panel import (
     BAND,
     axes_for,
@@ -24,7 +23,7 @@ from pfdist.pages.panel import (
     thin,
     write_instead,
 )
-from pfdist.pages.style import GREY, RED, set_style
+from pfdist.pages.style import RED, set_style
 from pfdist.problem.set_key import KINDS, phrase_of
 from pfdist.results import Run, reaching
 
@@ -40,49 +39,12 @@ def _styles(table: pd.DataFrame) -> dict[str, Any]:
 @figure("budget", applies=lambda run: "budget" in run.job)
 def budget_figure(tables: Tables) -> Plot:
     """Expected MSE against the number of measurements or the price, evenly spaced and planned."""
-    return _plot(tables.run)
+    table = table_of(tables.run, "run", "sets")
+    return Plot(2.5, lambda panels: budget(table, ax=panels[0]), title=_title(table))
 
 
-def draw_target(run: Run, target: float) -> list[Path]:
-    """The files of a figure of a target: which numbers of measurements reach it, and which cannot.
-
-    Parameters
-    ----------
-    run : Run
-        A run for several numbers of measurements.
-    target : float
-        An expected MSE.
-
-    Returns
-    -------
-    list of Path
-    """
-    return save_plots(run.path, [(f"budget-target-{target:g}", _plot(run, target))])
-
-
-def _plot(run: Run, target: float | None = None) -> Plot:
-    table = table_of(run, "run", "sets")
-    return Plot(
-        2.5, lambda panels: budget(table, target=target, ax=panels[0]), title=_title(table, target)
-    )
-
-
-def _title(table: pd.DataFrame, target: float | None) -> str:
-    """Say how many planned times do what evenly spaced times do, or how many reach a target."""
-    if target is not None:
-        least = {kind: row["measurements"] for kind, row in reaching(table, target).items()}
-        numbers = {kind: "no number of" if n is None else str(n) for kind, n in least.items()}
-        times, (other, found) = "time" if least["found"] == 1 else "times", _styles(table)
-        if _is_money(table):
-            prices = {kind: "no price" if n is None else f"{n}" for kind, n in least.items()}
-            return (
-                f"An expected MSE of {target:g} takes {prices[found]} with a plan, or "
-                f"{prices[other]} with {KINDS[other]} times."
-            )
-        return (
-            f"An expected MSE of {target:g} takes {numbers[found]} planned {times}, or "
-            f"{numbers[other]} {KINDS[other]}."
-        )
+def _title(table: pd.DataFrame) -> str:
+    """Say how many planned times do what evenly spaced times do."""
     errors = table.pivot_table(index="budget", columns="kind", values="expected_mse")
     both = errors.dropna()
     if both.empty:
@@ -107,9 +69,7 @@ def _is_money(table: pd.DataFrame) -> bool:
     return "price" in table and bool(table["price"].notna().any())
 
 
-def budget(
-    table: Run | pd.DataFrame, *, target: float | None = None, ax: Axes | None = None
-) -> Axes:
+def budget(table: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     """Draw the expected MSE against N with its 95 % intervals, and the lower bound if there is one.
 
     An arrow shows how many planned measurements do as well as the largest number of evenly spaced
@@ -119,9 +79,6 @@ def budget(
     ----------
     table : Run or DataFrame
         A run for several numbers of measurements, or its table ``sets``.
-    target : float, optional
-        An expected MSE, drawn as a line; the least N that reaches it is marked, and the largest N
-        that is proved not to reach it.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -151,12 +108,8 @@ def budget(
     ax.set_xlabel("total price" if _is_money(table) else "number of measurements $N$")
     label_error(ax, table)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    cut_outliers(ax, curves, [] if target is None else [target])
-    if target is None:
-        _mark_spared(ax, table)
-    else:
-        _mark(ax, table, target)
-        ends.append((target, f"target {target:g}", GREY))
+    cut_outliers(ax, curves)
+    _mark_spared(ax, table)
     label_ends(ax, ends)
     legend_above(ax, [line for line in ax.get_lines() if "off the axis" in str(line.get_label())])
     return ax
@@ -172,31 +125,6 @@ def _mark_spared(ax: Axes, table: pd.DataFrame) -> None:
         ax.annotate("", (least, mse), (number, mse), arrowprops=look)
         text = f"at least as good: {least} instead of {number:.0f}"
         ax.text(0.98, 0.9, text, ha="right", c=RED, size="small", transform=ax.transAxes)
-
-
-def _mark(ax: Axes, table: pd.DataFrame, target: float) -> None:
-    """Draw a target, the least numbers that reach it, and the largest number that cannot."""
-    ax.axhline(target, color=GREY, lw=thin(0.8), ls=":")
-    ax.set_ylim(bottom=ax.get_ylim()[0])  # the lines below end at the target
-    for kind, reached in reaching(table, target).items():
-        least, impossible = reached["measurements"], reached.get("impossible")
-        if least is not None:
-            _mark_number(ax, least, target, f"{least}", "left", _styles(table)[kind]["color"])
-        if impossible is not None:
-            _mark_number(ax, impossible, target, f"no {impossible}", "right", "black")
-
-
-def _mark_number(ax: Axes, number: int, top: float, text: str, side: str, colour: str) -> None:
-    """Draw a line at a number of measurements up to a height, and write a text beside the line.
-
-    The argument `side` is the side of the text that touches the line.
-    """
-    ax.vlines(number, ax.get_ylim()[0], top, color=colour, lw=thin(), ls=":")
-    ax.annotate(
-        text, (number, 0.0), (1.5 if side == "left" else -1.5, 2.0), ha=side,
-        xycoords=("data", "axes fraction"), textcoords="offset points", color=colour,
-        fontsize="small",
-    )  # fmt: skip
 
 
 def _has_curve(run: Run) -> bool:

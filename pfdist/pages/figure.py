@@ -30,6 +30,7 @@ from pfdist.store.folder import FIGURES_FOLDER, FORMATS
 
 Applies = Callable[[Run], bool]
 _OWN = FORMATS[0]  # of every figure
+_WIDER = (1.0, 1.6, 2.0)  # width of a figure with so many columns, over that of the style
 
 
 @dataclass(frozen=True)
@@ -44,14 +45,16 @@ class Plot:
     draw : callable
         Draws into the panels, from top to bottom.
     panels : int
-        Number of panels.
+        Number of panels in a column.
     share_x : bool
         Whether the panels share one horizontal axis.
     title : str
         The finding, in a sentence. It is not drawn; reports show it beside the figure, and files
         have it as their title.
     heights : sequence of float, optional
-        Relative heights of the panels; by default all are equal.
+        Relative heights of the rows of panels; by default all are equal.
+    columns : int
+        Number of columns of panels. Panels are drawn row by row.
     """
 
     height: float
@@ -60,6 +63,7 @@ class Plot:
     share_x: bool = False
     title: str = ""
     heights: Sequence[float] | None = None
+    columns: int = 1
 
 
 class Tables:
@@ -264,17 +268,34 @@ def drawn(plot: Plot) -> Canvas:
     for each format.
     """
     check()
-    size = rcParams["figure.figsize"][0], scaled(plot.height)
+    size = rcParams["figure.figsize"][0] * _WIDER[plot.columns - 1], scaled(plot.height)
     dots = rcParams["savefig.dpi"]  # an inch; "figure" in styles that have no number
     canvas = Canvas(figsize=size, dpi=None if dots == "figure" else dots)
     canvas.set_layout_engine("none")  # in any style
-    panels = canvas.subplots(
-        plot.panels, squeeze=False, sharex=plot.share_x, height_ratios=plot.heights
-    )
-    plot.draw(panels[:, 0].tolist())
+    _fill(canvas, plot)
     _remove_control_characters(canvas)
     ConstrainedLayoutEngine().execute(canvas)
     return canvas
+
+
+def shown_by_pyplot(plot: Plot) -> Sequence[Axes]:
+    """The panels of a plot in a new figure of pyplot, row by row."""
+    from matplotlib import pyplot  # noqa: PLC0415  chooses a backend, which files do not need
+
+    canvas = pyplot.figure(layout="constrained")
+    canvas.set_size_inches(
+        rcParams["figure.figsize"][0] * _WIDER[plot.columns - 1], scaled(plot.height)
+    )
+    return _fill(canvas, plot)
+
+
+def _fill(canvas: Canvas, plot: Plot) -> Sequence[Axes]:
+    panels = canvas.subplots(
+        plot.panels, plot.columns, squeeze=False, height_ratios=plot.heights,
+        sharex="col" if plot.share_x else False,
+    )  # fmt: skip
+    plot.draw(every := panels.ravel().tolist())
+    return every
 
 
 def _remove_control_characters(canvas: Canvas) -> None:

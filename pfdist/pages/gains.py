@@ -48,16 +48,9 @@ def gain_figure(tables: Tables, name: str) -> Plot:
     return Plot(
         2.4,
         lambda panels: gain(relative, name, reference=reference, sets=labels, ax=panels[0]),
-        title=title_of_gain(relative, phrase_of(labels[name]), reference),
+        title=f"How much lower the error is with {phrase_of(labels[name])} than with {reference}, "
+        f"in each of {relative.relative.count:,} draws.",
     )
-
-
-def title_of_gain(relative: Gain, which: str, reference: str) -> str:
-    """The title of a histogram, in a sentence."""
-    if not relative.counts.any():
-        return "No draw has a finite gain."
-    draws = f"{relative.relative.count:,} draws"
-    return f"How much lower the error is with {which} than with {reference}, in each of {draws}."
 
 
 def gain(
@@ -65,7 +58,6 @@ def gain(
     name: str = "",
     *,
     reference: str = "",
-    beside: str | tuple[str, Gain] = "",
     sets: Collection[str] = (),
     ax: Axes | None = None,
 ) -> Axes:
@@ -81,8 +73,6 @@ def gain(
     reference : str
         With a `Gain` the label of the reference; with a table the name of its set, by default the
         first; a run has one.
-    beside : str or (str, Gain), optional
-        Another set over the same reference, drawn as an outline: its name, or name and gain.
     sets : sequence of str, or mapping of str to str
         Names of all sets of the run, the reference first, or their labels by name; a run has its
         own. They give each set its colour.
@@ -114,17 +104,10 @@ def gain(
         gains, reference = _gains_of_table(source, reference)
         sets = sets or source.attrs.get("sets", ())
     name = chosen(name or next(iter(gains)), gains, "name")
-    if isinstance(beside, tuple):
-        gains = gains | dict([beside])
-        beside = beside[0]
-    names = [name, chosen(beside, gains, "beside")] if beside else [name]
     ax = axes_for(ax)
     if not gains[name].counts.any():
         return write_instead(ax, "no draw has a finite gain")
-    styles = styles_of(sets or [reference], names)
-    shown = {key: gains[key] for key in names if gains[key].counts.any()}
-    _draw_gains(ax, {styles[key]["label"]: shown[key] for key in shown}, reference,
-                [styles[key]["color"] for key in shown])  # fmt: skip
+    _draw_gain(ax, gains[name], reference, styles_of(sets or [reference], [name])[name])
     return ax
 
 
@@ -137,29 +120,22 @@ def _gains_of_table(table: pd.DataFrame, reference: str) -> tuple[dict[str, Gain
     return gains, phrase_of(table.attrs.get("sets", {}).get(reference, reference))
 
 
-def _draw_gains(ax: Axes, gains: dict[str, Gain], reference: str, colours: Sequence[str]) -> None:
-    (name, relative), *others = gains.items()
-    starts_shown, ends_shown = zip(*map(_shown_bins, gains.values()), strict=True)
-    first, last = min(starts_shown), max(ends_shown)
-    number = relative.relative.count
-    count = int(np.clip(2 * np.cbrt(number), 10, 100))  # Rice's rule
+def _draw_gain(ax: Axes, relative: Gain, reference: str, style: Mapping[str, Any]) -> None:
+    first, last = _shown_bins(relative)
+    count = int(np.clip(2 * np.cbrt(relative.relative.count), 10, 100))  # Rice's rule
     merged = max(1, -(-(last - first) // count))  # number of counted bins in a bar
     starts, width = np.arange(first, last, merged), 100 * BIN * merged
-    handles: list[Any] = [
-        ax.bar(
-            100 * EDGES[starts], _shares(relative, starts, last), width, align="edge",
-            color=colours[0], alpha=0.75, lw=0, label=_in_words(name, relative),
-        )
-    ]  # fmt: skip
+    shares = 100 * np.add.reduceat(relative.counts[:last], starts) / relative.relative.count
+    mean = minus(f"{100 * relative.relative.mean:.1f} %")
+    bars = ax.bar(
+        100 * EDGES[starts], shares, width, align="edge", color=style["color"], alpha=0.75, lw=0,
+        label=f"{style['label']}, mean gain {mean}",
+    )  # fmt: skip
     ax.axvline(0.0, color="black", ls=":", label="no gain")
-    for other, of_other in others:
-        ends = np.append(100 * EDGES[starts], 100 * EDGES[starts[-1]] + width)
-        shares, text = _shares(of_other, starts, last), _in_words(other, of_other)
-        handles.append(ax.stairs(shares, ends, color=colours[1], lw=thin(), label=text))
-    legend_above(ax, handles, columns=1)
+    legend_above(ax, [bars], columns=1)
     _mark_beyond(ax, relative, first, last)
     ax.set_xlim(100 * EDGES[first], 100 * EDGES[last])
-    ax.set_xlabel(f"relative gain over {verbatim(reference)} [%]\n(right: {name} better)")
+    ax.set_xlabel(f"relative gain over {verbatim(reference)} [%]\n(right: {style['label']} better)")
     ax.set_ylabel("share of draws [%]")
 
 
@@ -174,16 +150,6 @@ def _mark_beyond(ax: Axes, relative: Gain, first: int, last: int) -> None:
             text = minus(f"{draws:,} draws\n{where} {at:.0f} %")
             x, side = (0.01, "left") if where == "below" else (0.99, "right")
             ax.text(x, 0.98, text, ha=side, va="top", c=GREY, size="small", transform=ax.transAxes)
-
-
-def _shares(relative: Gain, starts: NDArray[np.intp], last: int) -> Array:
-    """Share of all draws in each bar, in per cent."""
-    counts: Array = np.add.reduceat(relative.counts[:last], starts)
-    return 100 * counts / relative.relative.count
-
-
-def _in_words(label: str, gain: Gain) -> str:
-    return f"{label}, mean gain {minus(f'{100 * gain.relative.mean:.1f} %')}"
 
 
 def _shown_bins(relative: Gain) -> tuple[int, int]:
@@ -203,56 +169,31 @@ def draw_figure(tables: Tables, name: str) -> Plot:
     """Truth, estimates and times of one draw, of a gain near the median of all draws."""
     trajectories, sets, draw, gain = _of_run(tables, name)
     if np.isnan(gain):
-        return no_draw()
+        text = "no draw with a trajectory has a gain"
+        return Plot(2.6, lambda panels: write_instead(panels[0], text), title=f"N{text[1:]}.")
     which, reference = (phrase_of(tables.run.labels[key]) for key in (name, tables.run.names[0]))
-    draws = tables.statistics.gains[name].relative.count
-    return plot_of_draw(
-        trajectories[trajectories["draw"] == draw], sets, legend_of_draw(draw, gain),
-        title_of_draw(gain, draws, which, reference),
-    )  # fmt: skip
-
-
-def no_draw() -> Plot:
-    """A plot with a sentence in place of a draw."""
-    text = "no draw with a trajectory has a gain"
-    title = f"{text[0].upper()}{text[1:]}."
-    return Plot(2.6, lambda panels: write_instead(panels[0], text), title=title)
-
-
-def title_of_draw(gain: float, draws: int, which: str, reference: str) -> str:
-    """How far the errors of two sets differ in a draw near the median of all, in a sentence."""
-    lower = "lower" if gain >= 0 else "higher"
-    return (
+    draws, number = (
+        tables.statistics.gains[name].relative.count,
+        len(components_in(trajectories, "z_")),
+    )
+    most, lower = min(number, MOST_COMPONENTS), "lower" if gain >= 0 else "higher"
+    title = (
         f"One draw, of a gain near the median of all {draws:,}: with {which} the error is "
         f"{100 * abs(gain):.1f} % {lower} than with {reference}."
     )
 
-
-def legend_of_draw(draw: int, gain: float) -> str:
-    """The title of a legend: the number of a draw and its relative gain."""
-    return f"draw {draw}, relative gain {minus(f'{100 * gain:.1f} %')}; markers: measured"
-
-
-def plot_of_draw(trajectory: pd.DataFrame, sets: Sets, legend: str, title: str) -> Plot:
-    """The plot of a draw with a panel for each of the first components of z.
-
-    The sets are measurement times of two sets by their names, the reference first.
-    """
-    number = len(components_in(trajectory, "z_"))
-
-    def draw(panels: Sequence[Axes]) -> None:
+    def plot(panels: Sequence[Axes]) -> None:
         for component, ax in enumerate(panels):
-            one_draw(trajectory, sets, title=legend, component=component, ax=ax)
+            one_draw(
+                trajectories, sets, draw=draw, title=_legend(draw, gain), component=component, ax=ax
+            )
         stack(panels, number)
 
-    most = min(number, MOST_COMPONENTS)
-    return Plot(0.8 + 1.5 * most, draw, most, title=title)
+    return Plot(0.8 + 1.5 * most, plot, most, title=title)
 
 
-def median_draw(gains: "pd.Series[float]", every: Gain) -> int:
-    """The draw in the index whose gain is nearest the median of all draws."""
-    median = np.clip(every.quantile(0.5), EDGES[0], EDGES[-1])
-    return int((gains - median).abs().fillna(np.inf).idxmin())
+def _legend(draw: int, gain: float) -> str:
+    return f"draw {draw}, relative gain {minus(f'{100 * gain:.1f} %')}; markers: measured"
 
 
 def one_draw(
@@ -297,7 +238,7 @@ def one_draw(
     check_kind(trajectory, (Run, pd.DataFrame), "trajectory")
     if isinstance(trajectory, Run):
         trajectory, sets, draw, gain = _of_run(Tables(trajectory), str(sets), draw)
-        title = title or legend_of_draw(draw, gain)
+        title = title or _legend(draw, gain)
     elif isinstance(sets, str):
         raise JobError(f"sets must be times by name, got {sets!r}", argument="sets")
     if "draw" in trajectory:
@@ -323,7 +264,9 @@ def _of_run(
     gains = tables.gains_of_trajectories[f"gain_{name}"]
     gains = gains[gains.index.isin(tables.trajectories["draw"])]
     if draw is None:
-        draw = median_draw(gains, tables.statistics.gains[name])
+        every = tables.statistics.gains[name]
+        median = np.clip(every.quantile(0.5), EDGES[0], EDGES[-1])
+        draw = int((gains - median).abs().fillna(np.inf).idxmin())
     gain = float(gains[chosen(draw, gains.index.tolist(), "draw")])
     return tables.trajectories, {key: sets[key] for key in (reference, name)}, draw, gain
 

@@ -15,7 +15,7 @@ from pfdist.common.parts import Page
 from pfdist.errors import printable
 
 _FOLDER = files("pfdist.pages")
-_GLUED = re.compile(r"(?<=[\d,]) (?=%)|(?<=\d) (?=±|[^\W\d])|(?<=[=±]) ")
+_GLUED = re.compile(r" (?==)|(?<=[\d,]) (?=%)|(?<=\d) (?=±|[^\W\d])|(?<=[=±]) ")
 
 
 def as_html(page: Page) -> str:

@@ -36,7 +36,6 @@ from pfdist.results.stored_run import named_sets, own_estimation, statistics_of
 _PANEL, _LEGEND_LINE = 1.9, 0.15  # inches of a panel without its legend, and of a legend's line
 _LONGEST_NAME = 12  # characters of a name with which the legend has two columns
 _ROW, _MOST_ROWS = 0.2, 40  # inches of a row of the comparison; rows up to which a figure grows
-_MOST_IN_TITLE = 3
 _MARKERS = "osD^vPX<>*"
 _LINEAR = 10.0  # per cent, up to which the axis of errors is linear
 Curve = Callable[[pd.DataFrame], pd.DataFrame]
@@ -102,24 +101,7 @@ def searches_figure(tables: Tables) -> Plot:
         searches(evaluations, methods, ways=ways, **lines, ax=panels[0])
 
     height = _PANEL + legend_inches(_labels(methods, ways))
-    return Plot(height, draw, title=_title(evaluations, methods))
-
-
-def _title(evaluations: pd.DataFrame, methods: Mapping[str, str]) -> str:
-    """Say how many evaluations each search needed to come close to its best."""
-    parts = []
-    for name, method in methods.items():
-        curve = curve_of(method)(evaluations[evaluations["phase"] == name]).min(axis=1).dropna()
-        if len(curve):
-            near = curve.index[(curve <= 1.01 * curve.min()).argmax()]
-            parts.append(f"{name} {near:,} of {curve.index[-1]:,}")
-    if not parts:
-        return "No search has a finite error."
-    left_out = f" and {len(parts) - _MOST_IN_TITLE} more" * (len(parts) > _MOST_IN_TITLE)
-    return (
-        "The searches came within 1 % of their lowest errors after so many evaluations: "
-        f"{', '.join(parts[:_MOST_IN_TITLE])}{left_out}."
-    )
+    return Plot(height, draw, title="How close each search came to its best after how many sets.")
 
 
 def _on_fresh_draws(run: Run, statistics: ComparisonStatistics) -> dict[str, tuple[str, float]]:
@@ -286,18 +268,8 @@ def _columns(names: Collection[str]) -> int:
 @figure("compared", applies=lambda run: bool(named_sets(run)))
 def compared_figure(tables: Tables) -> Plot:
     """Expected MSE of each compared set, with the 95 % interval of its difference from the best."""
-    ranks, labels = table_of(tables.run, "run", "ranks"), tables.run.labels
-    best, *others = ranks.to_dict("records")
-    rivals = [labels[each["name"]] for each in others if each["best_rank"] == 1]
-    which = phrase_of(labels[best["name"]])
-    if best["best_rank"] == best["worst_rank"]:
-        title = f"The lowest expected MSE of {len(ranks)} sets is clearly that of {which}."
-    elif len(rivals) > _MOST_IN_TITLE:
-        title = f"The best may be any of {1 + len(rivals)} of {len(ranks)} sets."
-    else:
-        names = ", ".join([labels[best["name"]], *rivals])
-        title = f"The best of {len(ranks)} sets may be any of these: {names}."
-    title += " Bars: 95 % intervals of the difference from the best."
+    ranks = table_of(tables.run, "run", "ranks")
+    title = "Bars: 95 % intervals of the difference from the best set."
     return Plot(_height(ranks), lambda panels: comparison(ranks, ax=panels[0]), title=title)
 
 

@@ -13,7 +13,9 @@ _NARROWEST, _USUAL, _WIDEST = 40, 80, 120  # columns of lines; the usual without
 _NAME = 21  # characters of a fact's name
 _LEAST = 24  # characters of a column of text that is cut into lines
 _GAP = "  "
-_GLUED = re.compile(r"(?<=\d) (?=%)|(?<=\(95 % CI) ")  # spaces at which no line ends
+_GLUED = re.compile(  # spaces at which no line ends
+    r"(?<=\d) (?=%)|(?<=\(95 % CI) |(?<=\bt) (?=[=\xa0])|(?<=\bt =) |(?<=\bt\xa0=) "
+)
 _WORD, _PIECE = re.compile(r"[^ ]+ ?| "), re.compile(r"[^_./ ]+[_./ ]?|[_./ ]")
 
 

@@ -1,37 +1,30 @@
-"""When to measure: the error of each set over time, and its measurement times on one axis."""
+"""The measurement times of sets on one axis."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-import pandas as pd
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 
 from pfdist.errors import shown
 from pfdist.pages.figure import Plot, Tables, figure
 from pfdist.pages.panel import (
-    BAND,
     axes_for,
     check_kind,
     height_of_rows,
     label_instants,
     legend_above,
     marker,
-    stack,
     styles_of,
-    table_of,
     thin,
     verbatim,
 )
 from pfdist.pages.style import GREY, set_style
-from pfdist.pages.why import error_profile
 from pfdist.problem.clock import Clock
-from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
-from pfdist.results.over_time import RANGE_SUMS, difference_over_time
 from pfdist.results.stored_run import problem_of
 
-_ROW, _PANEL = 0.17, 1.6  # inches
+_ROW = 0.17  # inches
 _MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
 _MARGIN = 0.03  # part of the axis beside times that are not whole
 _LEADING = 1.25  # distance of two names over the size of their font
@@ -39,67 +32,13 @@ _LEADING = 1.25  # distance of two names over the size of their font
 
 @figure("times")
 def times_figure(tables: Tables) -> Plot:
-    """Expected error over time of two sets, and the measurement times of every set."""
-    run, sets = tables.run, tables.run.sets
-    clock = problem_of(run).clock
+    """Measurement times of every set."""
+    sets, clock = tables.run.sets, problem_of(tables.run).clock
     rows = times_inches(sum(len(clock.by_sensor(at)) for at in sets.values()))
-    if len(sets) < 2 or RANGE_SUMS not in run.tables:
-        numbers = sorted({len(times) for times in sets.values()})
-        each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
-        title = f"Measurement times of {len(sets)} sets, with {each} measurements each."
-        return Plot(rows, lambda panels: times(run, ax=panels[0]), title=title)
-    means = {name: each.mean for name, each in tables.statistics.mse.items()}
-    mse = {name: np.nan_to_num(mean, nan=np.inf) for name, mean in means.items()}
-    reference, *others = run.names
-    pair = [reference, min(others, key=lambda name: mse[name])]
-    best, worse = sorted(pair, key=lambda name: mse[name])
-    profile = table_of(run, "run", "error_over_time")
-
-    def draw(panels: Sequence[Axes]) -> None:
-        error_profile(profile, pair, ax=panels[0])
-        times(run, ax=panels[1])
-        stack(panels)
-
-    return Plot(
-        0.3 + _PANEL + rows, draw, 2, share_x=True, title=_title(run, profile, best, worse),
-        heights=[_PANEL, rows - 0.75],
-    )  # fmt: skip
-
-
-def _title(run: Run, profile: pd.DataFrame, best: str, reference: str) -> str:
-    """Say in which stretches of time the best set lowers and raises the error most, and how often.
-
-    An instant counts if the difference on common draws is clear there, with 95 % confidence.
-    """
-    rows = {name: profile[profile["name"] == name] for name in (best, reference)}
-    at_times = rows[best]["t"].tolist()
-    difference, error = difference_over_time(run, best, reference)
-    lower = np.nan_to_num(-difference, posinf=0.0, neginf=0.0)
-    weight = rows[best]["weight"].to_numpy()
-    unit = f" {profile.attrs.get('error_unit', '')}²" if profile.attrs.get("error_unit") else ""
-    parts = list[str]()
-    for word, change in (("falls", weight * lower), ("rises", -weight * lower)):
-        if not (change > 0).any():
-            continue
-        total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
-        stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
-        first, end = np.unravel_index(stretches.argmax(), stretches.shape)
-        here = slice(first, end)
-        before, now = (
-            f"{np.average(rows[name]['error'][here], weights=weight[here]):#.3g}".rstrip(".")
-            for name in (reference, best)
-        )
-        ends = dict.fromkeys([at_times[first], at_times[end - 1]])
-        at = " to ".join(map(problem_of(run).clock.text, ends))
-        parts.append(f"{word} most at t = {at} (from {before} to {now}{unit})")
-    smaller, larger = (int(np.sum(side * lower > BAND * error)) for side in (1, -1))
-    draws = int(profile["draws"].max())
-    on = f"{draws:,} common draws, 95 % confidence at each instant" if draws else "exact"
-    return (
-        f"With {phrase_of(run.labels[best])} instead of {phrase_of(run.labels[reference])}, the "
-        f"expected error {' and '.join(parts) or 'is the same at all instants'}. It is smaller at "
-        f"{smaller} of {lower.size} instants and larger at {larger} ({on})."
-    )
+    numbers = sorted({len(times) for times in sets.values()})
+    each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
+    title = f"Measurement times of {len(sets)} sets, with {each} measurements each."
+    return Plot(rows, lambda panels: times(tables.run, ax=panels[0]), title=title)
 
 
 def times(
@@ -140,7 +79,7 @@ def times(
     barred, references, clock = set[float](forbidden), set[str](), None
     if is_of_run := isinstance(sets, Run):
         run, clock = sets, problem_of(sets).clock
-        barred.update(_forbidden_times(run))
+        barred.update(forbidden_times(run))
         sets = run.sets
         references = {*run.names} - {*run.references}
     for name, at in sets.items():
@@ -167,7 +106,7 @@ def times(
         ax.plot(
             at, [row] * len(at), ms=marker(size), mew=thin(0.8), zorder=3, clip_on=False, **style
         )
-    _shade(ax, barred, clock)
+    shade(ax, barred, clock)
     first, last = clock.times[0], clock.times[-1] if horizon is None else horizon
     beside = 0.75 * (last - first) / max(1, clock.horizon) or 0.75
     if not (is_of_run or clock.counts):  # the steps of this clock are those of the given times
@@ -192,7 +131,7 @@ def times_inches(sets: int) -> float:
     return height_of_rows(min(sets, _MOST_NAMED), _ROW)
 
 
-def _forbidden_times(run: Run) -> list[float]:
+def forbidden_times(run: Run) -> list[float]:
     """The times at which nothing may be measured."""
     problem = problem_of(run)
     allowed = problem.points.made({*range(problem.points.number)} - {*problem.feasible.forbidden})
@@ -207,7 +146,7 @@ def _clock_of(times: Iterable[float], last: float) -> Clock:
     return Clock(tuple(sorted(map(float, instants))))
 
 
-def _shade(ax: Axes, forbidden: set[float], clock: Clock) -> None:
+def shade(ax: Axes, forbidden: set[float], clock: Clock) -> None:
     """Shade each stretch of successive forbidden instants, half a step beyond both ends."""
     at = np.array(clock.times, np.float64)
     middles = (at[1:] + at[:-1]) / 2 if at.size > 1 else at + 0.5

@@ -1,18 +1,17 @@
-"""The expected error over time, and the effective sample size of the filters (`pfdist why`)."""
+"""The worth of measurements, the expected error over time, and what particles do and lose."""
 
 from collections.abc import Sequence
+from itertools import cycle
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from pfdist.pages.figure import Plot, Tables, figure
-from pfdist.pages.measurements import worth
 from pfdist.pages.panel import (
     BAND,
     axes_for,
     check_kind,
-    clock_of_table,
     cut_outliers,
     label_error,
     label_times,
@@ -20,17 +19,18 @@ from pfdist.pages.panel import (
     marker,
     points,
     rows_with_results,
-    stack,
+    step_of,
     table_of,
     thin,
+    verbatim,
     write_instead,
 )
-from pfdist.pages.style import set_style
+from pfdist.pages.style import GREY, SENSORS, set_style
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
 from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST
 
-_MOST_SETS = 5  # in the figure of the filters
+_WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
 _LINEAR = 20  # largest ratio of two effective sample sizes on a linear axis
 
 
@@ -38,40 +38,15 @@ def _is_explained(run: Run) -> bool:
     return "profile" in run.tables and "worth" in run.tables
 
 
-def _has_particles(run: Run) -> bool:
-    return _is_explained(run) and bool(run.table("profile")["effective_sample_size"].notna().any())
-
-
 @figure("why", applies=_is_explained, each_set=True)
 def why_figure(tables: Tables, name: str) -> Plot:
-    """Expected error of a set over time, and its rise if a measurement is left out."""
+    """Rise of a set's expected error if a measurement is left out."""
     run = tables.run
-    profile, measurements = (table_of(run, "run", table) for table in ("profile", "worth"))
+    measurements = table_of(run, "run", "worth")
     of_set = measurements[measurements["name"] == name]  # it may measure nothing
-
-    def draw(panels: Sequence[Axes]) -> None:
-        error_profile(profile, [name], ax=panels[0])
-        worth(of_set, ax=panels[1])
-        stack(panels)
-
-    mean = _mean_error(profile[profile["name"] == name])
-    return Plot(4.0, draw, panels=2, share_x=True, title=_title(of_set, mean, run.labels[name]))
-
-
-def _title(measurements: pd.DataFrame, mean: float, label: str) -> str:
-    """Say which measurement is worth most, and which least."""
-    rows = measurements.dropna(subset="removed").sort_values("removed").to_dict("records")
-    clock = clock_of_table(measurements)
-    if not rows:
-        return f"There is no measurement of {phrase_of(label)}."
-    least, most = (
-        f"t = {clock.text(clock.of_row(row))} ({100 * row['removed'] / mean:.3g} %)"
-        for row in (rows[0], rows[-1])
-    )
-    return (
-        f"Most important measurement of {phrase_of(label)}: {most}; least important: {least}. The "
-        "expected MSE rises by so much without it."
-    )
+    which = phrase_of(run.labels[name])
+    title = f"Rise of the expected MSE without each measurement of {which}, with 95 % intervals."
+    return Plot(2.3, lambda panels: worth(of_set, ax=panels[0]), title=title)
 
 
 def _mean_error(rows: pd.DataFrame) -> float:
@@ -82,32 +57,61 @@ def _mean_error(rows: pd.DataFrame) -> float:
     return float(np.average(error[counts], weights=weights[counts]))
 
 
-@figure("filters", applies=_has_particles)
-def filters_figure(tables: Tables) -> Plot:
-    """Effective sample size of the filters over time, and degenerate draws if there are any."""
-    run = tables.run
-    profile, particles = table_of(run, "run", "profile"), run.job["filter"]["particles"]
-    sizes = profile.dropna(subset="effective_sample_size")
-    names = [name for name in run.names if name in set(sizes["name"])][:_MOST_SETS]
-    sizes = sizes[sizes["name"].isin(names)]
-    is_degenerate = bool(profile["degenerate_draws"].any())
+def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
+    """Draw the rise of the expected MSE if a measurement is left out, with 95 % intervals.
 
-    def draw(panels: Sequence[Axes]) -> None:
-        effective_sample_size(sizes, particles=particles, ax=panels[0])
-        if is_degenerate:
-            degenerate_draws(profile, names, ax=panels[1])
-            stack(panels)
+    The stems of several sets and sensors at one instant stand side by side, and each sensor has a
+    marker.
 
-    least = sizes.iloc[sizes["effective_sample_size"].argmin()]
-    at = clock_of_table(profile).text(least["t"])
-    title = (
-        f"The effective sample size is least at t = {at} with "
-        f"{phrase_of(run.labels[least['name']])}: on average "
-        f"{least['effective_sample_size']:.0f} of {particles} particles."
-    )
-    if is_degenerate:
-        return Plot(3.4, draw, panels=2, share_x=True, title=title)
-    return Plot(2.0, draw, title=f"{title} No draw is degenerate.")
+    Parameters
+    ----------
+    measurements : DataFrame or object
+        A table with the columns name, t, removed and removed_error; or an object whose ``worth`` or
+        ``measurements`` it is, such as the result of `pfdist.why`.
+    names : sequence of str
+        Sets that are drawn, the reference first; by default all.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        The table has no set of this name.
+    """
+    table, curves = table_of(measurements, "measurements", "worth", "measurements"), []
+    sets, ax = rows_with_results(table, names), axes_for(ax)
+    if table.empty:
+        return write_instead(ax, "there is no table of what measurements are worth")
+    sensors = sorted({*table["sensor"]}) if "sensor" in table else [""]
+    markers = dict(zip(sensors, cycle(SENSORS), strict=False))
+    number, step = len(sets) * len(sensors), step_of(table["t"])
+    spread = iter(np.linspace(-_WIDTH / 2, _WIDTH / 2, number) if number > 1 else [0.0])
+    for _, of_set, plain in sets:
+        style = plain | {"ls": "", "ms": marker(0.9)}
+        ax.plot([], [], **style)
+        for sensor in sensors:
+            rows = (of_set[of_set["sensor"] == sensor] if sensor else of_set).dropna(
+                subset="removed"
+            )
+            own = style | {"label": None} | ({"marker": markers[sensor]} if sensor else {})
+            t, rise = rows["t"].to_numpy() + next(spread) * step, rows["removed"].to_numpy()
+            ax.vlines(t, 0.0, rise, color=style["color"], lw=thin())
+            half = BAND * rows["removed_error"].to_numpy()
+            ax.errorbar(t, rise, half, elinewidth=thin(0.6), **own)
+            curves.append(points(t, rise, style["color"], style["label"] or ""))
+    for sensor in filter(None, sensors):
+        ax.plot([], [], markers[sensor], color=GREY, ms=marker(0.9), label=verbatim(sensor))
+    ax.axhline(0.0, color=GREY, lw=thin(0.6), zorder=0)
+    cut_outliers(ax, curves, keep=[0.0])
+    label_error(ax, table, "MSE rise if left out")
+    label_times(ax, table)
+    if len(ax.get_legend_handles_labels()[1]) > 1:
+        legend_above(ax)
+    return ax
 
 
 def error_profile(profile: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
@@ -203,46 +207,6 @@ def effective_sample_size(
         ax.axhline(particles, color="black", ls=":", lw=thin(), label=f"{particles:,} particles")
     ax.set_ylim(bottom=float(is_logarithmic))  # last: the upper end no longer follows the lines
     ax.set_ylabel("effective sample size")
-    label_times(ax, table)
-    legend_above(ax)
-    return ax
-
-
-def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
-    """Draw the share of the draws that are degenerate by each instant.
-
-    Parameters
-    ----------
-    profile : DataFrame or object
-        A table with the columns name, t, draws and degenerate_draws (their number up to t); or an
-        object whose ``profile`` it is, such as the result of `pfdist.why`.
-    names : sequence of str
-        Sets that are drawn, the reference first; by default all.
-    ax : matplotlib Axes, optional
-        By default those of a new figure.
-
-    Returns
-    -------
-    matplotlib Axes
-
-    Raises
-    ------
-    JobError
-        The table has no set of this name.
-    """
-    table = table_of(profile, "profile", "profile")
-    table = table[table["draws"] > 0]
-    sets, ax = rows_with_results(table, names), axes_for(ax)
-    if table.empty:
-        return write_instead(ax, "exact filters have no degenerate draws")
-    for _, rows, style in sets:
-        share = 100 * rows["degenerate_draws"].to_numpy() / rows["draws"].to_numpy()
-        ax.step(
-            rows["t"], share, where="post", color=style["color"], ls=style["ls"], lw=thin(),
-            label=style["label"] and f"{style['label']}, in the end {share[-1]:.2g} %",
-        )  # fmt: skip
-    ax.set_ylim(0, ax.get_ylim()[1] if table["degenerate_draws"].any() else 1.0)
-    ax.set_ylabel("degenerate draws [%]")
     label_times(ax, table)
     legend_above(ax)
     return ax

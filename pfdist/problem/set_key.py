@@ -15,6 +15,7 @@ PLAN = "plan"
 """Label of the set that a search found."""
 KINDS = {EVEN: EVENLY_SPACED, REGULAR: REGULAR, "found": PLAN}
 """Labels of the sets of a budget, by their kind."""
+_ALONE, _IN_TURN = " alone", "sensors in turn"  # labels of regular times of sensors
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,8 @@ class SetKey:
 def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, str]:
     """The labels of sets in tables and figures, by name.
 
-    The set of a single search is the plan. Sets of several searches keep their names.
+    The set of a single search is the plan. Sets of several searches keep their names. References
+    of a problem with sensors say which of them measure.
 
     >>> job = {"search": [{"name": "genetic"}]}
     >>> labels_of_sets(["evenly_spaced", "genetic", "mine"], job)
@@ -56,11 +58,16 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     {'evenly_spaced_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
     >>> labels_of_sets(["genetic_300"], {**job, "budget": {}, "problem": {"total_price": 500}})
     {'genetic_300': 'plan for 300'}
+    >>> labels_of_sets(["alone_ct", "rotation"], {"problem": {"sensors": {"ct": {}}}})
+    {'alone_ct': 'ct alone', 'rotation': 'sensors in turn'}
     """
     keys = {column: set_key_of(column, job) for column in columns}
     # A comparison has no search of its own, but sets of runs.
     searches = [search["name"] for search in job.get("search", ())] or [DEFAULT_METHOD]
     labels = {EVEN: EVENLY_SPACED}
+    for sensor in job.get("problem", {}).get("sensors", ()):
+        labels |= {f"alone_{sensor.lower().replace('-', '_')}": f"{sensor}{_ALONE}"}
+        labels["rotation"] = _IN_TURN
     if len(searches) == 1 and PLAN not in keys:
         labels[searches[0]] = PLAN
     is_money = "total_price" in job.get("problem", {})
@@ -83,6 +90,8 @@ def phrase_of(label: str) -> str:
         return f"{phrase_of(origin)} for {price}"
     if label.endswith((EVENLY_SPACED, REGULAR)):
         return f"{label} times"
+    if label.endswith((_ALONE, _IN_TURN)):
+        return label
     is_title = label.partition(" of ")[0] in (PLAN, REFERENCE)
     return f"the {label}" if is_title else f"the set {label}"
 

@@ -153,8 +153,6 @@ def _sets(answer: Backtest) -> Table:
 
 
 def _facts(answer: Backtest) -> list[tuple[str, str]]:
-    first = answer.promises[FROM_START], answer.promises[CENTRED]
-    lags = " and ".join(rounded(each.correlation, 2) for each in first)
     plan = answer.clock.listed(answer.plan) or "one for each replicate"
     within = f"{unrounded(answer.within)} {answer.clock.unit}".rstrip()
     facts = [
@@ -163,7 +161,6 @@ def _facts(answer: Backtest) -> list[tuple[str, str]]:
                    f"{number_of(_count(answer), 'replicate')}, which no set uses"),
         ("improbable", f"{100 * answer.improbable:.1f} % of the plan's measurements (p < 1 %; a "
                        "right model: 1 %)"),
-        ("lag-1 correlation", f"{lags} of the differences"),
         ("distance", f"at most {within} from a wanted time to the measurement used"),
     ]  # fmt: skip
     if answer.left_out:
@@ -197,11 +194,10 @@ def _warnings(answer: Backtest) -> Iterator[str]:
     if answer.impossible:
         count = number_of(answer.impossible, "filter")
         yield f"In {count} no particle explains a measurement, which is then left out."
-    lags = [each.correlation for each in answer.promises.values()]
-    if max(lags, default=0.0) > _DEPENDENT:
+    if max((each.correlation for each in answer.promises.values()), default=0.0) > _DEPENDENT:
         yield (
-            f"Differences of consecutive replicates correlate ({max(lags):.2f}), so intervals are "
-            "too narrow: --block joins consecutive replicates."
+            "Consecutive replicates depend on each other, so intervals are too narrow: --block "
+            "joins them."
         )
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Facts, Figures, Page, Section, Table, Text
 from pfdist.common.percent import (
     SPACED_IN_WINDOWS,
@@ -13,17 +14,20 @@ from pfdist.common.percent import (
     rounded_up,
 )
 from pfdist.common.rounding import rounded, with_error
+from pfdist.problem.sections import EVENLY_SPACED
 from pfdist.problem.set_key import PLAN, phrase_of
 from pfdist.questions.subject import ERROR_HEAD, Subject
 from pfdist.results.stored_run import last_bounds
 
-_MEANING = (
+_HOLDS = (
     "No allowed times of the same number, or of the same total price, have a lower expected MSE "
     "than the lower bound, with any filter, if the model is right. The bound is that of an easier "
-    "problem: the filter gets some measurements in addition to those of the budget. The gap is how "
-    "much lower the expected MSE can be at most. It is the sum of its parts: from the easier "
-    "problem and from chance, from finitely many particles, and from a wrong model of the filter. "
-    "It is computed draw by draw, so it is more precise than the difference of the two columns."
+    "problem: the filter gets some measurements in addition to those of the budget."
+)
+_MEANING = (
+    "The gap is how much lower the expected MSE can be at most. It is the sum of its parts: the "
+    "slack of the proof and chance, too few particles, and a wrong model of the filter. It is "
+    "computed draw by draw, so it is more precise than the difference of the two columns."
 )
 _NATS = (
     "Information about the path is submodular: what one measurement adds is never more if others "
@@ -48,7 +52,7 @@ _WORST = (
 )
 _HEAD = (
     "times", ERROR_HEAD, "lower bound ± standard error", "gap, estimated", "gap, at most",
-    "from relaxation", "from particles", "from the model",
+    "slack of the proof", "too few particles", "wrong filter model",
 )  # fmt: skip
 
 
@@ -63,8 +67,9 @@ def proof(subject: Subject) -> Section | None:
         return Section(title, [Text(_NATS, detail=True)])
     shares = next(iter(proofs.values())).get("shares") or ()
     texts = _scenarios(shares) if subject.scenarios else []
-    blocks = [*_meaning(proofs), *_table(proofs, subject.run.labels), *texts]
-    return Section(title, [*blocks, Figures(["bound"])])
+    table = _table(proofs, subject.run.labels, detail=True)
+    blocks = [Text(_HOLDS), Figures(["bound"]), *table, *texts, *_meaning(proofs)]
+    return Section(title, blocks)
 
 
 def bound_page(
@@ -86,7 +91,7 @@ def bound_page(
     blocks, warnings = list[Block](), list[str]()
     for name, each in reversed(proofs.items()):  # the plan comes before the reference
         number, label = len(each["measurement_times"]), labels[name]
-        if not each["reason"]:
+        if not each["reason"] and label not in (EVENLY_SPACED, REGULAR):
             sentence = (
                 nats_sentence(each | common, number, has_fewer=answer["has_fewer"])
                 if answer["sign"] < 0
@@ -111,7 +116,7 @@ def bound_page(
     if answer["sign"] < 0:
         blocks.append(Text(_NATS, detail=True))
     else:
-        blocks += [*_table(proofs, labels), *texts, *_meaning(proofs)]
+        blocks += [*_table(proofs, labels), *texts, Text(_HOLDS, detail=True), *_meaning(proofs)]
     if answer["within_reached"] is False:
         limit = f"{100 * (within or 0.0):g} %"
         blocks.append(Text(f"Not all limits are at most {limit} with {answer['draws']:,} draws."))
@@ -131,10 +136,12 @@ def _meaning(proofs: Mapping[str, Mapping[str, Any]]) -> list[Block]:
     return [Text(f"{_MEANING} {_TESTED}" if is_tested else _MEANING, detail=True)]
 
 
-def _table(proofs: Mapping[str, Mapping[str, Any]], labels: Mapping[str, str]) -> list[Block]:
+def _table(
+    proofs: Mapping[str, Mapping[str, Any]], labels: Mapping[str, str], *, detail: bool = False
+) -> list[Block]:
     rows = [_row(labels[name], each) for name, each in proofs.items() if not each["reason"]]
     optional = _HEAD[:-4:-1]  # the parts
-    return [Table("Lower bounds and gaps", _HEAD, rows, optional=optional)] if rows else []
+    return [Table("Lower bounds and gaps", _HEAD, rows, detail, optional)] if rows else []
 
 
 def _scenarios(shares: Sequence[float]) -> list[Block]:

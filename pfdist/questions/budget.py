@@ -107,10 +107,6 @@ def budget(
     finished = run(
         job, folder_of(job, results, "-budget"), bound_draws=bound_draws, reuse=reuse, **options
     )
-    if target is not None and chosen.figures:
-        from pfdist.pages.plots import draw_target  # noqa: PLC0415  Matplotlib loads if a figure is drawn
-
-        draw_target(finished, target)
     if target is not None and chosen.has_report:
         try_report(finished, chosen.say, target)
     return finished

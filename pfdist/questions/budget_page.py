@@ -7,9 +7,9 @@ from decimal import ROUND_FLOOR, Decimal
 from typing import Any
 
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
-from pfdist.common.percent import particle_loss_text, percent
+from pfdist.common.percent import particle_loss_text
 from pfdist.common.rounding import with_interval
-from pfdist.problem.set_key import KINDS, phrase_of
+from pfdist.problem.set_key import KINDS
 from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of_times
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row
@@ -19,7 +19,8 @@ _BOUND = (
     "No times of the same number or price have a lower expected MSE than the lower bound, with any "
     "filter of the same model. A number is undecided if its plan does not reach the error, but "
     "other times might. Evenly spaced measurements are as good if their error on the same draws "
-    "lies at most 2 % above that of the plan (95 %)."
+    "lies at most 2 % above that of the plan (95 %); the largest number is the largest that was "
+    "tried."
 )
 
 
@@ -43,8 +44,6 @@ def budget_section(subject: Subject) -> Section | None:
         Table("Expected MSE ± standard error", head, _cells(rows)),
         *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
         *_worse(rows),
-        *_estimated([row for row in rows if row.kind == FOUND]),
-        *_lost(rows),
         all_sets(subject),
     ]
     return Section("How many measurements are enough?", blocks)
@@ -183,17 +182,17 @@ def _cells(rows: Sequence[Row]) -> list[list[Cell]]:
         [
             Cell(str(number), number),
             *(_ERROR.cell(sets[each]) if each in sets else Cell("") for each in (False, True)),
-            _as_good(sets[True]) if True in sets else Cell(""),
+            _as_good(sets[True], max(numbers)) if True in sets else Cell(""),
             _bound(sets[True]) if True in sets else Cell(""),
         ]
         for number, sets in sorted(numbers.items())
     ]
 
 
-def _as_good(row: Row) -> Cell:
-    """The least number of evenly spaced measurements that do as well."""
+def _as_good(row: Row, most: int) -> Cell:
+    """The least number of evenly spaced measurements that do as well, of at most so many."""
     number = row.evenly_spaced
-    return Cell("above all", math.inf) if number is None else Cell(str(number), number)
+    return Cell(f"more than {most}", math.inf) if number is None else Cell(str(number), number)
 
 
 def _bound(row: Row) -> Cell:
@@ -219,27 +218,3 @@ def _worse(rows: Sequence[Row]) -> Iterator[Text]:
             yield Text(
                 f"{more} worse, {KINDS[kind]} (95 % for all pairs together): {', '.join(worse)}."
             )
-
-
-def _lost(rows: Sequence[Row]) -> Iterator[Text]:
-    """The largest particle loss of all sets."""
-    if known := [row for row in rows if row.particle_loss_limit is not None]:
-        row = max(known, key=lambda row: float(row.particle_loss_limit))
-        loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
-        text = f"The particles lose most with {phrase_of(row.label)}: {loss}."
-        yield Text(text, detail=True)
-
-
-def _estimated(rows: Sequence[Row]) -> Iterator[Text]:
-    """The mean distance of the search's estimates from the errors on fresh draws."""
-    excesses = [row.search_excess for row in rows if row.search_excess is not None]
-    if not excesses or rows[0].search_standard_error == 0.0:  # errors are exact
-        return
-    mean, causes = sum(excesses) / len(excesses), [row.search_cause for row in rows]
-    reasons = "; ".join(filter(None, [max(causes, key=causes.count), rows[0].search_settings]))
-    side = "below" if mean < 0 else "above"
-    yield Text(
-        f"The search's estimates lie on average {percent(abs(mean))} {side} the errors on fresh "
-        f"draws ({reasons}).",
-        detail=True,
-    )

@@ -69,7 +69,7 @@ def compared(subject: Subject) -> Section | None:
         *([Text(best, prominent=True)] if best else []),
         without_empty_columns(sets),
         Text(_SETS_MEANING, detail=True),
-        Figures(["compared"] if subject.found_rows else ["times", "compared"]),
+        Figures(["compared"] if subject.found_rows else ["system", "compared"]),
         Table("Pairs of sets", _PAIRS_HEAD, rows, detail=True, optional=_PAIRS_HEAD[:-3:-1]),
         Text(_PAIRS_MEANING, detail=True),
     ]
@@ -276,7 +276,6 @@ def parameters_text(parameters: Mapping[str, Any]) -> str:
 
 _SHOWN = ("label", "expected_mse", "gain_of_means")
 _NOTHING = dict.fromkeys(_SHOWN)
-_FIGURES = ("online_gain", "online_times", "online_draw")
 
 
 def online_section(subject: Subject) -> Section | None:
@@ -298,7 +297,9 @@ def online_section(subject: Subject) -> Section | None:
         f"from all measurements so far. In {percent(result['differs_from_plan'], 0)} of "
         f"the draws the times differ from those of {phrase_of(labels[plan['name']])}."
     )
-    return Section("Times chosen one after another", [Text(meaning), table, Figures(_FIGURES)])
+    return Section(
+        "Times chosen one after another", [Text(meaning), table, Figures(["online_times"])]
+    )
 
 
 def online_sentence(subject: Subject) -> str:

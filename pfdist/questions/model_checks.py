@@ -54,6 +54,7 @@ _RARE = 0.5  # of all changes of an error, in 1 % of the draws
 _SAME = 1e-6  # relative difference of errors by two engines
 _LITTLE = 0.2  # % of the expected MSE that is little
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
+_UNNAMED = 'answers call it z; name it with its unit: z_names=("concentration [mg/L]",)'
 
 
 @dataclass(frozen=True)
@@ -164,6 +165,8 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         return
     text = f"x, y and z are finite in {count} draws of {horizon + 1} instants"
     yield Check("simulate", "ok", text)
+    if not model.z_names:
+        yield Check("names", "note", _UNNAMED)
     first, names = draws.z[:, 0], model.named("z")
     spread = np.subtract(*np.quantile(first, (0.75, 0.25), axis=0))
     for k in np.flatnonzero(model.is_angle & (spread > 2.0 * np.pi)):

@@ -26,14 +26,18 @@ _NOT_DRAWN = ("metadata", "style")
 
 
 def with_pictures(page: Page, run: Run) -> Page:
-    """A page with pictures in the places for figures; with none before the comparison has begun."""
+    """A page with pictures in the places for figures; with none before the comparison has begun.
+
+    A section in which only details are left is folded away.
+    """
     tables = Tables(run)
 
     def filled(section: Section) -> Section:
         blocks = list[Block]()
         for block in section.blocks:
             blocks += _pictures(tables, block) if isinstance(block, Figures) else [block]
-        return replace(section, blocks=blocks)
+        is_folded = section.folded or all(block.detail for block in blocks)
+        return replace(section, blocks=blocks, folded=is_folded)
 
     return replace(page, sections=[filled(section) for section in page.sections])
 
@@ -74,7 +78,8 @@ def picture(plot: Plot, name: str, description: str) -> Picture:
     for key in ("width", "height", "version"):
         svg.attrib.pop(key, None)
     svg.attrib |= {"role": "img", "aria-label": printable(description)}
-    return Picture(plot.title, description, ElementTree.tostring(svg, encoding="unicode"))
+    return Picture(plot.title, description, ElementTree.tostring(svg, encoding="unicode"),
+                   wide=plot.columns > 1)  # fmt: skip
 
 
 def _adapt(element: ElementTree.Element, prefix: str) -> None:

@@ -9,7 +9,7 @@ from typing import Unpack
 
 from pfdist.common.arguments import paths_argument
 from pfdist.common.section import checked
-from pfdist.errors import JobError, ModelError, TaskError
+from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.engines import AUTO
 from pfdist.filters.work import GUIDED
 from pfdist.problem.problem import JobSource, as_job
@@ -17,7 +17,6 @@ from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.report import try_report
 from pfdist.questions.run_of_job import folder_of
-from pfdist.questions.run_page import answer_in_a_line
 from pfdist.questions.subject import Subject
 from pfdist.results import Run, open_run
 from pfdist.results.sets import publish_sets
@@ -211,8 +210,8 @@ def compute(
             yield from compare_evenly_spaced(session, run)
         if prover is not None and proves:
             publish_sets(run)
-            if line := answer_in_a_line(run):
-                say(line)  # first, because the proof takes longer than the search
+            say(f"The times are found: `pfdist status {relative(str(run.path))}` shows them. "
+                "The proof takes longer.")  # fmt: skip
             if "budget" not in run.job:
                 compared()
             try:

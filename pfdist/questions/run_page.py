@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from pfdist.common.parts import (
     Block,
     Cell,
-    Facts,
     Figures,
     Page,
     Section,
@@ -19,7 +19,6 @@ from pfdist.common.percent import (
     SPACED_IN_WINDOWS,
     gap_sentence,
     nats_sentence,
-    particle_loss_text,
     percent,
     percent_with_interval,
 )
@@ -27,15 +26,7 @@ from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
 from pfdist.problem.problem_section import SMOOTHED
 from pfdist.problem.set_key import phrase_of
-from pfdist.questions.about_run import (
-    by_hand,
-    citation,
-    computed,
-    made_by,
-    problem,
-    question,
-    tables,
-)
+from pfdist.questions.about_run import computed, made_by, problem, question, using
 from pfdist.questions.bound_page import proof
 from pfdist.questions.budget_page import budget_section
 from pfdist.questions.compared_page import (
@@ -52,6 +43,7 @@ from pfdist.questions.subject import (
     as_good_text,
     change_of,
     effect,
+    is_clear,
     number_of,
     without_folder,
 )
@@ -109,26 +101,23 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
         An expected MSE: how many measurements reach it.
     """
     subject = Subject(run, target=target)
-    title, chapters = "When to measure", _OF_A_PLAN
+    title = "When to measure"
+    chapters: tuple[Chapter, ...] = (answer, online_section, scenarios, proof, worth_section)
     if "budget" in run.job:
-        title, chapters = "How many measurements are enough", (budget_section, problem)
+        title, chapters = "How many measurements are enough", (budget_section,)
     elif run.job.get("online"):
-        title, chapters = "Fixed or online times", (answer, online_section, *_OF_A_PLAN[1:])
+        title = "Fixed or online times"
     elif not run.job["search"]:
-        title, chapters = "Which times are best", (compared, *_OF_A_PLAN)
+        title, chapters = "Which times are best", (compared, *chapters)
     warnings = _warnings(subject)
     if run.state != "finished":
         draws = number_of(run.draws_compared, "draw")
         unfinished = f"This run is not finished: {draws} are compared so far, and all results may "
         warnings.insert(0, f"{unfinished}change.")
-    last = (
-        searches_section,
-        *([by_hand] if "budget" not in run.job else []),
-        computed,
-        tables,
-        citation,
-    )
-    sections = _sections(subject, (*dict.fromkeys(chapters), *last))
+    others = () if "budget" in run.job else (compared, gains)
+    folded = [problem, *others, searches_section, computed, using]
+    last = _sections(subject, [make for make in folded if make not in chapters])
+    sections = [*_sections(subject, chapters), *(replace(each, folded=True) for each in last)]
     # The name in the model; in an older run, the name in the job.
     model = provenance_of(run).get("name_of_model")
     title = f"{title}: {one_line(model or without_folder(run.job['model']['name']))}"
@@ -160,15 +149,6 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
     return Page("", "", sections, _warnings(subject), place=place, alarms=subject.alarms)
 
 
-def answer_in_a_line(run: Run) -> str:
-    """The gain of the best times, and these times; empty if the run has none yet."""
-    subject = Subject(run)
-    section = budget_section(subject) if "budget" in run.job else answer(subject)
-    texts = [block for block in section.blocks if isinstance(block, Text)] if section else []
-    said = [block.text for block in texts if block.prominent or "budget" not in run.job]
-    return " ".join([*subject.alarms * bool(said), *said])
-
-
 def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
     return [section for make in chapters if (section := make(subject)) is not None]
 
@@ -190,7 +170,7 @@ def answer(subject: Subject) -> Section | None:
         return None
     names = subject.by_error[:1] if subject.is_compared else [*subject.found_rows]
     blocks = [block for name in names for block in _answer(subject, subject.rows[name])]
-    return Section("The answer", [*blocks, Figures(["times"])])
+    return Section("The answer", [*blocks, Figures(["system"])])
 
 
 def _answer(subject: Subject, row: Row) -> Iterator[Block]:
@@ -228,9 +208,13 @@ def _gain(subject: Subject, row: Row) -> str:
     if (said := criterion_effect(subject, row)) is not None:
         what = "mean over the scenarios" if subject.scenarios else "expected MSE"
         return f"{said} The {what} is {change_of(row.gain_of_means, interval)}."
-    typical = subject.typical_errors(row, reference)
-    said = effect(row.gain_of_means, interval, subject.reference, subject.error)
-    return f"{said}.{typical and f' Its root, the typical error, is {typical}.'}"
+    typical, change = subject.typical_errors(row, reference), change_of(row.gain_of_means, interval)
+    if not typical:
+        return f"{effect(row.gain_of_means, interval, subject.reference, subject.error)}."
+    typical, said = f"the typical error is {typical}", f"{subject.error} is {change}."
+    if is_clear(interval):
+        return f"T{typical[1:]} with {subject.reference}: {said}"
+    return f"No clear difference from {subject.reference}: {typical}, and {said}"
 
 
 def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
@@ -290,12 +274,10 @@ def gains(subject: Subject) -> Section | None:
         *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it
         *_degenerate(subject),
         *_broken(subject),
-        Figures(["gain", "draw"], subject.shown),
-        *subject.about_others,
+        Figures(["gain"], subject.by_error[:1]),
         all_sets(subject),
-        *(_details(row) for row in subject.rows.values()),
     ]
-    return Section("What the times gain", blocks)
+    return Section("All sets", blocks)
 
 
 def _papers_gains(subject: Subject) -> Iterator[Text]:
@@ -330,16 +312,6 @@ def _broken(subject: Subject) -> Iterator[Text]:
         times = f"The set {row.label}" if name in subject.others else "The reference"
         for constraint in row.broken_constraints:
             yield Text(f"{times} breaks a constraint, and is compared all the same: {constraint}.")
-
-
-def _details(row: Row) -> Facts:
-    facts = list[tuple[str, str]]()
-    if row.description:
-        facts.append(("what it is", row.description))
-    if row.particle_loss is not None and row.particle_loss_limit is not None:
-        loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
-        facts.append(("error due to finite particles", loss))
-    return Facts(facts, f"More about {phrase_of(row.label)}", detail=True)
 
 
 # --- the searches ---------------------------------------------------------------------------------
@@ -386,8 +358,3 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
     why = "; ".join(reasons).replace(relative(str(path)), path.name)  # the report may be sent
     side = "below" if excess < 0 else "above"
     return [*cells, Cell(f"{percent(abs(excess), 1)} {side}", excess), Cell(why)]
-
-
-_OF_A_PLAN: tuple[Chapter, ...] = (
-    answer, scenarios, compared, problem, gains, proof, worth_section, online_section,
-)  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.measurement_times import EVEN, REGULAR
-from pfdist.common.parts import Cell, Table, Text
+from pfdist.common.parts import Cell, Table
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.filters.criterion import Criterion
@@ -42,8 +42,7 @@ WHEN = {
     FILTERED: "At the moment, with the measurements until then",
 }
 """How answers call the estimate that the job did not ask for."""
-MOST_SETS = 4
-"""Sets that have figures in a report; each has about 60 kB of them."""
+_MOST_SETS = 4  # beside the reference, in a table of scenarios
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,8 @@ class Subject:
 
     @property
     def shown(self) -> list[str]:
-        """Names of the sets that have figures in a report: some of the best."""
-        return [name for name in self.by_error if name in self.others][:MOST_SETS]
+        """Names of some of the best sets."""
+        return [name for name in self.by_error if name in self.others][:_MOST_SETS]
 
     @cached_property
     def scenarios(self) -> list[Row]:
@@ -148,20 +147,6 @@ class Subject:
     def of_the_estimate(self) -> str:
         """Which estimate has the expected MSE; empty for the filter's."""
         return problem_of(self.run).of_the_estimate
-
-    @property
-    def about_others(self) -> list[Text]:
-        """A sentence about the figures of the other sets, if there are others."""
-        others = len(self.others) - len(self.shown)
-        shown = number_of(len(self.shown), "found set" if self.found_rows else "set")
-        best = "with the lowest expected MSE"
-        if not self.criterion.is_mean:
-            best = f"that rank first by {self.error}"
-        text = (
-            f"Figures are shown of {shown} {best}. Those of the other "
-            f"{number_of(others, 'set')} are in the folder figures of the run."
-        )
-        return [Text(text)] if others else []
 
     def reaching(self, target: float, error: float = 0.0) -> dict[str, dict[str, Any]]:
         """How many measurements reach an expected MSE; see `pfdist.results.reaching`."""

@@ -35,7 +35,7 @@ from pfdist.store import WHY_PHASE, frame_of, schema
 from pfdist.store.schema import with_sensors
 
 DRAWS = 2000
-FIGURES = ("why", "sampling_windows", "filters")
+FIGURES = ("why", "system")
 _PARTS = ("profile", "worth", "sampling_windows")
 _STEPS = 2  # for each set: worth, windows
 
@@ -74,8 +74,8 @@ class Why(Shown):
         5 %, "outside" if the lower limit is above, and otherwise "open". The instants lie between
         the neighbouring measurements, and end on each side with the first that is outside within_5.
     figures : list of Path
-        The PNG files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
-        reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.
+        The PNG files: ``why-<set>`` of each set but the reference, and ``system``, which has
+        the sampling windows. Empty if no figures were wanted.
     """
 
     run: Path
@@ -121,7 +121,7 @@ def why(
     """Show what each measurement of a run is worth, and how exactly it must be kept.
 
     The model is run. The tables ``profile``, ``worth`` and ``sampling_windows``, and the figures
-    ``why-SET``, ``sampling_windows-SET`` and ``filters`` are written into the folder of the run.
+    ``why-SET`` and ``system`` are written into the folder of the run.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ _MEANING = (
     "A measurement without which the error hardly rises may be left out; a value below 0 means "
     "that the error is lower without it. A measurement alone may move to the instants of its "
     "sampling window: there the error rises by at most so many per cent (one-sided 95 % upper "
-    "limit, for each instant alone). Open instants need more draws."
+    "limit, for each instant alone). Undecided instants need more draws."
 )
 _ROUNDING = 1e-10  # per cent: rounding errors of doubles are smaller
 Frames = Mapping[str, "pd.DataFrame"]
@@ -33,9 +33,9 @@ def worth_section(subject: Subject) -> Section | None:
     if not {"worth", "sampling_windows"} <= {*run.tables}:
         return None
     frames = {name: run.table(name) for name in ("profile", "worth", "sampling_windows")}
-    figures = Figures(["why", "sampling_windows", "filters"], subject.shown)
-    first, last = Text(_extremes(subject, frames), prominent=True), Text(_MEANING)
-    blocks = [first, figures, *_tables(subject, frames), last]
+    figures = Figures(["why"], subject.by_error[:1])
+    said = Text(_extremes(subject, frames), prominent=True)
+    blocks = [said, *_tables(subject, frames), figures, Text(_MEANING, detail=True)]
     return Section("What each measurement is worth", blocks)
 
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from textwrap import shorten
 from types import MappingProxyType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -28,7 +27,6 @@ CRITERIA_SHOWN = ("information", "worst_instant", "quantile")
 """Columns with numbers of criteria, by the names of these."""
 T = TypeVar("T")
 Results = dict[str, Any]
-_MOST_LETTERS = 60  # of the times in the `repr` of a set
 
 
 def _listed(values: Iterable[float | str]) -> str:
@@ -54,7 +52,7 @@ class Row(SimpleNamespace):
         if not {"expected_mse", "measurement_times"} <= {*vars(self)}:
             return super().__repr__()
         mse = with_error(self.expected_mse, self.standard_error)
-        times = shorten(_listed(self.measurement_times), _MOST_LETTERS, placeholder=" ...")
+        times = _listed(self.measurement_times)
         return f"<{self.name}: {self.measurements} measurements, expected MSE {mse}: t = {times}>"
 
 

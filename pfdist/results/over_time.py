@@ -3,7 +3,7 @@
 The table ``range_sums`` has those of all draws of the comparison. The number of draws of a range is
 a power of 2 and divides its first draw, and a sum is that over its first half plus that over its
 second. So the table does not depend on how draws were cut into tasks. Ranges also give standard
-errors, and those of differences of two sets. `evaluate` and `why` have ranges of their own draws.
+errors. `evaluate` and `why` have ranges of their own draws.
 """
 
 from __future__ import annotations
@@ -99,11 +99,6 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
     return table
 
 
-def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Array, Array]:
-    """The error of a set at each instant less that of another, and its standard error, (T+1,)."""
-    return errors_over_time_of(ranges_of(run), run.names.index(name), run.names.index(reference))
-
-
 def ranges_of(run: StoredRun) -> list[Range]:
     """The ranges of a comparison; the sums in a run of schema version 3 are weighted."""
     ranges, weights = read_ranges(run._store.rows(RANGE_SUMS)), problem_of(run).weights
@@ -140,16 +135,12 @@ def profile_of(
     return table
 
 
-def errors_over_time_of(
-    ranges: Sequence[Range], place: int, other: int | None = None
-) -> tuple[Array, Array]:
-    """The error of a set at each instant, less that of another, and its standard error, (T+1,).
+def errors_over_time_of(ranges: Sequence[Range], place: int) -> tuple[Array, Array]:
+    """The error of a set at each instant, and its standard error, (T+1,).
 
     Ranges count by their draws. With one draw each, this is the standard error of a mean.
     """
     sums = np.stack([each.sums[place] for each in ranges])
-    if other is not None:
-        sums = sums - [each.sums[other] for each in ranges]
     draws = np.array([max(1, each.draws) for each in ranges])[:, None]  # 0: exact, of one draw
     with np.errstate(invalid="ignore"):
         mean = sums.sum(axis=0) / draws.sum()

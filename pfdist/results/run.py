@@ -190,7 +190,8 @@ class Run(StoredRun, Shown):
             warnings = list(filter(None, [unproved(self)]))
         except PfdistError:
             return Page("", _title(self), [])
-        table = sets_table("", sets, ("label", "measurements", "expected_mse", "gain_of_means"))
+        shown = ("label", "measurements", "measurement_times", "expected_mse", "gain_of_means")
+        table = sets_table("", sets, shown, listed=problem_of(self).clock.listed)
         return Page("", _title(self), [Section("", [table])], warnings)
 
 

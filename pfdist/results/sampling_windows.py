@@ -5,7 +5,7 @@ The functions take rows of the table ``sampling_windows``, also those of a JSON 
 
 import math
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,8 +37,6 @@ class SamplingWindow:
         given by its time.
     open : mapping of int or float to int
         Instants that are undecided: they need more draws.
-    can_be_tried : bool
-        Whether the job allows another instant between the neighbouring measurements.
     clock : Clock
     sensor : str
         Name of the sensor that measures; empty without sensors. Its measurement moves in time.
@@ -47,7 +45,6 @@ class SamplingWindow:
     t: Time
     inside: Mapping[Time, int]
     open: Mapping[Time, int]
-    can_be_tried: bool
     clock: Clock
     sensor: str = ""
 
@@ -62,25 +59,20 @@ class SamplingWindow:
         return len(self.inside) > 1
 
     @property
-    def is_single(self) -> bool:
-        """Whether every other instant that was tried clearly loses more."""
-        return self.can_be_tried and not self.is_wide and not self.open
-
-    @property
     def text(self) -> str:
         """The window in words.
 
         Examples
         --------
         >>> clock = Clock.regular(12, 0.5)
-        >>> SamplingWindow(6.0, {5.5: 11, 6.0: 12, 6.5: 13}, {7.0: 14}, True, clock).text
-        '5.5 to 6.5 (open: 7)'
-        >>> SamplingWindow(12.0, {12.0: 24}, {}, True, clock).text
+        >>> SamplingWindow(6.0, {5.5: 11, 6.0: 12, 6.5: 13}, {7.0: 14}, clock).text
+        '5.5 to 6.5 (undecided: 7)'
+        >>> SamplingWindow(12.0, {12.0: 24}, {}, clock).text
         'only 12'
         """
         only = f"only {self.clock.text(self.t)}"
         inside = spelled(self.inside, self.clock) if self.is_wide else only
-        return f"{inside} (open: {spelled(self.open, self.clock)})" if self.open else inside
+        return f"{inside} (undecided: {spelled(self.open, self.clock)})" if self.open else inside
 
 
 def windows_of(rows: Rows, percent: int, clock: Clock) -> list[SamplingWindow]:
@@ -108,7 +100,7 @@ def windows_of(rows: Rows, percent: int, clock: Clock) -> list[SamplingWindow]:
             {to: int(place) for to, place in places.items() if states[to] == state}
             for state in (INSIDE, OPEN)
         )
-        windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1, clock, sensor))
+        windows.append(SamplingWindow(t, inside, left_open, clock, sensor))
     return windows
 
 
@@ -137,35 +129,6 @@ def spelled(instants: Mapping[Time, int], clock: Clock) -> str:
         else f"{clock.text(run[0])} to {clock.text(run[-1])}"
         for run in runs_of(instants)
     )
-
-
-def sentences(rows: Rows, clock: Clock) -> list[str]:
-    """Sentences: which measurements must be kept exactly, which can move, and which are undecided.
-
-    Parameters
-    ----------
-    rows : iterable of mappings
-        Rows of the table ``sampling_windows`` of one set.
-    clock : Clock
-        That of the times.
-    """
-    movable = [window for window in windows_of(rows, STRICT, clock) if window.can_be_tried]
-    wide = [window for window in movable if window.is_wide]
-    single = [window for window in movable if window.is_single]
-    undecided = [window for window in movable if not window.is_wide and window.open]
-    parts = (
-        (single, "Keep exactly (every other instant that was tried loses more than {} %): t = {}."),
-        (wide, "Can move at a loss of at most {} %: t = {}."),
-        (undecided, "Whether these can move within {} % needs more draws: t = {}."),
-    )
-    return [said.format(STRICT, _listed(group)) for group, said in parts if group]
-
-
-def _listed(windows: Sequence[SamplingWindow]) -> str:
-    if windows[0].sensor:
-        return ", ".join(map(str, (window.measurement for window in windows)))
-    places = {window.t: window.inside[window.t] for window in windows}
-    return spelled(places, windows[0].clock)
 
 
 @dataclass

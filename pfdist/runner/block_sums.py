@@ -243,7 +243,7 @@ def grown(
 
     state, steps, rng = optimiser.init(), 0.0, np.random.default_rng(0)
     if built.evaluator.has_particles:
-        reporter.begin("windows of the bound")
+        reporter.begin("proof, step 2 of 3")
     start = reporter.progress.done
     relaxation = state.relaxation
     # Each round first filters the windows that the last round added, then adds windows. Both limits

@@ -79,7 +79,7 @@ def gap_parts(
         draws_stream = stream_of("bound", seed, "draws of a set")
     else:
         draws_stream = stream_of(built.study.purpose, seed, "draws")
-    session.reporter.begin("sets alone")
+    session.reporter.begin("proof, step 1 of 3")
     errors = dict[str, dict[str, Array]]()
     for name, kind in kinds.items():
         errors[name] = yield from _per_draw(session, sets, *kind, draws_stream, draws)

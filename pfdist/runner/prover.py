@@ -194,7 +194,7 @@ class Prover:
         looks, before, groups = list[Look](), 0, GroupSums(self._counted(feasible_times))
         within = self.settings.within
         if self.particles:
-            session.reporter.begin("lower bound")
+            session.reporter.begin("proof, step 3 of 3")
         for blocks in self._blocks:
             later = steps - self._steps(feasible_times, blocks)  # `within` may leave it out
             session.reporter.note(optional=later * (within is not None))

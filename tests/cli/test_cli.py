@@ -54,7 +54,8 @@ def test_the_summary_says_what_a_person_wants_to_know(run: Path, call: Call) -> 
     answer = " ".join(call(f"status {run}").out.split())
     for words in (
         "finished, 34 evaluations, 250 draws compared",
-        " than with regular times (t = 0, 4, 8, 12). Its root, the typical error, is ",
+        "The typical error is ",
+        " with regular times (t = 0, 4, 8, 12): the expected MSE is ",
         "Measure at t = ",
         "Expected MSE on 250 draws that took no part in the search",
         f"tables: {run}/tables",
@@ -62,9 +63,8 @@ def test_the_summary_says_what_a_person_wants_to_know(run: Path, call: Call) -> 
     ):
         assert words in answer
     details = " ".join(call(f"status {run} --verbose").out.split())
-    for words in ("what it is regular times (N = 4)", "All sets of times"):
-        assert words in details
-        assert words not in answer
+    assert "All sets of times" in details
+    assert "All sets of times" not in answer
     assert "relative gain" not in details
 
 
@@ -110,7 +110,7 @@ def test_what_is_known_exactly_is_said_to_be(small_job: Job, tmp_path: Path, cal
     told = call(f"evaluate {small_job.path} --times 0,4 {exact}").out
     assert re.match(r"Expected MSE \d\.\d{4} \(exact\) \(2 measurements\)", told)
     told = call(f"plan {small_job.path} --results {tmp_path}/run {exact}").out
-    assert " % lower (exact) than with" in " ".join(told.split())
+    assert " % lower (exact)" in " ".join(told.split())
 
 
 def test_what_is_infinite_is_null_in_json(tmp_path: Path, small_job: Job, call: Call) -> None:
@@ -145,7 +145,8 @@ def test_evaluate_says_how_many_draws_are_degenerate(
 def test_plot_draws_every_figure_as_png_svg_and_pdf(run: Path, call: Call) -> None:
     """That there are three files of a figure, with content, is tested with the figures."""
     files = [Path(line) for line in call(f"plot {run}").out.splitlines()]
-    names = {"searches", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
+    names = {"searches", "draw-genetic", "gain-genetic", "draw-random", "gain-random"}
+    names |= {"system", "times"}
     wanted = {f"{name}.{kind}" for name in names for kind in ("png", "svg", "pdf")}
     assert {file.name for file in files} == wanted
     assert {file.read_text() for file in files} == {EMPTY}

@@ -194,11 +194,11 @@ def test_the_table_of_a_budget_has_the_bound_and_the_limit_holds_as_it_is_printe
     _, _, *heads, row = Budget(**bound).lines[:6]
     words = "N regular plan as good, regular lower bound (95 % limit)"
     assert sorted(" ".join(heads).split()) == sorted(words.split())
-    assert row == "16  34.21 ± 0.20  25.85 ± 0.19  above all  25.44 (24.93)"
+    assert row == "16  34.21 ± 0.20  25.85 ± 0.19  more than 16  25.44 (24.93)"
     exact = Budget(bound=25.4371, bound_error=0.0, bound_low=25.4371).lines
     assert any(line.endswith("  25.437") for line in exact)
     wide = Budget(1e-20, **{key: 1e-20 * value for key, value in bound.items()}).lines
-    assert "(2.585 ± 0.019)e-19  above all" in "\n".join(wide)
+    assert "(2.585 ± 0.019)e-19  more than 16" in "\n".join(wide)
     assert max(map(len, wide)) <= COLUMNS + 1  # no cell of numbers is cut
     assert not any("bound" in line for line in Budget().lines)
 

@@ -2,12 +2,13 @@
 
 import inspect
 import pkgutil
+import re
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from pfdist.cli.commands import COMMANDS
+from pfdist.cli.commands import COMMANDS, GROUPS
 from pfdist.cli.program import program
 
 every = pytest.mark.parametrize("name", COMMANDS)
@@ -28,6 +29,16 @@ def test_one_sentence_describes_it_and_begins_the_docstring_of_its_function(name
 def test_every_argument_is_described(name: str) -> None:
     arguments = program()[name].assemble_argument_collection(parse_docstring=True)
     assert [each.name for each in arguments if not each.parameter.help] == []
+
+
+def test_the_help_of_the_program_has_its_groups_in_order(call: Call) -> None:
+    text = call("--help").out
+    heads = re.findall(r"^╭─ ([\w ]+) ─", text, re.MULTILINE)
+    assert heads == ["Commands", *GROUPS]
+    for group, names in GROUPS.items():
+        block = text.partition(f"╭─ {group} ")[2].partition("╰")[0]
+        shown = re.findall(r"^│ ([a-z-]+) ", block, re.MULTILINE)
+        assert shown == [name for name in names if name in COMMANDS]
 
 
 @every

@@ -130,7 +130,7 @@ def test_the_numbers_of_the_readme_are_those_of_the_tables(
     readme = " ".join((root / "README.md").read_text(encoding="utf-8").split())
     start = " ".join((DOCS / "start.md").read_text(encoding="utf-8").split())
     printed = " ".join(said("status", root / "results" / "example").split())
-    for pattern in (r"The expected MSE is .*? instead of [\d.]+\.", r"Measure at t = [\d, ]+\."):
+    for pattern in (r"The typical error is .*? %\)\.", r"Measure at t = [\d, ]+\."):
         answer = re.search(pattern, printed)
         assert answer is not None
         assert answer[0] in readme

@@ -217,11 +217,31 @@ def test_the_keyboard_does_all(open_page: Open, address: str) -> None:
     assert slider(page, 4).get_attribute("aria-disabled") == "true"
     reached = list[str]()
     page.locator("h1").click()
-    for _ in range(12):  # four times and eight more
+    for _ in range(15):  # four times and eleven more
         page.keyboard.press("Tab")
         reached.append(page.locator(":focus").text_content())
     assert {"Add a time", "Remove", JUDGE, "Name and keep", "Copy command"} <= {*reached}
     assert reached[-1] == "Download job"
+
+
+def test_fingers_have_buttons_and_every_change_can_be_undone(open_page: Open, address: str) -> None:
+    page = open_page(address, width=400, has_touch=True, is_mobile=True)
+    for each in page.get_by_role("button").all():
+        box = each.bounding_box()
+        assert box is None or min(box["width"], box["height"]) >= 44
+    slider(page, 12).focus()
+    page.get_by_role("button", name="Earlier").tap()
+    assert times(page) == [0, 4, 8, 11]
+    page.get_by_role("button", name="Later").tap()
+    page.get_by_role("button", name="Remove").tap()
+    assert times(page) == [0, 4, 8]
+    page.get_by_role("button", name="Add a time").tap()
+    for expected in ([0, 4, 8], [0, 4, 8, 12], [0, 4, 8, 11]):
+        page.get_by_role("button", name="Undo").tap()
+        assert times(page) == expected
+    page.keyboard.press("Control+z")
+    assert times(page) == [0, 4, 8, 12]
+    assert page.get_by_role("button", name="Undo").is_disabled()
 
 
 def test_a_reader_hears_the_answer_once_it_is_still(open_page: Open, address: str) -> None:

@@ -315,10 +315,10 @@ def test_the_draws_of_play_judge_nothing() -> None:
     assert "judge" in PROVING
     session = ExplorerSession(job_of())
     assert session.answer(MINE)["mark"].startswith(ON_THESE_DRAWS)
-    assert session.answer(MINE)["mark"].endswith("not judged yet")
+    assert session.answer(MINE)["mark"].endswith("press Judge for a fair comparison")
     session.judge("mine", MINE)
     assert session.answer(MINE)["mark"].endswith("judged on fresh draws below")
-    assert session.answer(OTHER)["mark"].endswith("not judged yet")
+    assert session.answer(OTHER)["mark"].endswith("press Judge for a fair comparison")
 
 
 def test_judgements_have_draws_of_their_own_and_simultaneous_intervals() -> None:

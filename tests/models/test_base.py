@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oracles.in_turn import in_turn
-from pfdist import StateSpaceModel
+from pfdist import StateSpaceModel, load_model
 from pfdist.errors import ModelError
 from pfdist.models.library.linear_gaussian import linear_gaussian
 
@@ -175,3 +175,10 @@ def test_noise_of_the_name_of_a_density_is_answered_by_its_draw(field, kinds, sa
     with pytest.raises(ModelError, match="'normal', 'uniform' or 'centred', got") as raised:
         changed(**{field: kinds})
     assert str(raised.value).endswith(says)
+
+
+def test_a_model_shows_the_names_of_its_formulas_and_no_address() -> None:
+    for name in ("pharmacokinetics", "two_compartments"):
+        text = repr(load_model(name))
+        assert text.startswith(f"StateSpaceModel(name={name!r}, initial=initial, transition=")
+        assert " at 0x" not in text

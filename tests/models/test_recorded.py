@@ -232,7 +232,8 @@ def test_the_order_of_sensors_and_their_noise_are_named() -> None:
 
     def with_sensors(**sensors: Sensor) -> StateSpaceModel:
         fields = {each.name: getattr(walk, each.name) for each in dataclasses.fields(walk)}
-        for name in ("measurement", "log_likelihood", "measurement_noise", "linear_gaussian"):
+        own = "measurement", "log_likelihood", "measurement_noise", "linear_gaussian", "y_names"
+        for name in own:
             del fields[name]
         return recorded(StateSpaceModel(**fields | {"sensors": sensors}), range(4))
 

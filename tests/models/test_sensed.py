@@ -25,7 +25,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.models.sensed import sensed
 from pfdist.pages.terminal import lines_of
-from pfdist.pages.times_axis import _forbidden_times
+from pfdist.pages.times_axis import forbidden_times
 from pfdist.questions.measured import normalised
 from pfdist.questions.run_page import answer_of
 from pfdist.results.export import export_plan
@@ -358,7 +358,7 @@ def test_tables_pages_and_exports_have_the_times_at_which_a_single_late_sensor_m
     assert f"Measure at t = {best[0] * size}, {best[1] * size}" in text
     export_plan(run, tmp_path / "plan.csv")
     assert (tmp_path / "plan.csv").read_text().splitlines()[2] == f"2,{best[1] * size}"
-    assert _forbidden_times(run) == [size * t for t in range(9) if t not in times]
+    assert forbidden_times(run) == [size * t for t in range(9) if t not in times]
 
 
 LATE = {"bedside": {"price": 1}, "lab": {"price": 3, "delay": 2}}

@@ -43,7 +43,7 @@ def test_every_part_of_a_page_is_clean(show: Callable[[Page], str]) -> None:
 def test_a_number_stays_beside_its_unit_but_code_is_copied_as_it_is() -> None:
     text = "At t = 3 h, 10.0 ± 0.5 % of 8,000 draws."
     html = as_html(Page("", "", [Section("", [Text(text), Code(text)])]))
-    glued = "At t =\xa03\xa0h, 10.0\xa0±\xa00.5\xa0% of 8,000\xa0draws."
+    glued = "At t\xa0=\xa03\xa0h, 10.0\xa0±\xa00.5\xa0% of 8,000\xa0draws."
     assert f"<p>{glued}</p>" in html
     assert f">{text}</pre>" in html
 

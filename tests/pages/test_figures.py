@@ -8,21 +8,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib import pyplot
 from matplotlib.figure import Figure
-from matplotlib.patches import StepPatch
 
 import pfdist
+from pfdist import plots
+from pfdist.common.rounding import rounded
 from pfdist.errors import JobError
 from pfdist.pages.figure import FIGURES, Tables, drawn
-from pfdist.pages.gains import median_draw, plot_of_draw
-from pfdist.pages.online import measured_marks, with_online
 from pfdist.pages.plots import (
     budget,
     draw_figures,
     error_profile,
     gain,
     one_draw,
-    online_raster,
     online_shares,
     searches,
     worth,
@@ -34,10 +33,10 @@ from pfdist.problem.points import Points
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Gain, Run, open_run
 from pfdist.results.online import OnlineDraws
-from pfdist.results.over_time import difference_over_time
 from pfdist.results.stored_run import statistics_of
 from pfdist.store.folder import FORMATS
 
+ROOT = Path(__file__).parents[1]
 EVALUATIONS = pd.DataFrame(
     [
         # phase, generation, individual, copies, expected_mse
@@ -160,10 +159,9 @@ def _trajectory(components: int) -> pd.DataFrame:
 
 def test_one_draw_shows_each_component_its_estimates_and_stars_and_plus_signs() -> None:
     trajectory, sets = _trajectory(3), {"regular": [0, 2], "genetic": [1]}
-    panels = drawn(plot_of_draw(trajectory, sets, "draw 3, relative gain 10 %", "Title.")).axes
-    assert [axes.get_legend() is not None for axes in panels] == [True, False, False]
-    assert panels[0].get_legend().get_title().get_text() == "draw 3, relative gain 10 %"
-    for k, axes in enumerate(panels):
+    for k in range(3):
+        axes = one_draw(trajectory, sets, title="draw 3", component=k, ax=_axes())
+        assert axes.get_legend().get_title().get_text() == "draw 3"
         lines = {line.get_label(): line for line in axes.get_lines()}
         measured = {line.get_marker(): list(line.get_xdata()) for line in axes.get_lines()}
         assert (measured["+"], measured["*"]) == ([0, 2], [1])
@@ -171,25 +169,12 @@ def test_one_draw_shows_each_component_its_estimates_and_stars_and_plus_signs() 
         assert list(lines["truth"].get_ydata()) == [k, k + 0.5, k + 1]
         assert [k, k + 0.25, k + 2] in [y for _, y in _lines(axes).values()]
         assert axes.get_ylabel() == f"$z_{{{k}}}$"
-        assert _lines(one_draw(trajectory, sets, component=k, ax=_axes())) == _lines(axes)
     assert one_draw(_trajectory(1), sets, ax=_axes()).get_ylabel() == "$z$"
     with pytest.raises(JobError, match="component must be one of 0, 1, 2, got 3"):
         one_draw(trajectory, sets, component=3, ax=_axes())
 
 
-def test_components_beyond_the_sixth_are_counted_below_the_panels() -> None:
-    sets = {"regular": [0], "genetic": [1]}
-    panels = drawn(plot_of_draw(_trajectory(8), sets, "", "")).axes
-    assert len(panels) == 6
-    assert panels[-1].get_xlabel() == "instant $t$; 2 more components are left out"
-
-
 def test_the_draw_nearest_the_median_gain_is_shown_unless_another_is_wanted(plain: Run) -> None:
-    gains = pd.Series([0.1, np.nan, -8.38, 0.26, 0.9], index=[3, 4, 5, 7, 8])
-    assert median_draw(gains, _gain(np.array([-9.0, 0.24, 0.9]))) == 7
-    assert median_draw(gains, _gain(np.array([-9.0, -9.0, 0.9]))) == 5
-    assert median_draw(gains, _gain(np.full(3, -1e9))) == 5  # below the histogram
-    assert median_draw(gains * np.nan, _gain(np.zeros(0))) == 3
     told = one_draw(plain, ax=_axes()).get_legend().get_title().get_text()
     gains = plain.table("gains").set_index("draw")["gain_genetic"]
     kept = gains[plain.table("trajectories")["draw"].unique()]
@@ -203,41 +188,57 @@ def test_the_draw_nearest_the_median_gain_is_shown_unless_another_is_wanted(plai
     assert _lines(one_draw(plain, draw=7, ax=_axes()))["truth"][1] == z
 
 
-def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
-    finished: Callable[..., Path], plain: Run, several: Run
+def test_the_first_picture_has_the_system_the_typical_error_and_the_times(
+    finished: Callable[..., Path], several: Run
 ) -> None:
     run = pfdist.open_run(finished())
-    [(_, plot)] = FIGURES["times"].plots(Tables(run))
-    above, below = drawn(plot).axes
-    mse = {name: each.mean for name, each in statistics_of(run).mse.items()}
-    reference, *others = run.names
-    best = min(others, key=mse.get)
-    assert [line.partition(",")[0] for line in _lines(above)] == ["regular", best]
-    rows = [line for line in below.get_lines() if line.get_marker() != "None"]
-    assert [tuple(line.get_xdata()) for line in rows] == [*run.sets.values()]
-    colours = [[line.get_color() for line in lines] for lines in (above.get_lines(), rows)]
-    places = [run.names.index(name) for name in (reference, best)]
-    assert colours[0] == [colours[1][place] for place in places]
-    assert above.get_xlim() == below.get_xlim()
-    table = run.table("error_over_time").set_index("name")
-    errors = [table.loc[name, "error"].to_numpy() for name in (best, reference)]
-    for line, error in zip(above.get_lines(), reversed(errors), strict=True):
-        assert line.get_ydata().tolist() == error.tolist()
-    said = re.findall(r"(\w+) most at t = (\d+)(?: to (\d+))? \(from (\S+) to (\S+)\)", plot.title)
-    assert [word for word, *_ in said] == ["falls", "rises"]
-    for sign, (_, first, last, *rounded) in zip((1, -1), said, strict=True):
-        change, at = sign * (errors[1] - errors[0]), slice(int(first), int(last or first) + 1)
-        change -= max(0, change.mean())
-        stretches = [change[a:b] for a in range(len(change)) for b in range(a + 1, len(change) + 1)]
-        assert change[at].sum() == pytest.approx(max(part.sum() for part in stretches))
-        assert rounded == [f"{each[at].mean():#.3g}" for each in reversed(errors)]
-    difference, error = difference_over_time(run, best, reference)
-    clear = [int((sign * difference > 1.96 * error).sum()) for sign in (-1, 1)]
-    counted = "smaller at {} of 13 instants and larger at {} (250 common draws".format(*clear)
-    assert counted in plot.title
-    assert min(clear) > 0
+    [(_, plot)] = FIGURES["system"].plots(Tables(run))
+    band, errors, times = drawn(plot).axes
+    z = run.table("trajectories").pivot_table("z_state", "draw", "t")
+    edges = band.collections[0].get_paths()[0].vertices[:, 1]
+    assert edges.max() == z.quantile(0.95).max()
+    assert edges.min() == z.quantile(0.05).min()
+    curves = [line for line in band.get_lines() if len(line.get_xdata()) == len(z.columns)]
+    assert [line.get_ydata().tolist() for line in curves] == z.head(4).to_numpy().tolist()
+    best, reference = run.best, run.table("sets").iloc[0]
+    lines = [[*line.get_xdata()] for ax in (band, errors) for line in ax.get_lines()]
+    assert all(lines.count([t, t]) == 2 for t in best.measurement_times)
+    profile = run.table("error_over_time").set_index("name")
+    shown = errors.get_lines()[:2]
+    for line, row in zip(shown, (reference, best), strict=True):
+        error = np.sqrt(profile.loc[row["name"] if row is reference else row.name, "error"])
+        np.testing.assert_allclose(line.get_ydata(), error, rtol=1e-12)
+        assert line.get_label() == f"{row.label}: {rounded(row.typical_error[0], 3)}"
+    dots = [line for line in times.get_lines() if line.get_marker() != "None"]
+    assert [[*line.get_xdata()] for line in dots] == [
+        [*row.measurement_times] for row in (reference, best)
+    ]
+    told = re.search(r"falls most at t = (\d+)(?: to (\d+))?: from (\S+) to (\S+)\.", plot.title)
+    before, now = (profile.loc[name, "error"].to_numpy() for name in (reference["name"], best.name))
+    first, last = int(told[1]), int(told[2] or told[1])
+    change, at = before - now, slice(first, last + 1)
+    change -= max(0, change.mean())
+    stretches = [change[a:b] for a in range(len(change)) for b in range(a + 1, len(change) + 1)]
+    assert change[at].sum() == pytest.approx(max(part.sum() for part in stretches))
+    assert float(told[3]) == pytest.approx(np.sqrt(before[at].mean()), rel=0.01)
+    assert float(told[4]) == pytest.approx(np.sqrt(now[at].mean()), rel=0.01)
+    assert not FIGURES["system"].files(several)
     [(_, plot)] = FIGURES["times"].plots(Tables(several))  # of several numbers
     assert len(drawn(plot).axes) == 1
+
+
+def test_each_component_has_a_column_and_an_angle_is_drawn_around_its_mean(tmp_path: Path) -> None:
+    turns = ["model.name=robot", "problem.horizon=10", "problem.measurement_budget=2"]
+    run = pfdist.run(ROOT / "small.toml", tmp_path / "robot", changes=turns, figures=False)
+    band, errors, _ = plots.system(run)
+    low, high = band.dataLim.intervaly
+    assert high - low <= 2 * np.pi
+    assert errors.get_ylabel() == "typical error [rad]"
+    pair = ["model.name=constant_velocity", "problem.horizon=10"]
+    run = pfdist.run(ROOT / "small.toml", tmp_path / "ship", changes=pair, figures=False)
+    first, second, *_ = panels = plots.system(run)
+    assert (len(panels), first.get_ylabel(), second.get_ylabel()) == (6, "east [km]", "north [km]")
+    pyplot.close("all")
 
 
 def _gain(relative: np.ndarray) -> Gain:
@@ -281,30 +282,10 @@ def test_a_long_tail_is_counted_and_leaves_the_bulk_its_room() -> None:
     assert _per_cent(axes) == pytest.approx(100 * (1 - below / relative.size))  # of all draws
 
 
-def test_another_set_is_an_outline_over_the_same_bars() -> None:
-    rng = np.random.default_rng(3)
-    online, plan = (rng.normal(mean, 0.2, 3000).clip(max=1) for mean in (0.4, 0.2))
-    beside = ("plan", _gain(plan))
-    axes = gain(_gain(online), "online", reference="regular times", beside=beside, ax=_axes())
-    (outline,) = [patch for patch in axes.patches if isinstance(patch, StepPatch)]
-    heights, edges, _ = outline.get_data()
-    counts, _ = np.histogram(100 * plan, edges)
-    np.testing.assert_allclose(heights, counts / 30, atol=1e-9)
-    text = _legend(axes)
-    for name, relative in (("online", online), ("plan", plan)):
-        assert f"{name}, mean gain {100 * relative.mean():.1f} %" in text
-
-
-def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours() -> None:
+def test_bars_have_the_share_of_draws_that_are_measured_at_each_instant() -> None:
     times = [(0, 3), (1, 2), (0, 3), (0, 2)]
-    measured = measured_marks(times, 4)
-    assert [tuple(np.flatnonzero(row)) for row in measured] == times
     table = pd.DataFrame({"measurement_times": times})
     draws = OnlineDraws("regular", "survivors", (0, 3), table, Points(Clock.counting(4)))
-    axes = online_raster(draws, ax=_axes())
-    (image,) = axes.get_images()
-    rows = [tuple(np.flatnonzero(row).tolist()) for row in np.asarray(image.get_array())]
-    assert rows == [(0, 2), (0, 3), (0, 3), (1, 2)]
     axes = online_shares(draws, ax=_axes())
     assert [bar.get_height() for bar in axes.patches] == [75, 25, 50, 50, 0]
     planned = _lines(axes)["survivors"][0]
@@ -320,10 +301,6 @@ def test_online_times_on_a_clock_stand_at_their_times(times: tuple[float, ...]) 
     middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
     np.testing.assert_allclose(middles, times)
     assert [bar.get_height() for bar in axes.patches] == [50, 100, 0, 50]
-    (image,) = online_raster(draws, ax=_axes()).get_images()
-    dark = np.asarray(image.get_array())
-    assert [dark[0, 0], dark[0, 1], dark[1, 1], dark[1, -1]] == [True] * 4
-    assert dark.sum() == 4
 
 
 def test_online_times_of_two_sensors_stand_beside_each_other_in_two_shades() -> None:
@@ -335,15 +312,6 @@ def test_online_times_of_two_sensors_stand_beside_each_other_in_two_shades() -> 
     probe, core = axes.patches[0], axes.patches[3]
     assert probe.get_x() + probe.get_width() < core.get_x()
     assert probe.get_facecolor() != core.get_facecolor()
-    (image,) = online_raster(draws, ax=_axes()).get_images()
-    assert np.asarray(image.get_array()).tolist() == [[1, 2, 0, 0, 0, 0], [0, 2, 0, 0, 1, 0]]
-
-
-def test_the_estimate_of_online_times_has_a_column_for_each_component() -> None:
-    trajectory = pd.DataFrame({"t": [0, 1, 2], "z_0": [1.0, 2.0, 3.0], "z_1": [4.0, 5.0, 6.0]})
-    both = with_online(trajectory, np.array([0.0, 10.0, 1.0, 11.0, 2.0, 12.0]))
-    assert both["estimate_online_0"].tolist() == [0.0, 1.0, 2.0]
-    assert both["estimate_online_1"].tolist() == [10.0, 11.0, 12.0]
 
 
 def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
@@ -433,39 +401,13 @@ def test_the_budget_has_a_curve_each_for_regular_and_found_times_and_the_bound(
     assert lines == [[9.0, 7.0, 8.0, 6.0], [8.0, 6.0, 5.0, 4.0]]
 
 
-def test_the_titles_of_budgets_and_searches_have_the_numbers_of_the_tables(
-    plain: Run, several: Run
-) -> None:
+def test_the_title_of_a_budget_has_the_numbers_of_the_tables(several: Run) -> None:
     mse = several.table("sets").pivot_table("expected_mse", "measurements", "kind")
     lower = (100 * (1 - mse["found"] / mse["regular"])).round()
     assert (lower.min(), lower.nunique()) > (0, 1)
     [(_, plot)] = FIGURES["budget"].plots(Tables(several))
     said = f"{lower.min():.0f} to {lower.max():.0f} % lower than that of regular times"
     assert f"of the plan is {said}, depending on N." in plot.title
-    rows = plain.table("evaluations").query("phase == 'genetic'").groupby("generation")
-    least, done = rows["expected_mse"].min(), rows["copies"].sum().cumsum()
-    near = done[least <= 1.01 * least.min()].iloc[0]
-    [(_, plot)] = FIGURES["searches"].plots(Tables(plain))
-    assert f"evaluations: genetic {near:,} of {done.iloc[-1]:,}, survivors " in plot.title
-
-
-@pytest.mark.parametrize(
-    ("target", "marked"),
-    [
-        (7.2, {"3": 3, "no 2": 2}),  # 3 regular times reach it, too
-        (5.2, {"4": 4, "no 3": 3}),
-        (3.0, {"no 5": 5}),
-        (9.5, {"2": 2}),
-    ],
-)
-def test_the_least_numbers_that_reach_a_target_are_marked_and_the_largest_that_cannot(
-    target: float, marked: dict[str, int], curve: pd.DataFrame
-) -> None:
-    axes = budget(curve, target=target, ax=_axes())
-    numbers = [text for text in axes.texts if hasattr(text, "xy")]
-    assert {text.get_text(): text.xy[0] for text in numbers} == marked
-    assert [target, target] in [y for _, y in _lines(axes).values()]
-    assert f"target {target:g}" in [text.get_text() for text in axes.texts]
 
 
 def test_an_arrow_says_how_many_measurements_the_plan_spares(curve: pd.DataFrame) -> None:

@@ -200,25 +200,17 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
             call(plain, ["survivors"]),
             call(proved.table("evaluations").assign(end=12)),
         ],
-        "degenerate_draws": [call(PROFILE), call(WHY, ["mine"])],
         "effective_sample_size": [call(WHY, particles=50), call(filtered)],
         "error_profile": [call(PROFILE), call(WHY, SETS)],
         "gain": [
-            call(plain, beside="survivors"),
+            call(plain, "survivors"),
             call(plain.table("comparison"), "genetic", reference="survivors"),
         ],
         "likelihood_profile": [call(FALLS, "sd"), call(SimpleNamespace(profile=FALLS), "sd")],
         "one_draw": [call(plain, "survivors", draw=4), call(_trajectory(), sets)],
-        "online_gain": [call(proved)],
-        "online_raster": [call(proved)],
         "online_shares": [call(proved)],
         "particle_losses": [call(LOSSES), call(LOSSES.iloc[::-1])],
         "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
-        "sampling_windows": [
-            call(proved),
-            call(WINDOWS, "mine"),
-            call(WINDOWS.drop(columns="name").head(4)),
-        ],
         "worth": [call(WORTH), call(WHY)],
     }
     return {name: [_way(name, given) for given in ways] for name, ways in calls.items()}
@@ -229,7 +221,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 19
+    assert len(NAMES) == 15
 
 
 @every
@@ -324,7 +316,7 @@ def test_a_set_has_one_colour_in_all_figures_of_a_run_and_the_reference_alone_is
     proved: Run,
 ) -> None:
     tables, colours = Tables(proved), dict[str, set[Any]]()
-    for figure in ("times", "filters", "why", "draw", "searches"):
+    for figure in ("times", "system", "why", "draw", "searches"):
         for _, plot in FIGURES[figure].plots(tables):
             for line in (line for axes in drawn(plot).axes for line in axes.get_lines()):
                 label = str(line.get_label()).replace("evenly spaced", "regular")
@@ -387,21 +379,6 @@ def test_a_bound_is_drawn_once_it_has_grown_and_an_exact_one_never(proved: Run) 
     assert bars[0].get_color() == "black"
 
 
-def test_panels_that_share_an_axis_say_nothing_twice(proved: Run) -> None:
-    [(_, plot), *_] = FIGURES["why"].plots(Tables(proved))
-    legends = [axes.get_legend() for axes in drawn(plot).axes]
-    labels = [text.get_text() for legend in legends if legend for text in legend.get_texts()]
-    assert len({*labels}) == len(labels)
-    assert labels == ["genetic, mean 2.357"]  # the plan alone
-
-
-def test_degenerate_draws_are_a_share_that_steps_up() -> None:
-    axes = plots.degenerate_draws(PROFILE, ax=_axes())
-    lines = {str(line.get_label()): line for line in axes.get_lines()}
-    assert set(lines) == {"regular, in the end 0 %", "mine, in the end 9 %"}
-    assert list(lines["mine, in the end 9 %"].get_ydata()) == list(np.arange(10.0))
-
-
 def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
     axes = plots.effective_sample_size(PROFILE, particles=5000, ax=_axes())
     assert axes.get_ylim()[1] > 5000  # the line of all particles is seen
@@ -415,8 +392,8 @@ def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
     axes = plots.effective_sample_size(far, ax=_axes())
     assert (axes.get_yscale(), axes.get_ylim()[0]) == ("log", 1.0)
     known = PROFILE.assign(effective_sample_size=np.nan, draws=0)
-    for draw in (plots.effective_sample_size, plots.degenerate_draws):
-        assert "exact filters" in draw(known, ax=_axes()).texts[0].get_text()
+    axes = plots.effective_sample_size(known, ax=_axes())
+    assert "exact filters" in axes.texts[0].get_text()
 
 
 def test_the_loss_is_in_per_cent_and_a_loss_below_0_has_no_place_on_the_axis() -> None:
@@ -427,27 +404,6 @@ def test_the_loss_is_in_per_cent_and_a_loss_below_0_has_no_place_on_the_axis() -
     np.testing.assert_array_equal(by_two.get_xdata(), LOSSES["particles"])
     np.testing.assert_allclose(by_two.get_ydata(orig=False), [5.0, 1.2, np.nan])
     np.testing.assert_allclose(limit.get_ydata(orig=False), [10.0, 3.0, 0.4])
-
-
-def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_open() -> None:
-    axes = plots.sampling_windows(WINDOWS, "mine", ax=_axes())
-    found = [
-        (np.round(box.min, 2).tolist(), np.round(box.size, 2).tolist(), len(bars.get_facecolor()))
-        for bars in axes.collections[1:]
-        for box in (path.get_extents() for path in bars.get_paths())
-    ]
-    one_row = [
-        ([2.6, -0.14], [2.8, 0.28], 1),  # 3, 4 and 5 within 5 %
-        ([5.6, -0.14], [0.8, 0.28], 0),  # 6 is open
-        ([2.6, -0.36], [1.8, 0.72], 1),  # 3 and 4 within 1 %
-        ([4.6, -0.36], [0.8, 0.72], 0),
-    ]
-    below = [([x + 4, y + 1], size, faces) for (x, y), size, faces in one_row]
-    assert sorted(found, key=str) == sorted(one_row + below, key=str)
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["3", "7"]
-    assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first measurement is on top
-    gone = WINDOWS.iloc[:0]
-    assert "no measurement" in plots.sampling_windows(gone, ax=_axes()).texts[0].get_text()
 
 
 @pytest.mark.parametrize(
@@ -508,10 +464,9 @@ def _with_costly_names() -> dict[str, Draw]:
         "against": call(study),
         "bound": call(bounds),
         "searches": call(evaluations, reference=(COSTLY, 2.0)),
-        "degenerate_draws": call(profile),
         "effective_sample_size": call(profile),
         "error_profile": call(profile),
-        "gain": call(comparison, COSTLY, reference="a$b", beside="$"),
+        "gain": call(comparison, COSTLY, reference="a$b"),
         "one_draw": call(trajectory, sets),
         "online_shares": call(
             OnlineDraws("regular", COSTLY, (1,), rows, Points(Clock.counting(12)))

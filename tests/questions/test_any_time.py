@@ -285,7 +285,7 @@ def test_readings_below_the_limit_are_cells_that_say_so(tmp_path: Path) -> None:
         pd.DataFrame({"t": [1, 4], "y0": [2.5, 0.0]}),  # as many laboratories write it
     ]
     means = [
-        pfdist.filter_measurements(run.path, each).table["mean_0"].to_numpy() for each in tables
+        pfdist.filter_measurements(run.path, each).table["mean_level"].to_numpy() for each in tables
     ]
     for each in means[1:]:
         np.testing.assert_array_equal(each, means[0])

@@ -454,7 +454,7 @@ def test_work_that_may_be_left_out_is_told_apart(
     phases = {each.phase: each for each in seen}
     assert 0 < phases["random"].optional < phases["random"].total
     assert phases["random"].optional == phases["comparison"].optional
-    assert phases["lower bound"].optional == 0
+    assert phases["proof, step 3 of 3"].optional == 0
     assert seen[-1].done == seen[-1].total
     seen.clear()
     monkeypatch.setattr("pfdist.questions.run._PATIENCE", 0.0)  # the bound would take too long
@@ -464,10 +464,11 @@ def test_work_that_may_be_left_out_is_told_apart(
     assert max(each.done / each.total for each in seen if each.phase == "random") > 0.1
     seen.clear()
     bound(walk, 2 * LEAST_DRAWS, within=1e-4, progress=seen.append)
-    looks = [each.optional for each in seen if each.phase == "lower bound" and each.evaluations]
+    last = "proof, step 3 of 3"
+    looks = [each.optional for each in seen if each.phase == last and each.evaluations]
     first, second = dict.fromkeys(looks)  # 480 of 960 draws, then all
     assert first > second == 0
-    growing = {each.total for each in seen if each.phase == "windows of the bound"}
+    growing = {each.total for each in seen if each.phase == "proof, step 2 of 3"}
     assert len(growing) == 1  # their work is known before
     assert max(each.done / each.total for each in seen) == 1.0
 
@@ -505,8 +506,7 @@ def test_the_command_says_how_much_is_left(exact: Path, said: Callable[..., str]
         sentence = (
             f"Proved: no other 4 times lower the expected MSE by more than a further {percent}."
         )
-        phrase = "regular times" if name == "regular" else f"the set {name}"
-        assert f"For {phrase}: {sentence}" in text
+        assert (f"For the set {name}: {sentence}" in text) == (name != "regular")
 
 
 def test_the_sentence_states_the_limit_rounded_up_and_then_the_estimate() -> None:

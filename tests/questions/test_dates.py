@@ -123,17 +123,16 @@ def test_answers_and_reports_have_dates(folder: Path, run: pfdist.Run) -> None:
     assert max(len(line) for line in said.splitlines() if str(folder) not in line) <= 80
     assert run.as_json()["sets"][0]["measurement_times"] == [*run.sets[run.names[0]]]
     page = str(page_of(run)).replace("\N{NO-BREAK SPACE}", " ")
-    ends = f"t = 2026-03-28T08:00 to 2026-03-31T09:00 ({ZONE}), in steps of 6 h"
-    for text in (*times, ends, "evenly spaced", "22:00..07:00"):
+    for text in (*times, "between t = 2026-03-28T08:00", "evenly spaced", "22:00..07:00", ZONE):
         assert text in page
     answer = pfdist.why(folder / "dated", figures=False).as_json()
     assert answer["sets"]["mine"]["sampling_windows"][0]["date"] == "2026-03-28T08:00"
 
 
-@pytest.mark.parametrize("panel", ["times", "sampling_windows"])
+@pytest.mark.parametrize("panel", ["times", "system"])
 def test_axes_of_figures_have_local_dates(run: pfdist.Run, panel: str) -> None:
-    source = run if panel == "times" else run.table(panel)
-    axes = getattr(pfdist.plots, panel)(source)
+    axes = getattr(pfdist.plots, panel)(run)
+    axes = axes if panel == "times" else axes[-1]
     axes.figure.canvas.draw()
     assert axes.get_xlabel() == f"date ({ZONE})"
     labels = [label.get_text().removeprefix("Mar-") for label in axes.get_xticklabels()]
@@ -142,9 +141,6 @@ def test_axes_of_figures_have_local_dates(run: pfdist.Run, panel: str) -> None:
     assert at["29"] == pytest.approx(16.0)  # midnight in Brussels, hours after the start
     assert at["30"] == pytest.approx(16.0 + 23.0)  # the day has 23 hours
     assert axes.xaxis.get_offset_text().get_text().startswith("2026-Mar")
-    if panel == "sampling_windows":
-        [*_, last] = run.sets.values()
-        assert [label.get_text() for label in axes.get_yticklabels()] == [*last]
     plt.close(axes.figure)
 
 

@@ -9,7 +9,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist.problem.even_grids import even_grids
 from pfdist.problem.job import Job
-from pfdist.questions.run_page import answer_in_a_line
+from pfdist.questions.run_page import answer_of
 from pfdist.runner.build import build
 
 EVEN = 'comparison.reference="evenly spaced"'
@@ -26,8 +26,8 @@ def test_of_exact_errors_the_least_is_taken(small_job: Job, tmp_path: Path) -> N
     row = run.table("sets").set_index("name").loc["evenly_spaced"]
     assert row["label"] == "evenly spaced"
     assert row["expected_mse"] == pytest.approx(errors.min())
-    assert "Evenly spaced times are as good: t = 0, 3, 6, 9." in answer_in_a_line(run)
-    assert "evenly spaced measurements" not in answer_in_a_line(run)  # nothing to add
+    assert "Evenly spaced times are as good: t = 0, 3, 6, 9." in str(answer_of(run))
+    assert "evenly spaced measurements" not in str(answer_of(run))  # nothing to add
 
 
 def test_a_race_finds_it_and_a_run_goes_on_with_the_same_bytes(

@@ -10,7 +10,7 @@ from pfdist import Job
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.models.library.linear_gaussian import linear_gaussian
 from pfdist.problem.even_grids import even_grids
-from pfdist.questions.run_page import answer_in_a_line
+from pfdist.questions.run_page import answer_of
 from pfdist.questions.subject import ranges_of_times
 from pfdist.results.columns import Row, rows_of
 from pfdist.results.moments import controlled_mse
@@ -70,7 +70,7 @@ def test_the_first_number_and_larger_ones_that_do_worse_are_named(
     assert worse or is_even
     others = f" ({ranges_of_times(worse)} do worse)" if worse else ""
     said = f"{as_well[0]} evenly spaced measurements do as well{others} (exact)."
-    assert said in answer_in_a_line(run)
+    assert said in str(answer_of(run))
 
 
 def test_differences_are_those_of_the_same_draws(small_job: Job, tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_nothing_is_said_where_not_all_numbers_can_be_evenly_spaced(
     changes = [*EXACT, "problem.forbidden=[1]"]
     run = pfdist.plan(small_job, tmp_path / "run", changes=changes, figures=False)
     assert "evenly_spaced" not in run.tables
-    assert "evenly spaced measurements" not in answer_in_a_line(run)
+    assert "evenly spaced measurements" not in str(answer_of(run))
 
 
 def test_nothing_is_said_where_measurements_tell_nothing(small_job: Job, tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_nothing_is_said_where_measurements_tell_nothing(small_job: Job, tmp_pat
     blind = ["model.name=random_walk", "model.parameters.measurement_sd=1e6", DRAWS, "seed=2"]
     run = pfdist.plan(small_job, tmp_path / "run", changes=blind, figures=False)
     assert _plan(run).evenly_spaced is None  # undecided
-    assert "evenly spaced measurements" not in answer_in_a_line(run)
+    assert "evenly spaced measurements" not in str(answer_of(run))
 
 
 def test_a_table_of_an_earlier_version_says_nothing(small_job: Job, tmp_path: Path) -> None:
@@ -130,4 +130,4 @@ def test_a_table_of_an_earlier_version_says_nothing(small_job: Job, tmp_path: Pa
     again = pfdist.open_run(run.path)
     assert "plan_mse" not in again.table("evenly_spaced")
     assert _plan(again).evenly_spaced is None
-    assert answer_in_a_line(again)
+    assert str(answer_of(again))

@@ -18,7 +18,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Filter, Job
-from pfdist.common.component_names import numbered_components
+from pfdist.common.component_names import named_components, numbered_components
 from pfdist.errors import JobError, MeasurementsError, PfdistWarning, PriorError, StoreError
 from pfdist.filters import one_filter
 from pfdist.filters.filter_estimate import FilterEstimate
@@ -60,30 +60,30 @@ def test_the_table_is_the_filter_of_the_run_at_every_instant(
     believed = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5})
     filtering = Filter(believed, 40, 1, resampling="multinomial")
     rows = pd.read_csv(tmp_path / "mine.filtered.csv").to_dict("records")
-    assert list(found.table.columns) == filtered_schema(numbered_components(1)).names
+    assert list(found.table.columns) == filtered_schema(named_components(["state"], 1)).names
     assert [row["t"] for row in rows] == list(range(HORIZON + 1))
     for t, row in enumerate(rows):
         estimate = filtering.update(t, y[t]) if t in times else filtering.predict(t)
         assert row["measured"] is (t in times)
-        assert row["mean_0"] == estimate.mean[0]
-        assert row["sd_0"] == estimate.standard_deviation[0]
+        assert row["mean_state"] == estimate.mean[0]
+        assert row["sd_state"] == estimate.standard_deviation[0]
         for percent, level in QUANTILES.items():
-            assert row[f"q{percent:02d}_0"] == estimate.quantiles(level)[0, 0]
+            assert row[f"q{percent:02d}_state"] == estimate.quantiles(level)[0, 0]
         assert row["effective_sample_size"] == estimate.effective_sample_size
         surprise = None if math.isnan(row["surprise"]) else row["surprise"]
         assert surprise == estimate.surprise
     smoothed = filtering.smoothed(HORIZON)
     for row, estimate in zip(rows, smoothed, strict=True):
         _check_smoothed(row, estimate)
-    is_later = np.abs(found.table["smoothed_mean_0"] - found.table["mean_0"]) > 1e-9
+    is_later = np.abs(found.table["smoothed_mean_state"] - found.table["mean_state"]) > 1e-9
     assert is_later.tolist() == [True] * 8 + [False] * 5
 
 
 def _check_smoothed(row: Any, estimate: FilterEstimate) -> None:
-    assert row["smoothed_mean_0"] == estimate.mean[0]
-    assert row["smoothed_sd_0"] == estimate.standard_deviation[0]
+    assert row["smoothed_mean_state"] == estimate.mean[0]
+    assert row["smoothed_sd_state"] == estimate.standard_deviation[0]
     for percent, level in QUANTILES.items():
-        assert row[f"smoothed_q{percent:02d}_0"] == estimate.quantiles(level)[0, 0]
+        assert row[f"smoothed_q{percent:02d}_state"] == estimate.quantiles(level)[0, 0]
     assert row["smoothed_effective_sample_size"] == estimate.effective_sample_size
 
 
@@ -102,7 +102,7 @@ def test_a_job_with_a_lag_smooths_until_then_and_shows_it(
     axes = pfdist.pages.plots.belief(found)
     assert "smoothed; band: 90 %" in axes.get_legend_handles_labels()[1]
     monkeypatch.setattr(one_filter, "_MOST_STEPS", 40 * HORIZON**2)
-    assert pfdist.filter_measurements(job, path).table["smoothed_mean_0"].isna().all()
+    assert pfdist.filter_measurements(job, path).table["smoothed_mean_state"].isna().all()
     monkeypatch.undo()
     table = found.table.assign(smoothed_effective_sample_size=4.9)
     assert "falls below 5 for the smoothed estimate at t = 0." in str(replace(found, table=table))
@@ -136,7 +136,7 @@ def test_parquet_gives_parquet_in_another_folder(job: Path, y: Any, tmp_path: Pa
     table, *_ = found.files
     assert table == tmp_path / "new" / "folder" / "mine.filtered.parquet"
     schema = pq.read_schema(table)
-    assert schema.names == filtered_schema(numbered_components(1)).names
+    assert schema.names == filtered_schema(named_components(["state"], 1)).names
     assert all(schema.field(name).metadata[b"description"] for name in schema.names)
     pd.testing.assert_frame_equal(pd.read_parquet(table), found.table)
     assert found.table["surprise"].notna().tolist() == found.table["measured"].tolist()
@@ -147,7 +147,7 @@ def test_a_prior_is_where_the_filter_starts(job: Path, y: Any, tmp_path: Path) -
     pd.DataFrame({"x0": [6.5, 7.5], "t": [4, 4]}).to_parquet(prior)
     found = pfdist.filter_measurements(job, path, planned="regular", prior=prior, report=False)
     assert found.table["t"].tolist() == list(range(4, HORIZON + 1))
-    assert (found.table["mean_0"][0], found.table["sd_0"][0]) == (7.0, 0.5)
+    assert (found.table["mean_state"][0], found.table["sd_state"][0]) == (7.0, 0.5)
     assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
     _written(path, (3, 8), y)
     with pytest.raises(MeasurementsError, match=r"mine\.csv: t must lie in 4\.\.12, got 3"):
@@ -163,7 +163,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
     words = ["filter", str(job), str(path), "--planned", "regular"]
     text = said(*words)
-    assert re.match(r"At t = 8: z0 = [\d.-]+ \(90 % band [\d.-]+ to [\d.-]+\)\. The 3\n?", text)
+    assert re.match(r"At t = 8: state = [\d.-]+ \(90 % band [\d.-]+ to [\d.-]+\)\. The 3\n?", text)
     assert "The 3 measurements fit the model." in " ".join(text.split())
     for line in (
         "  planned, missing      4\n",
@@ -256,7 +256,7 @@ def test_the_exact_filter_gives_its_evidence(
     assert len(warned) == 1
     path.write_text("t,y0\n0,3.0\n4,1.0\n")
     assert found.table["effective_sample_size"].isna().all()
-    np.testing.assert_array_equal(found.table["mean_0"][4:], exact.now.mean[0])
+    np.testing.assert_array_equal(found.table["mean_level"][4:], exact.now.mean[0])
     assert f"  log evidence          {exact.log_evidence:.4f}\n" in said(
         "filter", job, path, "--no-report"
     )

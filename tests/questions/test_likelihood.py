@@ -31,6 +31,7 @@ def model_of(measured: Formula, log_likelihood: Formula, *noise: str) -> StateSp
         log_likelihood=lambda y, x, t, p: log_likelihood(y, x[0]),
         measurement_noise=noise or ("normal",),
         linear_gaussian=False,
+        y_names=(),
     )
 
 

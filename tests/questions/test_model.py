@@ -25,6 +25,7 @@ model = StateSpaceModel(
     initial_noise=("normal",),
     process_noise=("normal",),
     measurement_noise=("normal",),
+    z_names=("level",),
 )
 """
 LOOKS = [
@@ -54,6 +55,11 @@ def checks_of(
     folder: Path, change: tuple[str, str] = ("", ""), times: tuple[float, ...] = ()
 ) -> dict[str, Check]:
     return {check.name: check for check in checked(folder, change, times)}
+
+
+def test_a_model_without_a_name_of_z_hears_how_to_name_it(tmp_path: Path) -> None:
+    names = checks_of(tmp_path, ('    z_names=("level",),\n', ""))["names"]
+    assert (names.state, names.text.count('z_names=("')) == ("note", 1)
 
 
 def test_a_right_model_passes_every_look(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_the_first_trajectories_belong_to_the_comparison(small_run: pfdist.Run) 
     )
     assert rows["draw"].nunique() == 100
     for name in small_run.names:
-        error = (rows["z_0"] - rows[f"estimate_{name}_0"]) ** 2
+        error = (rows["z_state"] - rows[f"estimate_{name}_state"]) ** 2
         mse = error.groupby(rows["draw"]).mean()
         np.testing.assert_allclose(mse, comparison.loc[mse.index, f"mse_{name}"])
 

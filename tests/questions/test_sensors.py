@@ -20,7 +20,7 @@ from pfdist.pages.terminal import lines_of
 from pfdist.problem.clock import Clock
 from pfdist.problem.measurements import read_measurements
 from pfdist.questions.bound_page import bound_page
-from pfdist.questions.run_page import answer_in_a_line, answer_of
+from pfdist.questions.run_page import answer_of
 from pfdist.results.stored_run import found_sets
 from pfdist.runner.online_work import seen
 
@@ -148,7 +148,7 @@ def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: 
     assert bound == pytest.approx(min(apart[times] for times in within), rel=1e-9)
     assert bound > min(apart.values())
     assert not pfdist.bound(problem, results=run.path, figures=False).leaves_out_spacing
-    assert f"Measure at t = {', '.join(run.sets[name])} (t in h)." in answer_in_a_line(run)
+    assert f"Measure at t = {', '.join(run.sets[name])} (t in h)." in str(answer_of(run))
     assert all(result.price == result.measurements for result in results_of(run).values())
     rows = [row for row in lines_of(answer_of(run)) if row.split()[:1] == ["plan"]]
     assert rows[0].split()[1:3] == ["3", "3"]  # measurements and price

@@ -20,7 +20,7 @@ from pfdist.pages.terminal import lines_of
 from pfdist.problem.job import load_job
 from pfdist.questions.about_run import problem
 from pfdist.questions.evaluate import evaluated
-from pfdist.questions.run_page import answer_in_a_line, answer_of
+from pfdist.questions.run_page import answer_of
 from pfdist.questions.subject import Subject
 from pfdist.results.stored_run import measured_of
 from pfdist.runner.build import build
@@ -45,7 +45,7 @@ def test_the_comparison_has_the_errors_of_the_jobs_estimate(run: pfdist.Run) -> 
         work = built.evaluator.work([times], noise, draws, (0, 250), built.comparing)
         np.testing.assert_array_equal(rows[f"mse_{name}"], built.evaluator(work).mse[:, 0])
     estimates = run.table("trajectories")
-    z, found = (estimates[f"{each}_0"].to_numpy() for each in ("z", "estimate_random"))
+    z, found = (estimates[f"{each}_state"].to_numpy() for each in ("z", "estimate_random"))
     errors = np.mean(((found - z) ** 2).reshape(-1, 13), axis=1)
     np.testing.assert_allclose(errors, rows["mse_random"][: len(errors)], rtol=1e-12)
 
@@ -139,7 +139,7 @@ def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
     ]
     assert f"{when}, the expected MSE is {texts[0]} (regular: {texts[1]})." in said
     assert (HINT in said) == (other == "smoothed")
-    assert ("The expected MSE of the smoothed estimate is " in said) == bool(changes)
+    assert (": the expected MSE of the smoothed estimate is " in said) == bool(changes)
 
 
 def test_an_exact_engine_has_both_errors_exactly(finished: Callable[..., Path]) -> None:
@@ -214,7 +214,7 @@ def test_a_smoothed_plan_says_how_many_evenly_spaced_measurements_do_as_well(
     assert "evenly_spaced" not in run.tables
     run = pfdist.plan(small_job, folder, changes=changes, figures=False)
     table, plan = run.table("evenly_spaced").set_index("measurements"), run.best
-    assert f"{plan.evenly_spaced} evenly spaced measurements do as well" in answer_in_a_line(run)
+    assert f"{plan.evenly_spaced} evenly spaced measurements do as well" in str(answer_of(run))
     row, evaluator = table.loc[plan.evenly_spaced], build(load_job(run.path)).evaluator
     assert evaluator.lag == 12
     assert row["difference"] + 1.96 * row["difference_error"] < 0.03 * row["plan_mse"]

@@ -144,12 +144,12 @@ def test_a_line_says_that_there_are_too_few_draws_for_a_gain(
         for errors, *others in errors_of(run):
             yield (errors + np.r_[np.zeros(3), np.full(3, 1000.0)], *others)
 
-    assert " than with " in str(answer_of(run))
+    assert " instead of " in str(answer_of(run))
     monkeypatch.setattr(stored_run, "errors_of", shifted)
     monkeypatch.setattr("pfdist.results.sets.summary_of", lambda run: None)
     text = " ".join(str(answer_of(run)).split())
     assert "The gain is not known" in text
     assert "regular: The mean of mse - control is not above 0" in text
-    assert " than with " not in text
+    assert " instead of " not in text
     assert run.table("sets")["gain_of_means"].isna().all()
     assert Moments.of_values(MSE[:, 0]).mean > 0

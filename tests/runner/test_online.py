@@ -95,7 +95,7 @@ def test_a_row_has_the_error_of_the_filter_with_these_times_and_keys(job: Job, r
     for row in rows.to_dict("records"):
         times = tuple(row["measurement_times"])
         assert evaluator(_work(times, row["draw"])).mse.item() == row["mse"]
-        z = trajectories.loc[row["draw"], "z_0"].to_numpy()
+        z = trajectories.loc[row["draw"], "z_state"].to_numpy()
         assert np.mean((z - row["estimate"]) ** 2) == pytest.approx(row["mse"], rel=1e-12)
 
 

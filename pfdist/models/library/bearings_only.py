@@ -111,4 +111,7 @@ model = StateSpaceModel(
         "observer_speed": NOT_NEGATIVE,
         "turn": NOT_NEGATIVE,
     },
+    x_names=("east [km]", "north [km]", "velocity east [km/min]", "velocity north [km/min]"),
+    y_names=("bearing [rad]",),
+    z_names=("east [km]", "north [km]"),
 )

@@ -90,4 +90,7 @@ model = StateSpaceModel(
         "range_sd": POSITIVE,
         "bearing_sd": POSITIVE,
     },
+    x_names=("east [km]", "north [km]", "velocity east [km/min]", "velocity north [km/min]"),
+    y_names=("range [km]", "bearing [rad]"),
+    z_names=("east [km]", "north [km]"),
 )

@@ -9,6 +9,7 @@ Anderson, Moore, "Optimal filtering", 1979, chapter 2.
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import reduce
 from operator import add
 from typing import Any
@@ -207,7 +208,7 @@ def _dot(row: Sequence[Any], x: Sequence[Any]) -> Any:
 
 DAMPING, STEP = 0.02, 0.35  # a period of 18 steps; a tenth of the amplitude is lost in five steps
 
-model = linear_gaussian(
+oscillator = linear_gaussian(
     "linear_gaussian",
     initial_noise=((2.0, 0.0), (0.0, 2.0)),
     transition=(
@@ -218,4 +219,10 @@ model = linear_gaussian(
     measurement=((1.0, 0.0),),
     measurement_noise=lambda t: ((1.0 + 0.8 * np.sin(0.2 * t),),),
     quantity_of_interest=((1.0, 0.0),),
+)
+model = replace(
+    oscillator,
+    x_names=("position", "velocity"),
+    y_names=("measured position",),
+    z_names=("position",),
 )

@@ -85,4 +85,7 @@ model = StateSpaceModel(
         "initial_sd": NOT_NEGATIVE,
         "measurement_sd": POSITIVE,
     },
+    x_names=("convection", "horizontal difference", "vertical difference"),
+    y_names=("measured convection",),
+    z_names=("convection", "horizontal difference", "vertical difference"),
 )

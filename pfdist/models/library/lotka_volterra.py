@@ -97,4 +97,7 @@ model = StateSpaceModel(
         "initial_sd": NOT_NEGATIVE,
         "measurement_sd": POSITIVE,
     },
+    x_names=("prey", "predators"),
+    y_names=("log prey counted",),
+    z_names=("log prey", "log predators"),
 )

@@ -29,4 +29,7 @@ model = StateSpaceModel(
         "measurement_sd": POSITIVE,
     },
     linear_gaussian=True,
+    x_names=("level",),
+    y_names=("measured level",),
+    z_names=("level",),
 )

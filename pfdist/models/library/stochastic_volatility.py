@@ -48,4 +48,7 @@ model = StateSpaceModel(
     measurement_noise=("normal",),
     parameters={"mu": -0.87, "phi": 0.98, "sigma": 0.16},
     parameter_ranges={"phi": (-0.999999, 0.999999), "sigma": NOT_NEGATIVE},
+    x_names=("log variance",),
+    y_names=("daily return [%]",),
+    z_names=("volatility [%]",),
 )

@@ -75,4 +75,7 @@ model = StateSpaceModel(
         "offset_sd": NOT_NEGATIVE,
         "measurement_sd": POSITIVE,
     },
+    x_names=("amplitude [mm]", "frequency [rad]", "offset [mm]"),
+    y_names=("measured position [mm]",),
+    z_names=("position [mm]",),
 )

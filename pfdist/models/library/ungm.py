@@ -53,4 +53,7 @@ model = StateSpaceModel(
         "process_sd": NOT_NEGATIVE,
         "measurement_sd": POSITIVE,
     },
+    x_names=("state",),
+    y_names=("measurement",),
+    z_names=("state",),
 )

@@ -129,4 +129,14 @@ model = StateSpaceModel(
         "source_detector": POSITIVE,
         "measurement_sd": POSITIVE,
     },
+    x_names=(
+        "lateral [mm]",
+        "longitudinal [mm]",
+        "vertical [mm]",
+        "lateral velocity [mm/s]",
+        "longitudinal velocity [mm/s]",
+        "vertical velocity [mm/s]",
+    ),
+    y_names=("across the detector [mm]", "along the detector [mm]"),
+    z_names=("lateral [mm]", "longitudinal [mm]", "vertical [mm]"),
 )

@@ -1,0 +1,250 @@
+"""The first picture of a run: the system itself, the typical error over time, and the times."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from pfdist.common.component_names import Component
+from pfdist.common.rounding import rounded
+from pfdist.pages.figure import Plot, Tables, figure, one_number, shown_by_pyplot
+from pfdist.pages.panel import (
+    check_kind,
+    cut_outliers,
+    error_unit,
+    label_instants,
+    label_quantity,
+    legend_above,
+    marker,
+    minus,
+    points,
+    stack,
+    styles_of,
+    table_of,
+    thin,
+    verbatim,
+)
+from pfdist.pages.style import GREY
+from pfdist.pages.times_axis import forbidden_times, shade
+from pfdist.problem.clock import Time
+from pfdist.problem.set_key import phrase_of
+from pfdist.results import Run
+from pfdist.results.over_time import RANGE_SUMS
+from pfdist.results.sampling_windows import WIDE, runs_of, windows_of
+from pfdist.results.sets import best_first, rows_of_sets, typical_error
+from pfdist.results.stored_run import angles_of, problem_of
+from pfdist.store.schema import components_in
+
+Array = NDArray[np.float64]
+_MOST = 3  # components of z, each in a column
+_CURVES = 4  # simulated systems beside the band
+_LOW, _HIGH = 0.05, 0.95  # quantiles that limit the band
+_PANELS, _ROW = (1.35, 0.95), 0.2  # inches of the upper panels, and of a row of times
+
+
+class _Set(NamedTuple):
+    """A set of times."""
+
+    name: str
+    label: str
+    style: Mapping[str, Any]
+    times: Mapping[str, Sequence[Time]]  # of each sensor; one without a name has all if none has
+    errors: Sequence[float]  # typical ones, by component of z; empty: unknown
+
+
+class _Component(NamedTuple):
+    """A component of z."""
+
+    number: int
+    named: Component
+    is_angle: bool
+    unit: str
+
+
+def _has_systems(run: Run) -> bool:
+    return one_number(run) and {"trajectories", RANGE_SUMS} <= {*run.tables}
+
+
+@figure("system", applies=_has_systems)
+def system_figure(tables: Tables) -> Plot:
+    """The simulated system, the typical error of the plan over time, and its measurement times."""
+    sets, quantities = _sets_of(tables.run), components_in(tables.trajectories, "z_")
+    angles = angles_of(tables.run)
+    components = [
+        _Component(k, each, is_angle, each.unit or "rad" * is_angle)
+        for k, each in enumerate(quantities[:_MOST])
+        for is_angle in [any(angles[k : k + 1])]
+    ]
+    profiles = {
+        (each.name, k.number): _profile(tables, each.name, k, alone=len(quantities) == 1)
+        for each in sets
+        for k in components
+    }
+    rows = _ROW * sum(len(each.times) for each in sets)
+
+    def draw(panels: Sequence[Axes]) -> None:
+        for k in components:
+            band, errors, times = column = panels[k.number :: len(components)]
+            _draw_band(band, tables.trajectories, k)
+            label_quantity(band, quantities, k.number)
+            what = "typical error" if angles else "expected error"
+            errors.set_ylabel(f"{what} [{verbatim(k.unit)}]" if k.unit and angles else what)
+            _draw_errors(errors, sets, k, [profiles[each.name, k.number] for each in sets])
+            for t in (t for of_sensor in sets[0].times.values() for t in of_sensor):
+                for ax in (band, errors):
+                    ax.axvline(t, color=sets[0].style["color"], lw=thin(0.5), alpha=0.6, zorder=0)
+            _draw_times(times, tables.run, sets, named=not k.number)
+            stack(column)
+
+    return Plot(
+        0.9 + sum(_PANELS) + rows, draw, 3, share_x=True, columns=len(components),
+        title=_caption(tables, sets), heights=[*_PANELS, rows],
+    )  # fmt: skip
+
+
+def system(run: Run) -> Sequence[Axes]:
+    """Draw the system of a run, the typical error of its plan, and when the plan measures.
+
+    There is a column for each of the first three components of z, with three panels on one time
+    axis. The first has the band of 90 % of the simulated systems, four of them, and lines at the
+    plan's times. The second has the typical error of the plan and of the reference in the unit of
+    z; where the plan's is smaller, the difference is shaded. The third has the times of both, and
+    how far each time of the plan alone may move at a loss of at most 5 %, where `pfdist.why` was
+    asked.
+
+    Parameters
+    ----------
+    run : Run
+        A run for one number of measurements that has compared draws.
+
+    Returns
+    -------
+    sequence of matplotlib Axes
+        The panels of a new figure of pyplot, row by row.
+    """
+    check_kind(run, (Run,), "run")
+    return shown_by_pyplot(system_figure(Tables(run)))
+
+
+def _sets_of(run: Run) -> list[_Set]:
+    """The plan, or the best set, and the reference, or the set beside it."""
+    styles, clock = styles_of(run.labels, ()), problem_of(run).clock
+    rows = {row.name: row for row in rows_of_sets(run)}
+    best = best_first([*rows.values()])[0]
+    other = next((name for name in rows if name != best), best)
+    return [
+        _Set(name, str(styles[name]["label"]), styles[name] | {"label": None},
+             clock.by_sensor(run.sets[name]), rows[name].typical_error or ())
+        for name in dict.fromkeys([best, other])
+    ]  # fmt: skip
+
+
+def _profile(tables: Tables, name: str, k: _Component, *, alone: bool) -> "pd.Series[float]":
+    """The typical error of a set by time; of all draws if z has this component alone."""
+    if alone:
+        table = table_of(tables.run, "run", "error_over_time")
+        errors = table[table["name"] == name].set_index("t")["error"]
+    else:
+        rows, suffix = tables.trajectories, k.named.suffix
+        apart = rows[f"z_{suffix}"] - rows[f"estimate_{name}_{suffix}"]
+        each = 1 - np.cos(apart) if k.is_angle else apart**2
+        errors = pd.Series(each).groupby(rows["t"]).mean()
+    if not angles_of(tables.run):  # errors are not in the unit of z
+        return errors
+    return errors.map(lambda error: typical_error(error, k.is_angle))
+
+
+def _draw_band(ax: Axes, trajectories: pd.DataFrame, k: _Component) -> None:
+    """The band of 90 % of the simulated systems, and some of them; angles around their mean."""
+    table = trajectories.pivot_table(f"z_{k.named.suffix}", "draw", "t", dropna=False)
+    t, z = table.columns.to_numpy(), table.to_numpy()
+    if k.is_angle:
+        mean = np.unwrap(np.angle(np.exp(1j * z).mean(axis=0)))
+        z = z + 2 * np.pi * np.round((mean - z) / (2 * np.pi))
+    low, high = np.nanquantile(z, (_LOW, _HIGH), axis=0)
+    share = f"{100 * (_HIGH - _LOW):.0f} % of simulated systems"
+    ax.fill_between(t, low, high, color=GREY, alpha=0.2, lw=0, label=share)
+    for curve in z[:_CURVES]:
+        turns = k.is_angle & (np.abs(np.diff(curve, prepend=curve[0])) > np.pi)
+        ax.plot(t, np.where(turns, np.nan, curve), color=GREY, lw=thin(0.6))
+    legend_above(ax)
+
+
+def _draw_errors(
+    ax: Axes, sets: Sequence[_Set], k: _Component, profiles: Sequence["pd.Series[float]"]
+) -> None:
+    """The typical error of the plan and of the reference; the gain is shaded."""
+    curves = []
+    for each, errors in zip(sets[::-1], profiles[::-1], strict=True):
+        known, style = [*each.errors][k.number : k.number + 1], each.style
+        label = ": ".join([each.label, *(minus(rounded(error, 3)) for error in known)])
+        ax.plot(errors.index, errors, color=style["color"], ls=style["ls"], label=label)
+        curves.append(points(errors.index, errors, style["color"], each.label))
+    plan, other = profiles[0].to_numpy(), profiles[-1].to_numpy()
+    ax.fill_between(profiles[0].index, plan, other, other > plan, color=sets[0].style["color"],
+                    alpha=0.15, lw=0)  # fmt: skip
+    cut_outliers(ax, curves, zero=True)
+    legend_above(ax)
+
+
+def _draw_times(ax: Axes, run: Run, sets: Sequence[_Set], *, named: bool) -> None:
+    """The times of each set and sensor, with the sampling windows of the plan."""
+    clock, names, windows = problem_of(run).clock, list[str](), list[Any]()
+    if "sampling_windows" in run.tables:
+        table = run.table("sampling_windows")
+        rows = table[table["name"] == sets[0].name].to_dict("records")
+        windows = windows_of(rows, WIDE, clock)
+    for each in sets[::-1]:
+        for sensor, times in each.times.items():
+            style = {**each.style, "ls": "", "ms": marker()}
+            ax.plot(times, [len(names)] * len(times), clip_on=False, zorder=3, **style)
+            for window in windows if each is sets[0] else ():
+                if window.sensor == sensor:
+                    [ends] = [run for run in runs_of(window.inside) if window.t in run]
+                    apart = [[window.t - ends[0]], [ends[-1] - window.t]]
+                    ax.errorbar(
+                        window.t, len(names), xerr=apart, c=style["color"], lw=thin(),
+                        capsize=marker(0.8), capthick=thin(),
+                    )  # fmt: skip
+            names.append(", ".join(filter(None, [each.label, verbatim(sensor)])))
+    shade(ax, {*forbidden_times(run)}, clock)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.set_yticks(range(len(names)), names if named else [""] * len(names))
+    ax.tick_params(axis="y", length=0)
+    label_instants(ax, clock)
+
+
+def _caption(tables: Tables, sets: Sequence[_Set]) -> str:
+    """Say what the panels show, and where the error of the plan is lowest beside the other."""
+    run, clock = tables.run, problem_of(tables.run).clock
+    plan, other = (phrase_of(run.labels[each.name]) for each in (sets[0], sets[-1]))
+    profile = table_of(run, "run", "error_over_time")
+    rows = {each.name: profile[profile["name"] == each.name] for each in sets}
+    best, reference = (rows[each.name]["error"].to_numpy() for each in (sets[0], sets[-1]))
+    t, weight = (rows[sets[0].name][key].to_numpy() for key in ("t", "weight"))
+    change = np.nan_to_num(weight * (reference - best), posinf=0.0, neginf=0.0)
+    said = "The system, the typical error over time, and the times of measurements."
+    if (change > 0).any():
+        total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
+        stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
+        first, end = np.unravel_index(stretches.argmax(), stretches.shape)
+        here = slice(first, end)
+        is_root = len(angles_of(run)) == 1
+        unit = error_unit(run) if is_root else f"{error_unit(run)}²".lstrip("²")
+        unit = f" {unit.strip('()') if is_root else unit}".rstrip()
+        before, now = (
+            rounded(typical_error(mean, angles_of(run)[0]) if is_root else mean, 3)
+            for mean in (np.average(e[here], weights=weight[here]) for e in (reference, best))
+        )
+        ends = " to ".join(dict.fromkeys(map(clock.text, [t[first], t[end - 1]])))
+        what = "typical error" if is_root else "expected MSE"
+        said = (
+            f"With {plan} instead of {other}, the {what} falls most at t = {ends}: from {before} "
+            f"to {now}{unit}."
+        )
+    if "sampling_windows" in run.tables:
+        said += f" Bars: where a time alone may move at a loss of at most {WIDE} %."
+    return said
