@@ -96,7 +96,7 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
 @in_turn(
     ("content", "words"),
     [
-        ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1, got 'time, y0, y1'"),
+        ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1 or t, y_range, y_bearing, got 'time, y0, y1'"),
         ("t|y0|y1\n1|2|3", "columns must be separated by commas; decimals have a point"),
         ("1,2,3\n2,3,4", "the first line must name the columns"),
         ("", "must have a line that names the columns, got none"),
@@ -211,7 +211,10 @@ ZEROS = np.zeros(12_000)
 LISTS = pa.ListArray.from_arrays(pa.array([0, 400_000]), pa.array(np.zeros(400_000, np.int8)))
 OF_MARS = pa.array([0], pa.timestamp("ns", "Mars/Base"))
 UNREAD: list[tuple[dict[str, Any], str]] = [
-    ({"t": [1.0], "y0": [1.0], "y2": [1.0], "note": LISTS}, "the columns must be t, y0, y1, got"),
+    (
+        {"t": [1.0], "y0": [1.0], "y2": [1.0], "note": LISTS},
+        "the columns must be t, y0, y1 or t, y_range, y_bearing, got",
+    ),
     ({"t": [1.0], "y0": LISTS, "y1": [1.0]}, "column 'y0' must hold numbers, texts or dates, got"),
     ({"t": [1.0], "y0": [b"x"], "y1": [1.0]}, "column 'y0' must hold numbers, .* got binary"),
     ({"t": ZEROS, "y0": ZEROS, "y1": ZEROS}, "3 columns must have at most 10,088 rows, got 12,000"),
