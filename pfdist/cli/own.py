@@ -199,7 +199,7 @@ def check_model(
         raise ModelError(f"{model}: wrong: {', '.join(wrong)}")
 
 
-def models() -> Iterator[str]:
+def models() -> Iterator[tuple[str, str]]:
     """List the models that a job can name."""
     from pfdist.models import installed_models
 
@@ -210,7 +210,7 @@ def models() -> Iterator[str]:
             description = import_module(installed[name][0]).__doc__ or ""
         except Exception as error:  # a package that was installed beside pfdist
             description = f"cannot be loaded: {type(error).__name__}: {error}"
-        yield f"{name:{width}}  {description.partition(chr(10))[0]}".rstrip()
+        yield f"{name:{width}}  ", description.partition(chr(10))[0]
 
 
 def completion(shell: Literal["bash", "zsh", "fish"]) -> str:

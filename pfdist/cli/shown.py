@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
@@ -55,11 +54,13 @@ def _show_each(answers: Iterator[Any], line: Line, stream: TextIO) -> None:
 
 
 def _lines(each: Any) -> list[str]:
-    """The lines of a check, or of a line; those of a name with its description are aligned."""
-    if not isinstance(each, str):
-        return wrapped(f"{each.name}: {each.text}", f"{each.state:5} ")
-    named = re.match(r"(\S+ {2,})(\S.*)", each)
-    return wrapped(named[2], named[1]) if named else [one_line(each)]
+    """The lines of a text, of a name with its description, or of a check."""
+    match each:
+        case str():
+            return [one_line(each)]
+        case name, description:
+            return wrapped(description, name)
+    return wrapped(f"{each.name}: {each.text}", f"{each.state:5} ")
 
 
 def _as_json(answer: Any, line: Line) -> dict[str, Any]:
