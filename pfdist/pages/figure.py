@@ -275,6 +275,8 @@ def drawn(plot: Plot) -> Canvas:
     _fill(canvas, plot)
     _remove_control_characters(canvas)
     ConstrainedLayoutEngine().execute(canvas)
+    for panel in canvas.axes:  # the last bits of a layout differ, and are part of names in SVG
+        panel.set_position([round(each, _DIGITS) for each in panel.get_position().bounds])
     return canvas
 
 
@@ -287,6 +289,9 @@ def shown_by_pyplot(plot: Plot) -> Sequence[Axes]:
         rcParams["figure.figsize"][0] * _WIDER[plot.columns - 1], scaled(plot.height)
     )
     return _fill(canvas, plot)
+
+
+_DIGITS = 9  # of the places of panels, as shares of the canvas
 
 
 def _fill(canvas: Canvas, plot: Plot) -> Sequence[Axes]:
