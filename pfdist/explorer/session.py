@@ -14,6 +14,7 @@ import math
 import shlex
 import threading
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,6 +50,7 @@ JUDGING_SECONDS = 2.0
 YOURS, PLAN, EVEN = "yours", "plan", "even"
 _OTHERS = {PLAN: "the plan", EVEN: "evenly spaced"}
 ON_THESE_DRAWS = "on these draws"
+_FEWER = 5  # times fewer draws for the error of the other estimate
 _SAME, _ROUNDING = "the same times", 1e-9  # relative error of exact gaps
 
 
@@ -91,7 +93,10 @@ class ExplorerSession:
         self.job, self.feasible = self.built.job, self.built.feasible
         self._points = self.job.problem.points
         self.built.evaluator.compile(self.built.comparing)
-        self.played = FilteredSets(self.built, stream_of("explore", self.job.seed))
+        stream = stream_of("explore", self.job.seed)
+        self.played = FilteredSets(self.built, stream)
+        other = replace(self.built, evaluator=self.built.evaluator.other_estimate)
+        self._other = FilteredSets(other, stream)  # its errors are those of the other estimate
         self._lock = threading.Lock()
         self._judged, self._judgements = list[Judgement](), 0
         self.best = self.run.best if self.run and self.job.budget is None else None
@@ -183,7 +188,11 @@ class ExplorerSession:
         found = {name: self.played.errors(each, draws) for name, each in sets.items()}
         known = {name: self.played.evaluation(sets[name], each) for name, each in found.items()}
         finer = min(most, 2 * draws, draws + self._draws_in(FINER_SECONDS))
-        own = known[YOURS]
+        own, fewer = known[YOURS], max(BLOCK, draws // _FEWER)
+        other = {
+            name: self._other.evaluation(each, self._other.errors(each, fewer))
+            for name, each in sets.items()
+        }
         typical = {name: self.played.typical(known[name], each) for name, each in found.items()}
         answer = {
             "times": chosen,
@@ -193,7 +202,7 @@ class ExplorerSession:
                 name: self.played.curves(known[name], each).T.tolist()
                 for name, each in found.items()
             },
-            "facts": self._facts(chosen, known, typical),
+            "facts": self._facts(chosen, known, typical, other),
             "broken": self.feasible.broken(chosen),
             "warnings": [text for text in (own.degenerate_text, own.heavy_tail) if text],
             "mark": self._mark(chosen, own.draws),
@@ -209,7 +218,11 @@ class ExplorerSession:
         return f"{ON_THESE_DRAWS} ({draws:,}); provisional: press Judge for a fair comparison"
 
     def _facts(
-        self, times: Times, known: Mapping[str, Evaluation], typical: Mapping[str, str]
+        self,
+        times: Times,
+        known: Mapping[str, Evaluation],
+        typical: Mapping[str, str],
+        other: Mapping[str, Evaluation],
     ) -> list[tuple[str, str]]:
         own, facts, shown = known[YOURS], list[tuple[str, str]](), [YOURS]
         changes = {name: Change.between(own, known[name]) for name in _OTHERS if name in known}
@@ -217,8 +230,13 @@ class ExplorerSession:
             is_same = times == known[name].measurement_times
             facts.append((f"against {_OTHERS[name]}", _SAME if is_same else change.text()))
             shown += [] if is_same else [name]
-        errors = {name: with_error(e.expected_mse, e.standard_error) for name, e in known.items()}
-        for head, texts in (("expected MSE", errors), ("typical error", typical)):
+        errors, others = (
+            {name: with_error(e.expected_mse, e.standard_error) for name, e in each.items()}
+            for each in (known, other)
+        )
+        when = "at the moment" if self.job.problem.instants_of_lag else "afterwards"
+        named = f"MSE {when}"
+        for head, texts in (("expected MSE", errors), ("typical error", typical), (named, others)):
             each = (f"{_OTHERS.get(name, YOURS)} {texts[name]}" for name in shown)
             facts.append((head, "; ".join(each)))
         if PLAN in changes and not self.feasible.broken(times):

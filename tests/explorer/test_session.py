@@ -84,12 +84,17 @@ def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run
     session.answer(session.plan, 3840)  # what a user has seen before the move
     answer = session.answer(MINE, 120)
     heads, texts = zip(*answer["facts"], strict=True)
-    assert heads[:4] == (
+    assert heads[:5] == (
         "against the plan",
         "against evenly spaced",
         "expected MSE",
         "typical error",
+        "MSE afterwards",
     )
+    afterwards = session._other.errors(MINE, 24)
+    value, error = map(float, re.findall(r"yours ([\d.]+) ± ([\d.]+)", texts[4])[0])
+    assert value == pytest.approx(afterwards.mse.mean(), abs=0.06 * error)
+    assert value < session.played.errors(MINE, 24).mse.mean()
     means = [session.played.errors(times, 120).mse.mean() for times in sets]
     shown = re.findall(r"(yours|the plan|evenly spaced) ([\d.]+) ± ([\d.]+)", texts[2])
     assert [name for name, *_ in shown] == ["yours", "the plan", "evenly spaced"]
@@ -116,7 +121,8 @@ def test_nothing_is_computed_twice_and_old_sets_are_forgotten(
     original = FilteredSets._computed
     monkeypatch.setattr(
         FilteredSets, "_computed", lambda self, times, *args: (
-            computed.append(times), original(self, times, *args))[1],
+            computed.append(times) if self is session.played else None,
+            original(self, times, *args))[1],
     )  # fmt: skip
     session.answer(MINE, 48)
     session.answer(MINE, 48)
