@@ -14,14 +14,16 @@ from pfdist.pages.figure import Plot, save_plots
 from pfdist.pages.panel import label_instants, label_quantity, legend_above, marker, thin
 from pfdist.pages.style import BLUE, GREY, RED
 from pfdist.problem.clock import Clock
+from pfdist.results.sets import typical_error
 from pfdist.runner.ruling import RuledDraw
 
 Array = NDArray[np.float64]
 
 
 def draw_rule(
-    folder: Path, shown: RuledDraw, numbers: Array, quantities: Sequence[Component], clock: Clock
-) -> list[Path]:
+    folder: Path, shown: RuledDraw, numbers: Array, quantities: Sequence[Component],
+    is_angle: bool, clock: Clock,
+) -> list[Path]:  # fmt: skip
     """Draw the figure ``rule`` into a run's folder.
 
     Parameters
@@ -32,12 +34,14 @@ def draw_rule(
         Numbers of measurements of all draws.
     quantities : sequence of Component
         The components of z, of which the first is shown.
+    is_angle : bool
+        Whether the first is an angle.
     clock : Clock
         That of the job.
     """
 
     def draw(panels: Sequence[Axes]) -> None:
-        _estimate(shown, quantities, clock, panels[0])
+        _estimate(shown, quantities, is_angle, clock, panels[0])
         _spread(shown, clock, panels[1])
         values, counts = np.unique(numbers, return_counts=True)
         panels[2].bar(values, 100 * counts / numbers.size, color=BLUE, lw=0)
@@ -49,9 +53,13 @@ def draw_rule(
     return save_plots(folder, [("rule", Plot(5.0, draw, panels=3, title=title))])
 
 
-def _estimate(shown: RuledDraw, quantities: Sequence[Component], clock: Clock, ax: Axes) -> None:
+def _estimate(
+    shown: RuledDraw, quantities: Sequence[Component], is_angle: bool, clock: Clock, ax: Axes
+) -> None:
     times = np.array(clock.times)
-    path, mean, apart = times[shown.instants], shown.mean[:, 0], np.sqrt(shown.variance[:, 0])
+    path, mean = times[shown.instants], shown.mean[:, 0]
+    apart = np.array([min(typical_error(v, is_angle), np.pi if is_angle else np.inf)
+                      for v in shown.variance[:, 0].tolist()])  # fmt: skip
     ax.plot(times, shown.z[:, 0], color="black", lw=thin(), label="truth")
     ax.plot(path, mean, color=BLUE, label="estimate, with its standard deviation")
     ax.fill_between(path, mean - apart, mean + apart, color=BLUE, alpha=0.2, lw=0)

@@ -101,7 +101,7 @@ def system_figure(tables: Tables) -> Plot:
 
     return Plot(
         0.9 + sum(_PANELS) + rows, draw, 3, share_x=True, columns=len(components),
-        title=_caption(tables, sets), heights=[*_PANELS, rows],
+        title=_caption(tables, sets, components[0].unit), heights=[*_PANELS, rows],
     )  # fmt: skip
 
 
@@ -217,7 +217,7 @@ def _draw_times(ax: Axes, run: Run, sets: Sequence[_Set], *, named: bool) -> Non
     label_instants(ax, clock)
 
 
-def _caption(tables: Tables, sets: Sequence[_Set]) -> str:
+def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
     """Say what the panels show, and where the error of the plan is lowest beside the other."""
     run, clock = tables.run, problem_of(tables.run).clock
     plan, other = (phrase_of(run.labels[each.name]) for each in (sets[0], sets[-1]))
@@ -227,14 +227,13 @@ def _caption(tables: Tables, sets: Sequence[_Set]) -> str:
     t, weight = (rows[sets[0].name][key].to_numpy() for key in ("t", "weight"))
     change = np.nan_to_num(weight * (reference - best), posinf=0.0, neginf=0.0)
     said = "The system, the typical error over time, and the times of measurements."
-    if (change > 0).any():
+    if (change > 0).any() and sets[0].times != sets[-1].times:
         total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
         stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
         first, end = np.unravel_index(stretches.argmax(), stretches.shape)
         here = slice(first, end)
         is_root = len(angles_of(run)) == 1
-        unit = error_unit(run) if is_root else f"{error_unit(run)}²".lstrip("²")
-        unit = f" {unit.strip('()') if is_root else unit}".rstrip()
+        unit = unit if is_root else f"{error_unit(run)}²".lstrip("²")
         before, now = (
             rounded(typical_error(mean, angles_of(run)[0]) if is_root else mean, 3)
             for mean in (np.average(e[here], weights=weight[here]) for e in (reference, best))
@@ -243,7 +242,7 @@ def _caption(tables: Tables, sets: Sequence[_Set]) -> str:
         what = "typical error" if is_root else "expected MSE"
         said = (
             f"With {plan} instead of {other}, the {what} falls most at t = {ends}: from {before} "
-            f"to {now}{unit}."
+            f"to {f'{now} {unit}'.rstrip()}."
         )
     if "sampling_windows" in run.tables:
         said += f" Bars: where a time alone may move at a loss of at most {WIDE} %."

@@ -316,16 +316,17 @@ def _by_rule(
     filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
     estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
     at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
-    made = clock.nearest(rows.clock.times[t] for t in rows.t)
+    spent = {*rows.t, *rows.failed}  # a measurement without a value is spent, too
+    made = clock.nearest(rows.clock.times[t] for t in spent)
     first = max(start, feasible.spacing.after(max(made, default=-1)))
-    left = [k for k in feasible.allowed if k >= first and at[k] > last]
-    if now is not None and left:
-        passed = _instant_now(now, max(left[0] - 1, 0), clock)
-        left = [k for k in left if k > passed]
+    passed = max([start - 1, *(k for k in range(len(clock.times)) if at[k] <= last)])
+    if now is not None:
+        passed = _instant_now(now, max(passed, start), clock)
+    left = [k for k in feasible.allowed if k >= first and k > passed]
     following, spread, level = None, 0.0, 0.0
     for k in left:
         spread = spread_of(filtering.predict(at[k]), believed.is_angle)
-        level = rule.level(feasible.horizon + 1 - k, len(rows.t))
+        level = rule.level(feasible.horizon + 1 - k, len(spent))
         if spread > level:
             following = clock.time(k)
             break
@@ -333,7 +334,7 @@ def _by_rule(
     few = next((each.collapsed for each in estimates if each.collapsed is not None), None)
     doubts = few_at(None if few is None else rows.clock.time(few), clock)
     doubts += [_SEE_SURPRISE] * (surprise is not None and surprise < IMPROBABLE)
-    measured = tuple(rows.clock.time(t) for t in rows.t)
+    measured = tuple(rows.clock.time(t) for t in sorted(spent))
     return NextByRule(plan.run.path, rule, measured, following, spread, level, clock, doubts)
 
 

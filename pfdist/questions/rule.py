@@ -69,8 +69,10 @@ class Ruled(Shown):
         no particle explains one of them), mse_rule, and the MSE of each other set, as ``mse_NAME``.
     labels : mapping of str to str
         The other sets as answers call them.
+    numbers : mapping of str to int
+        How many measurements the other sets have.
     unit : str
-        The unit of z; empty if it is not known.
+        The unit of the standard deviation of z; empty if it is not known, or if there is none.
     figures : list of Path
     """
 
@@ -80,6 +82,7 @@ class Ruled(Shown):
     plan: str
     table: pd.DataFrame
     labels: Mapping[str, str]
+    numbers: Mapping[str, int]
     unit: str
     figures: Sequence[Path] = ()
 
@@ -122,7 +125,8 @@ class Ruled(Shown):
         numbers = self.table["measurements"].astype(int)
         mean = self.measurements
         sets = {
-            name: {"expected_mse": self.error(name).value,
+            name: {"measurements": self.numbers[name],
+                   "expected_mse": self.error(name).value,
                    "standard_error": self.error(name).standard_error,
                    **self.pairs.loc[name, "difference":"high"].to_dict(),
                    **self.pairs.loc[name, "gain_of_means":"gain_of_means_high"].to_dict()}
@@ -166,8 +170,8 @@ class Ruled(Shown):
         rows = [[Cell("the rule"), Cell(mean.text, mean.value), self._cell(RULE), Cell("")]]
         for name, label in self.labels.items():
             change = change_of(*self.gain(name))
-            number = Cell(str(self.budget), self.budget)
-            rows.append([Cell(label), number, self._cell(name), Cell(change)])
+            number = self.numbers[name]
+            rows.append([Cell(label), Cell(str(number), number), self._cell(name), Cell(change)])
         head = ("times", "measurements ± SE", "expected MSE ± SE", "rule's error")
         blocks = Text(f"{said}.", prominent=True), Facts(facts), Table("", head, rows)
         over = mean.value - self.budget
@@ -254,6 +258,7 @@ def rule(
 def check_rule(built: Built) -> None:
     """Raise `JobError` if no rule can be tuned for a job."""
     job, feasible, evaluator = built.job, built.feasible, built.evaluator
+    problem = job.problem
     if not job.criterion.is_mean:
         raise other_criterion(job)
     refused = {
@@ -261,8 +266,12 @@ def check_rule(built: Built) -> None:
             not evaluator.has_particles,
         "filter.engine = 'numpy' (which takes too long)": evaluator.engine == NUMPY.name,
         "an error that the model defines": evaluator.model.error is not squared_error,
-        "sensors": evaluator.points.ways > 1,
-        "prices": not feasible.counted,
+        "sensors, or measurements that are repeated": evaluator.points.ways > 1,
+        "a delay (a rule decides when a value arrives, not when it is measured)": any(
+            each.delay for each in [problem.sensor, *(problem.sensors or {}).values()] if each
+        ),
+        "prices or visits": not feasible.counted,
+        "search = [] (there is no plan)": not job.search,
         "problem.required": bool(feasible.required),
     }  # fmt: skip
     for what, is_given in refused.items():
@@ -283,8 +292,8 @@ def _draw(found: Ruled, built: Built) -> list[Path]:
         return []
     work = judged_work(built, found.rule, draw + 1)
     shown = followed(built.evaluator, work, draw)
-    quantities, clock = built.evaluator.model.named("z"), built.job.problem.clock
-    return draw_rule(found.run, shown, numbers, quantities, clock)
+    model, clock = built.evaluator.model, built.job.problem.clock
+    return draw_rule(found.run, shown, numbers, model.named("z"), model.is_angle[0], clock)
 
 
 def _judge(
@@ -293,7 +302,6 @@ def _judge(
     """Driver that tunes the rule, and filters the draws of the run's comparison with it."""
     built, store = session.built, session.store
     table, plan = _compared(run, draws), best_first(rows_of_sets(run))[0]
-    session.reporter.begin(RULE)
     own = yield from tuned(session, is_hard=is_hard)
     session.reporter.foresee(judged_work(built, own, len(table)).steps)
     ((mse, numbers, degenerate),) = yield from filtered_by(
@@ -307,9 +315,11 @@ def _judge(
     table.insert(2, "mse_rule", mse)
     labels = {name: phrase_of(run.labels[name]) for name in (plan, run.names[0])}
     labels |= {"online": "online times"} if "mse_online" in table else {}
-    (quantity, *others) = built.evaluator.model.named("z")
-    unit = "" if others else quantity.unit
-    return Ruled(run.path, own, built.feasible.total, plan, table, labels, unit)
+    model, budget = built.evaluator.model, built.feasible.total
+    numbers = {name: len(run.sets.get(name, range(budget))) for name in labels}
+    (quantity, *others) = model.named("z")
+    unit = "" if others or any(model.is_angle) else quantity.unit  # that of an angle is sqrt(1 - R)
+    return Ruled(run.path, own, budget, plan, table, labels, numbers, unit)
 
 
 def _compared(run: Run, draws: int | None) -> pd.DataFrame:
@@ -324,12 +334,12 @@ def _compared(run: Run, draws: int | None) -> pd.DataFrame:
 def level_text(rule: Rule, unit: str = "") -> str:
     """The level of a rule as a formula.
 
-    >>> level_text(Rule(6.0), "m"), level_text(Rule(3.5, 0.5, 21))
-    ('6 m', '3.5 x (rest of time / rest of budget)^0.5, at most 21 times')
+    >>> level_text(Rule(6.0), "m"), level_text(Rule(3.5, 0.5, 21)), level_text(Rule(2.0, 0.0, 1))
+    ('6 m', '3.5 x (rest of time / rest of budget)^0.5, at most 21 times', '2, at most 1 time')
     """
     threshold, exponent, limit = rule
     power = f" x (rest of time / rest of budget)^{unrounded(exponent)}" * (exponent > 0)
-    most = f", at most {limit} times" * (limit > 0)
+    most = f", at most {number_of(limit, 'time')}" * (limit > 0)
     return f"{unrounded(threshold)} {unit}".rstrip() + power + most
 
 
@@ -389,7 +399,10 @@ def rule_of(run: Path) -> Rule:
     """The rule that was tuned last for a run; a `StoreError` if there is none."""
     if not (run / FILE).exists():
         raise StoreError(f"{run} has no rule: `pfdist rule {run}` tunes one")
-    return Rule(**parse_json(read_text(run / FILE))["rule"])
+    try:
+        return Rule(**parse_json(read_text(run / FILE))["rule"])
+    except (ValueError, TypeError, KeyError) as error:
+        raise StoreError(f"{run / FILE} is damaged: `pfdist rule {run}` writes it again") from error
 
 
 def spread_of(estimate: FilterEstimate, is_angle: Sequence[bool]) -> float:

@@ -51,14 +51,16 @@ class Progress:
     Parameters
     ----------
     phase : str
-        Name of a search, ``comparison``, ``online``, or a part of the proof of a lower bound.
+        Name of a search, ``comparison``, ``online``, ``rule``, or a part of the proof of a lower
+        bound.
     done, total : float
         Particle-steps over all phases and sets of times; the total is a forecast.
     optional : float
         Particle-steps of the total that may be left out.
     evaluations : int
-        Evaluations finished in this phase, including copies; in ``comparison`` and ``online``,
-        draws. The count restarts when a phase repeats its draws, as the phases of `why` do.
+        Evaluations finished in this phase, including copies; in ``comparison``, ``online`` and
+        ``rule``, draws. The count restarts when a phase repeats its draws, as the phases of `why`
+        do.
     generation, generations : int
         Current generation and expected number of generations; 0 in phases other than searches.
     best : float or None

@@ -125,7 +125,8 @@ def filtered_by(
             result.mse.T,
             result.degenerate[:, 0],
         )
-        reporter.reach(reporter.progress.done + piece.steps)
+        before, draws = reporter.progress, len(range(*piece.draws))
+        reporter.reach(before.done + piece.steps, evaluations=before.evaluations + draws)
 
     yield WorkBatch(session, RULE_PHASE, works, PER_DRAW, learn, more_follows=True)
     return [found[work.ids] for work in works]
@@ -143,21 +144,27 @@ def tuned(
     first = _work(built, Rule(math.inf), draws, "rule")
     built.evaluator.compile(first.estimation)  # before the first task, whose time is limited
     hard = len(_EXPONENTS) * len(_FACTORS) + len(_NEAR[0]) * len(_NEAR[1])
-    session.reporter.foresee(first.steps * (math.log2(_STEPS) + is_hard * hard))
+    session.reporter.foresee(first.steps * (1 + math.log2(_STEPS) + is_hard * hard))
+    session.reporter.begin("rule")  # after the forecast: at 0 %
 
     def on_common_draws(rules: list[Rule]) -> Generator[WorkBatch, None, list[Array]]:
         works = [_work(built, each, draws, "rule") for each in rules]
         return (yield from filtered_by(session, works))
 
+    def keeps_budget(threshold: float) -> Generator[WorkBatch, None, bool]:
+        ((_, numbers, _),) = yield from on_common_draws([Rule(threshold)])
+        mean = Moments.of_values(numbers)
+        return mean.mean + ONE_SIDED * mean.standard_error <= budget
+
     any_draws = (built.evaluator.of_scenarios or (built.evaluator,))[0]
     z = any_draws.draws(range(_GUESSES), first.draws_stream).z
     largest = 4.0 * float(np.sqrt(np.mean(np.var(z, axis=0).sum(axis=1)))) or 1.0
+    while not (yield from keeps_budget(_rounded(largest))):
+        largest *= 8.0  # a filter with another model may be more unsure than z varies
     low, high = 0, _STEPS
     while high - low > 1:  # the first is high enough, and the last is taken to be too low
         middle = (low + high) // 2
-        ((_, numbers, _),) = yield from on_common_draws([Rule(_rounded(largest / _STEP**middle))])
-        mean = Moments.of_values(numbers)
-        is_kept = mean.mean + ONE_SIDED * mean.standard_error <= budget
+        is_kept = yield from keeps_budget(_rounded(largest / _STEP**middle))
         low, high = (middle, high) if is_kept else (low, middle)
     threshold = _rounded(largest / _STEP**low)
     if not is_hard:

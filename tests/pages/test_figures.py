@@ -227,6 +227,14 @@ def test_the_first_picture_has_the_system_the_typical_error_and_the_times(
     assert len(drawn(plot).axes) == 1
 
 
+def test_the_first_picture_names_no_gain_over_the_same_times(finished: Callable[..., Path]) -> None:
+    best = [*pfdist.open_run(finished()).best.measurement_times]
+    run = pfdist.open_run(finished(f"comparison.reference={best}"))
+    assert [*run.sets.values()].count(tuple(best)) > 1
+    [(_, plot)] = FIGURES["system"].plots(Tables(run))
+    assert "falls most" not in plot.title
+
+
 def test_each_component_has_a_column_and_an_angle_is_drawn_around_its_mean(tmp_path: Path) -> None:
     turns = ["model.name=robot", "problem.horizon=10", "problem.measurement_budget=2"]
     run = pfdist.run(ROOT / "small.toml", tmp_path / "robot", changes=turns, figures=False)
@@ -234,6 +242,8 @@ def test_each_component_has_a_column_and_an_angle_is_drawn_around_its_mean(tmp_p
     low, high = band.dataLim.intervaly
     assert high - low <= 2 * np.pi
     assert errors.get_ylabel() == "typical error [rad]"
+    [(_, plot)] = FIGURES["system"].plots(Tables(run))
+    assert re.search(r"falls most at .* to \S+ rad\.$", plot.title)
     pair = ["model.name=constant_velocity", "problem.horizon=10"]
     run = pfdist.run(ROOT / "small.toml", tmp_path / "ship", changes=pair, figures=False)
     first, second, *_ = panels = plots.system(run)

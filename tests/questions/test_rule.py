@@ -13,11 +13,11 @@ import pytest
 
 import pfdist
 from oracles import beliefs
-from pfdist import Problem, Run, load_job
+from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
 from pfdist.kernels.rules import Rule
-from pfdist.questions.rule import NextByRule, Ruled, _draw
+from pfdist.questions.rule import NextByRule, Ruled, _draw, check_rule
 from pfdist.runner import ruling
 from pfdist.runner.build import build
 
@@ -76,6 +76,7 @@ def test_it_resumes_and_does_not_depend_on_the_workers(run: Run, tmp_path: Path)
         seen = 0
 
         def __call__(self, progress: Any) -> None:
+            assert not self.seen or progress.evaluations > 0
             self.seen += 1
             if self.seen == 5:
                 raise EndedError
@@ -122,13 +123,35 @@ def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None
     [
         (["model.name=random_walk", "filter.engine=kalman"], "a rule is a fixed set"),
         (["problem.required=3"], "problem.required"),
+        (["problem.sensor.delay=2"], "a delay"),
+        (["problem.sensor.delay=2", "problem.estimate=smoothed"], "a delay"),
+        (["problem.sensor.repeats=2"], "repeated"),
+        (["problem.visits.most=2", "problem.visits.within=3"], "visits"),
+        (["search=[]", "comparison.sets.mine=[0, 4, 8]"], "no plan"),
     ],
 )
-def test_other_problems_are_not_accepted(
-    finished: Callable[..., Path], changes: list[str], what: str
-) -> None:
+def test_other_problems_are_not_accepted(small_job: Job, changes: list[str], what: str) -> None:
     with pytest.raises(JobError, match=what):
-        pfdist.rule(finished(*changes) / "job.toml", results=finished(*changes), figures=False)
+        check_rule(build(small_job.with_changes(changes)))
+
+
+def test_each_set_has_its_own_number_of_measurements(
+    finished: Callable[..., Path], tmp_path: Path
+) -> None:
+    given = finished("comparison.reference=[0, 5, 10]")
+    found = asked(pfdist.open_run(shutil.copytree(given, tmp_path / "run")))
+    assert [found.as_json()["sets"][name]["measurements"] for name in found.labels] == [4, 3]
+    *_, table = found._page().sections[0].blocks
+    assert [row[1].text for row in table.rows[1:]] == ["4", "3"]
+
+
+def test_the_standard_deviation_of_an_angle_has_no_unit(tmp_path: Path) -> None:
+    small: Any = {"bound_draws": 0, "figures": False, "pool": "serial"}
+    problem = Problem("robot", horizon=6, measurement_budget=2, particles=50)
+    fewer = ["comparison.draws=60", "search.relaxation.evaluation.draws=60"]
+    planned = pfdist.plan(problem, results=tmp_path / "run", changes=fewer, **small)
+    found = pfdist.rule(planned, figures=False, pool="serial")
+    assert (pfdist.load_model("robot").named("z")[0].unit, found.unit) == ("rad", "")
 
 
 def test_the_function_in_the_manual_decides_as_the_rule(
@@ -169,6 +192,34 @@ def test_next_measures_where_the_filter_of_the_run_would(
     table.to_csv(tmp_path / "one.csv", index=False)
     assert main(["next", str(run.path), str(tmp_path / "one.csv"), "--rule", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["next"] == found.next
+    (run.path / "rule.json").write_text("{}")
+    with pytest.raises(StoreError, match="damaged"):
+        pfdist.next_time(run.path / "job.toml", table, **given)
     spent = Rule(1.0, 0.5, 1)
     (run.path / "rule.json").write_text(json.dumps({"rule": spent._asdict()}))
     assert pfdist.next_time(run.path / "job.toml", table, **given).next is None
+
+
+def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacing(
+    finished: Callable[..., Path], tmp_path: Path
+) -> None:
+    given = finished("problem.sensor.fails=0.2", "problem.minimum_spacing=3")
+    run = shutil.copytree(given, tmp_path / "run")
+    (run / "rule.json").write_text(json.dumps({"rule": Rule(1e-3, 1.0, 4)._asdict()}))
+    table = pd.DataFrame({"t": [1, 4], "y0": [0.5, np.nan]})
+    found = pfdist.next_time(run, table, rule=True)
+    assert isinstance(found, NextByRule)
+    assert (found.measured, found.next) == ((1, 4), 7)
+    assert found.level == pytest.approx(1e-3 * (13 - 7) / 2)
+    assert pfdist.next_time(run, table, now=5, rule=True).next == 7  # within the spacing
+
+
+def test_a_filter_that_is_more_unsure_than_z_varies_keeps_its_budget(
+    finished: Callable[..., Path], tmp_path: Path
+) -> None:
+    calm, unsure = "{initial_sd=0.1, step_sd=0.1}", "{initial_sd=5.0, step_sd=20.0}"
+    changes = ["model.name=random_walk", f"model.parameters={calm}",
+               "model.filter.name=random_walk", f"model.filter.parameters={unsure}"]  # fmt: skip
+    found = asked(pfdist.open_run(shutil.copytree(finished(*changes), tmp_path / "run")))
+    mean = found.measurements
+    assert mean.value <= found.budget + 3 * mean.standard_error
