@@ -155,7 +155,7 @@ def test_figures_that_are_saved_need_no_pyplot() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        {"MPLBACKEND": "TkAgg"},  # needs a screen
+        pytest.param({"MPLBACKEND": "TkAgg"}, marks=pytest.mark.slow),  # needs a screen
         pytest.param({"MPLBACKEND": "nonsense"}, marks=pytest.mark.slow),
         pytest.param({"HOME": "/proc", "MPLCONFIGDIR": ""}, marks=pytest.mark.slow),
         pytest.param({"MPLCONFIGDIR": "/proc/x"}, marks=pytest.mark.slow),

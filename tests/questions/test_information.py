@@ -155,6 +155,7 @@ def test_what_has_no_information_is_refused(tmp_path: Path, change: str, needed:
         planned(tmp_path / "run", 0.5, *changes)
 
 
+@pytest.mark.slow
 def test_measurements_that_tell_nothing_are_not_proved(tmp_path: Path) -> None:
     blind = replace(
         turning(0.5),
@@ -208,6 +209,7 @@ def theophylline() -> StateSpaceModel:
     )
 
 
+@pytest.mark.slow
 def test_samples_of_theophylline_are_those_of_a_bayesian_d_optimal_design(tmp_path: Path) -> None:
     """The plan is one of the best sets by the prior's mean of log det(1 + Fisher matrix)."""
     sets, rng = [*combinations(range(len(TIMES)), 3)], np.random.default_rng(1)

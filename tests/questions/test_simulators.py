@@ -81,6 +81,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
         return pfdist.run(job, folder / "run", pool="serial", figures=False)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(DECLARED)
 def test_processes_give_the_same_bytes(finished: Run, tmp_path: Path) -> None:
     """Workers get the functions by value: their processes have neither file."""
