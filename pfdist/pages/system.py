@@ -227,7 +227,9 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
     t, weight = (rows[sets[0].name][key].to_numpy() for key in ("t", "weight"))
     change = np.nan_to_num(weight * (reference - best), posinf=0.0, neginf=0.0)
     said = "The system, the typical error over time, and the times of measurements."
-    if (change > 0).any() and sets[0].times != sets[-1].times:
+    row = run.table("sets").set_index("name").loc[sets[0].name]
+    is_better = row["gain_of_means"] > 0 and not row["gain_of_means_low"] <= 0
+    if (change > 0).any() and is_better:
         total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
         stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
         first, end = np.unravel_index(stretches.argmax(), stretches.shape)
