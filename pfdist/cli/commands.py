@@ -37,7 +37,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "run": Command(
         "pfdist.questions.run:run",
-        "Run the searches of a job and compare the found times with regular times.",
+        "Run the searches of a job and compare the found times with evenly spaced ones.",
         {
             "pfdist run jobs/quick.toml": "Run a small job; the run is in results/quick",
             "pfdist run jobs/quick.toml --pool serial --results results/serial": (

@@ -50,7 +50,7 @@ def run(
     bound_draws: DrawsOrNone = 0,
     **options: Unpack[Options],
 ) -> Run:
-    """Run the searches of a job and compare the found times with regular times.
+    """Run the searches of a job and compare the found times with evenly spaced ones.
 
     The same call resumes where it was stopped.
 
