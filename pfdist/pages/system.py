@@ -246,6 +246,9 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
             f"With {plan} instead of {other}, the {what} falls most at t = {ends}: from {before} "
             f"to {f'{now} {unit}'.rstrip()}."
         )
+    if len(components_in(tables.trajectories, "z_")) > 1:
+        draws = tables.trajectories["draw"].nunique()
+        said += f" The errors over time are those of {draws} draws, the numbers those of all."
     if "sampling_windows" in run.tables:
         said += f" Bars: where a time alone may move at a loss of at most {WIDE} %."
     return said
