@@ -10,12 +10,14 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 from pfdist.common.registry import Registry
 from pfdist.common.stopping import check
@@ -276,7 +278,7 @@ def drawn(plot: Plot) -> Canvas:
     _remove_control_characters(canvas)
     ConstrainedLayoutEngine().execute(canvas)
     for panel in canvas.axes:  # the last bits of a layout differ, and are part of names in SVG
-        panel.set_position([round(each, _DIGITS) for each in panel.get_position().bounds])
+        panel.set_position(Bbox.from_bounds(*np.round(panel.get_position().bounds, _DIGITS)))
     return canvas
 
 
