@@ -34,6 +34,15 @@ html_theme_options = {
     f"{mode}_css_variables": {"color-brand-primary": colour, "color-brand-content": colour}
     for mode, colour in zip(("light", "dark"), PALETTE["blue"], strict=True)
 }
+html_theme_options["footer_icons"] = [
+    {"name": name, "html": name, "url": f"{page}.html", "class": ""}
+    for name, page in (
+        ("Index", "genindex"),
+        ("Changes", "changes"),
+        ("Contributing", "contributing"),
+        ("Security", "security"),
+    )
+]
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_js_files = ["site.js"]

@@ -1,4 +1,4 @@
-"""Draw the pictures of the page "By hand": ``python docs/explore_pictures.py RUN``.
+"""Draw the picture of `pfdist explore`: ``python docs/explore_pictures.py RUN``.
 
 RUN is a run of jobs/pharmacokinetics.toml for which `pfdist why` was asked. A real Chromium shows
 the page of ``pfdist explore``.
@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
 from playwright.sync_api import Locator, sync_playwright
 
 FIGURES = Path(__file__).parent / "figures"
@@ -18,7 +17,7 @@ WIDTH, SECONDS = 620, 30
 
 
 def main(run: str) -> None:
-    """Start the command, and take the pictures."""
+    """Start the command, and take the picture."""
     words = [sys.executable, "-m", "pfdist", "explore", run, "--no-browser"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as command:  # noqa: S603
         try:
@@ -34,14 +33,6 @@ def _take(address: str) -> None:
         page = browser.new_page(viewport={"width": WIDTH, "height": 800})
         page.goto(address)
         _settle(page)
-        strip = [_state(page, 1)]
-        _times(page).nth(3).press("ArrowRight")
-        _times(page).nth(3).press("ArrowRight")
-        strip.append(_state(page, 2))
-        page.keyboard.press("Delete")
-        strip.append(_state(page, 3))
-        _join(strip)
-        page.get_by_role("button", name="Start from plan").click()
         _times(page).nth(3).press("ArrowRight")
         _judge(page, 1)
         _times(page).nth(4).press("ArrowRight")
@@ -65,29 +56,6 @@ def _judge(page: Any, rows: int) -> None:
 def _settle(page: Any) -> None:
     page.locator("dl div").first.wait_for()
     page.wait_for_timeout(6000)  # until the draws are fine
-
-
-def _state(page: Any, number: int) -> Path:
-    """A picture of the difference, the error over time, the strips and the figures."""
-    _settle(page)
-    path = FIGURES / f"explore-{number}.png"
-    top, bottom = (page.locator(each).bounding_box() for each in (".verdict", "dl:not(.verdict)"))
-    height = bottom["y"] + bottom["height"] - top["y"] + 2
-    clip = {"x": 0, "y": top["y"], "width": WIDTH, "height": height}
-    page.screenshot(path=path, clip=clip, full_page=True)
-    return path
-
-
-def _join(paths: list[Path]) -> None:
-    """Join pictures into a film strip, side by side."""
-    pictures = [Image.open(path) for path in paths]
-    height = max(picture.height for picture in pictures)
-    strip = Image.new("RGB", (WIDTH * len(pictures), height), "white")
-    for number, picture in enumerate(pictures):
-        strip.paste(picture, (WIDTH * number, 0))
-    strip.quantize(64).save(FIGURES / "explore-strip.png")
-    for path in paths:
-        path.unlink()
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ MOVES = 9
 
 
 def main() -> None:
-    """Print a row of the table of docs/explore.md for each job."""
+    """Print a row of the table of docs/benchmarks.md for each job."""
     ask("plan.toml", "filter.particles=100")
     for path in sorted(JOBS.glob("*.toml")):
         try:

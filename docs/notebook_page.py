@@ -47,7 +47,8 @@ def write(notebook: Any) -> None:
                 parts.append(f"![{heading}]({name})")
             else:
                 parts.append(f"```{{raw}} html\n{_table(data['text/html'])}\n```")
-    (FOLDER / "notebook.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    page = "\n\n".join(["---\norphan: true\n---", *parts, ""])
+    (FOLDER / "notebook.md").write_text(page, encoding="utf-8")
 
 
 def _shown(outputs: list[Any]) -> Iterator[dict[str, str]]:

@@ -278,8 +278,8 @@ def gallery() -> str:
     ]
     head = [
         "job",
-        "expected MSE ± standard error, regular times",
-        "found times",
+        "expected MSE ± standard error, evenly spaced",
+        "plan",
         "lower by (95 %)",
     ]
     return _table(head, rows)

@@ -159,7 +159,7 @@ def test_the_search_finds_a_page_and_formulas_are_drawn(browser: Any, address: s
     assert "questions.html" in " ".join(
         link.get_attribute("href") for link in page.locator("ul.search li a").all()
     )
-    page.goto(f"{address}/method.html")
+    page.goto(f"{address}/paper.html")
     heights = "[...document.querySelectorAll('math')].map(m => m.getBoundingClientRect().height)"
     assert min(page.evaluate(heights)) > 5
     page.close()

@@ -3,7 +3,6 @@
 import importlib.util
 import re
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -105,6 +104,7 @@ def test_the_reference_has_every_table_column_and_option(tables: ModuleType) -> 
     for path in (DOCS.parent / "results" / "example" / "tables").glob("*/*.parquet"):
         for column in pq.read_schema(path):
             generic = re.sub("(evenly_spaced|relaxation|genetic)", "SET", column.name)
+            generic = re.sub("_(state|measurement)", "_0", generic)  # the names of z and y
             assert re.search(rf"\| `{generic}` \| .* \|", columns), (path.name, column.name)
     usage = tables.usage()
     for name in COMMANDS:
@@ -120,19 +120,6 @@ def test_a_measured_number_with_an_error_stands_in_a_made_table_or_in_what_a_com
     texts = {page.name: made.sub("", page.read_text(encoding="utf-8")) for page in PAGES}
     texts["README.md"] = made.sub("", (DOCS.parent / "README.md").read_text(encoding="utf-8"))
     assert not [name for name, text in texts.items() if number.search(text)]
-
-
-def test_the_numbers_of_the_quick_start_are_those_of_the_tables(
-    said: Callable[..., str],
-) -> None:
-    """The gain and the times of the example run."""
-    root = DOCS.parent
-    start = " ".join((DOCS / "start.md").read_text(encoding="utf-8").split())
-    printed = " ".join(said("status", root / "results" / "example").split())
-    for pattern in (r"The typical error is .*? %\)\.", r"Measure at t = [\d, ]+\."):
-        answer = re.search(pattern, printed)
-        assert answer is not None
-        assert answer[0] in start
 
 
 def test_the_tables_of_benchmarks_lack_no_number() -> None:

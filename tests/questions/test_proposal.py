@@ -103,7 +103,7 @@ def test_few_draws_pay_no_comparison_and_take_the_choice_of_the_process(
 def test_a_comparison_takes_a_twentieth_of_the_work_of_the_run(
     draws: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A step of a guided filter counts as ten; see docs/guided.md for measured times."""
+    """A step of a guided filter counts as ten; see docs/benchmarks.md for measured times."""
     monkeypatch.setattr(builds, "_choices", {})
     steps, filtered = list[float](), Evaluator.filtered
 
