@@ -1,7 +1,7 @@
 """Numbers of a JSON answer as text; None is an unknown or infinite number."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pfdist.common.rounding import rounded, with_interval
@@ -86,11 +86,15 @@ def range_of(low: str, high: str) -> str:
 _ROUNDING = 1e-9  # error of exact values
 
 
-SPACED_IN_WINDOWS = (
-    'The bound checks "minimum_spacing" of single sensors only between the last measurements of a '
-    "set: the gap may be smaller."
-)
-"""A note on bounds for sensors that have such a spacing."""
+def relaxed_sentence(names: Sequence[str]) -> str:
+    """The sentence that says which constraints a bound relaxes; empty if there are none.
+
+    >>> relaxed_sentence(["most of visits", "together"])
+    'The bound relaxes most of visits, and together: the gap may be smaller.'
+    """
+    if not names:
+        return ""
+    return f"The bound relaxes {', and '.join(names)}: the gap may be smaller."
 
 
 CHECK_FAILS = "check-model finds that the likelihood is wrong"

@@ -104,9 +104,15 @@ class Constraints:
         return most
 
     @property
-    def has_spaced_sensors(self) -> bool:
-        """Whether single sensors have minimum spacings; the bound checks them only in windows."""
-        return any(limit.spacing is not None for limit in self.limits)
+    def relaxed(self) -> tuple[str, ...]:
+        """The constraints that the bound relaxes, so that it may be lower than necessary."""
+        constraints = {
+            "minimum_spacing of single sensors": any(each.spacing for each in self.limits),
+            "most of single sensors": any(each.most is not None for each in self.limits),
+            "most of visits": self.visits is not None and self.visits.most is not None,
+            "together": bool(self.groups),
+        }
+        return tuple(name for name, is_there in constraints.items() if is_there)
 
     @property
     def possible(self) -> int:

@@ -48,8 +48,8 @@ class Bound(Shown):
         for several numbers of measurements.
     is_constrained : bool
         Whether the job excludes some times, beside their number or price.
-    leaves_out_spacing : bool
-        Whether a sensor has its own minimum spacing, which the bound checks only within windows.
+    relaxed : tuple of str
+        The constraints that the bound relaxes.
     has_scenarios : bool
         Whether the job has scenarios. Then the bound is that of a filter with the parameters of
         each draw's scenario.
@@ -77,7 +77,7 @@ class Bound(Shown):
     gaps: list[Gap]
     losses: dict[str, ParticleLoss]
     is_constrained: bool = False
-    leaves_out_spacing: bool = False
+    relaxed: tuple[str, ...] = ()
     has_scenarios: bool = False
     shares: tuple[float, ...] = ()
     within: float | None = None
@@ -214,7 +214,7 @@ def bound(
         ],
         {} if built.job.budget else particle_losses_of(proved),  # a budget's run says them itself
         built.job.problem.is_constrained,
-        built.feasible.has_spaced_sensors,
+        built.feasible.relaxed,
         bool(built.evaluator.scenarios),
         prover.shares,
         within,

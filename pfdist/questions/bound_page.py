@@ -6,11 +6,11 @@ from typing import Any
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Facts, Figures, Page, Section, Table, Text
 from pfdist.common.percent import (
-    SPACED_IN_WINDOWS,
     gap_sentence,
     nats_sentence,
     particle_loss_text,
     percent,
+    relaxed_sentence,
     rounded_up,
 )
 from pfdist.common.rounding import rounded, with_error
@@ -111,7 +111,7 @@ def bound_page(
             blocks.append(Facts([("particles lose", loss)], label, detail=True))
         if each.get("warning"):
             warnings.append(f"{label}: {each['warning']}")
-    blocks += [Text(SPACED_IN_WINDOWS)] if answer["leaves_out_spacing"] else []
+    blocks += [Text(said)] if (said := relaxed_sentence(answer["relaxed"])) else []
     texts = _scenarios(answer["shares"]) if answer["has_scenarios"] else []
     if answer["sign"] < 0:
         blocks.append(Text(_NATS, detail=True))

@@ -16,11 +16,11 @@ from pfdist.common.parts import (
     without_empty_columns,
 )
 from pfdist.common.percent import (
-    SPACED_IN_WINDOWS,
     gap_sentence,
     nats_sentence,
     percent,
     percent_with_interval,
+    relaxed_sentence,
 )
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
@@ -255,7 +255,8 @@ def _proof(subject: Subject, row: Row) -> str:
         is_constrained=problem.is_constrained,
         has_scenarios=bool(subject.scenarios),
     )
-    return f"{sentence} {SPACED_IN_WINDOWS}" if problem.feasible.has_spaced_sensors else sentence
+    relaxed = problem.feasible.relaxed if "further" in sentence else ()
+    return f"{sentence} {relaxed_sentence(relaxed)}".rstrip()
 
 
 # --- all sets -------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import pfdist
 from oracles.in_turn import in_turn
 from oracles.results_of import results_of
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
-from pfdist.common.percent import SPACED_IN_WINDOWS
+from pfdist.common.percent import relaxed_sentence
 from pfdist.errors import ModelError
 from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.one_filter import OneFilter
@@ -116,9 +116,10 @@ def test_limits_of_sensors_bind_the_search_and_the_bound(
     bound = results_of(run)[name].bound
     assert bound == pytest.approx(min(mse[times] for times in within), rel=1e-9)
     found = pfdist.bound(problem, results=run.path, figures=False)
-    assert found.as_json()["leaves_out_spacing"]
+    relaxed = found.as_json()["relaxed"]
+    assert [*relaxed] == ["minimum_spacing of single sensors", "most of single sensors"]
     page = " ".join(lines_of(bound_page(found.as_json(), found.labels)))
-    assert SPACED_IN_WINDOWS in " ".join(page.split())
+    assert relaxed_sentence(relaxed) in " ".join(page.split())
 
 
 def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: Path) -> None:
@@ -147,7 +148,7 @@ def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: 
     bound = results_of(run)[name].bound
     assert bound == pytest.approx(min(apart[times] for times in within), rel=1e-9)
     assert bound > min(apart.values())
-    assert not pfdist.bound(problem, results=run.path, figures=False).leaves_out_spacing
+    assert not pfdist.bound(problem, results=run.path, figures=False).relaxed[1:]
     assert f"Measure at t = {', '.join(run.sets[name])} (t in h)." in str(answer_of(run))
     assert all(result.price == result.measurements for result in results_of(run).values())
     rows = [row for row in lines_of(answer_of(run)) if row.split()[:1] == ["plan"]]
