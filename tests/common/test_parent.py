@@ -133,7 +133,9 @@ def test_ctrl_c_of_a_terminal_is_received_once(keys: bytes, said: list[str]) -> 
 
 
 @pytest.mark.usefixtures("hangup_ends_children")
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)]
+)
 def test_the_child_ends_with_its_parent(number: signal.Signals) -> None:
     with started(WAITS) as process:
         assert process.stdout is not None

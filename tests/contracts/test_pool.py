@@ -391,6 +391,7 @@ def _until(reached: Callable[[], bool], seconds: float = 120.0) -> None:
 # --- runs, and the pool of Ray --------------------------------------------------------------------
 
 
+@pytest.mark.fault  # `.ci/run` runs it beside the faults
 @pytest.mark.parametrize(
     "file", ["tests/small.toml", pytest.param("jobs/quick.toml", marks=pytest.mark.slow)]
 )

@@ -205,6 +205,7 @@ def test_evaluate_names_the_estimate_and_evaluate_shows_both_errors(
     assert "Expected MSE of the estimate with a lag of 3 " in str(lagged._page())
 
 
+@pytest.mark.slow
 def test_a_smoothed_plan_says_how_many_evenly_spaced_measurements_do_as_well(
     small_job: Job, tmp_path: Path
 ) -> None:

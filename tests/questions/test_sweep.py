@@ -225,6 +225,7 @@ def test_a_point_that_fails_is_said_and_the_others_go_on(swept: Sweeping, tmp_pa
         assert pfdist.open_run(tmp_path / "sweep" / name).state == "finished"
 
 
+@pytest.mark.slow
 def test_a_point_that_is_free_again_is_computed_and_the_others_stay_left_out(
     swept: Sweeping, tmp_path: Path
 ) -> None:
@@ -256,6 +257,7 @@ def test_a_point_that_another_process_computes_is_left_out_and_said(
     assert (list(again.runs), again.busy) == (["seed=1", "seed=2"], ())
 
 
+@pytest.mark.slow
 def test_the_work_is_foreseen_by_the_measured_speed_of_the_model(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
