@@ -22,7 +22,7 @@ from pfdist.runner.door import RunSession, complete
 from pfdist.runner.information_prover import prover_of
 from pfdist.runner.proof import Gap
 from pfdist.runner.prover import Look
-from pfdist.search.relaxation import WINDOW
+from pfdist.search.first_windows import WINDOW
 
 
 @dataclass(frozen=True, repr=False)

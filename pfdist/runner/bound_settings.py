@@ -8,7 +8,7 @@ from pfdist.common.section import Arguments, Number, Whole
 from pfdist.errors import JobError
 from pfdist.filters.work import BLOCK
 from pfdist.runner.block_sums import GROUPS
-from pfdist.search.relaxation import WINDOW
+from pfdist.search.first_windows import WINDOW
 
 LEAST_DRAWS, DRAWS = GROUPS * BLOCK, 1920
 WITHIN_DRAWS = 30_720

@@ -35,8 +35,9 @@ from pfdist.runner.gap_parts import gap_parts, steps_of_sets
 from pfdist.runner.likelihood import likelihood
 from pfdist.runner.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
 from pfdist.runner.ranks import RankWork, wrong_likelihood
+from pfdist.search.first_windows import WINDOW, relaxation_for
 from pfdist.search.gaps import gaps_for
-from pfdist.search.relaxation import WINDOW, Relaxation, relaxation_for
+from pfdist.search.relaxation import Relaxation
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
 

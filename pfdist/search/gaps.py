@@ -29,8 +29,8 @@ import numpy as np
 from pfdist.common.measurement_times import Lag, Times, last_used
 from pfdist.errors import JobError
 from pfdist.problem.constraints import Constraints
+from pfdist.search.first_windows import MOST_UNITS
 from pfdist.search.relaxation import (
-    MOST_UNITS,
     NOTHING,
     START,
     Array,

@@ -30,9 +30,10 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import method
 from pfdist.problem.search_section import CommonNoiseSettings, Count
 from pfdist.search.base import Candidate, best_of
+from pfdist.search.first_windows import relaxation_within
 from pfdist.search.gaps import LOOKAHEAD, gaps_for
 from pfdist.search.programme import Programme, longer, near_optimal, with_multipliers
-from pfdist.search.relaxation import Relaxation, Window, relaxation_within
+from pfdist.search.relaxation import Relaxation, Window
 
 MOST_CELLS = 3_000_000
 """Largest number of errors in the first windows of two measurements."""

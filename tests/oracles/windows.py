@@ -18,7 +18,8 @@ from pfdist.common.measurement_times import Times
 from pfdist.filters.kalman import expected_errors
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.feasible import Feasible
-from pfdist.search.relaxation import NOTHING, Relaxation, Window, relaxation_with
+from pfdist.search.first_windows import relaxation_with
+from pfdist.search.relaxation import NOTHING, Relaxation, Window
 
 HORIZON, BUDGET = 8, 4
 PRICES = (3, 1, 4, 1, 5, 9, 2, 6, 5)

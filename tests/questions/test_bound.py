@@ -133,7 +133,7 @@ def test_where_measurements_cost_money_it_lies_below_the_optimum(
         assert 0.95 * optimum < gap.bound.value <= optimum * (1 + 1e-12)
     finely = bound(run, window=5).gaps[0].bound.value
     assert finely == pytest.approx(optimum)
-    monkeypatch.setattr("pfdist.search.relaxation.MOST_UNITS", 7)  # costs are rounded down
+    monkeypatch.setattr("pfdist.search.first_windows.MOST_UNITS", 7)  # costs are rounded down
     assert bound(run, window=5).gaps[0].bound.value <= finely
 
 
@@ -141,7 +141,7 @@ def test_many_measurements_are_counted_one_by_one(
     exact: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = [gap.bound.value for gap in bound(exact).gaps]
-    monkeypatch.setattr("pfdist.search.relaxation.MOST_UNITS", 3)  # less than N
+    monkeypatch.setattr("pfdist.search.first_windows.MOST_UNITS", 3)  # less than N
     assert [gap.bound.value for gap in bound(exact).gaps] == expected
     assert all(value > 0 for value in expected)
 

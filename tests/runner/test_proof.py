@@ -10,7 +10,8 @@ from oracles.windows import counted, relaxed_errors
 from pfdist.common.estimate import Estimate
 from pfdist.problem.constraints import Constraints
 from pfdist.runner.proof import Gap, GapParts, Proof, Sums, consistent, gap_of, prove
-from pfdist.search.relaxation import START, relaxation_with
+from pfdist.search.first_windows import relaxation_with
+from pfdist.search.relaxation import START
 
 # One measurement in 0..2, window 2: nothing is added to it, so each window is a set.
 RELAXATION = relaxation_with(Constraints(2, 1), 2, 3)

@@ -26,7 +26,8 @@ from pfdist.results import Moments
 from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.gap_parts import parts_of
 from pfdist.runner.proof import Sums, consistent, gap_of, prove
-from pfdist.search.relaxation import Relaxation, relaxation_with
+from pfdist.search.first_windows import relaxation_with
+from pfdist.search.relaxation import Relaxation
 
 REPETITIONS = 1000
 BUDGET, IN_GROUP = 2, 8  # draws of a group

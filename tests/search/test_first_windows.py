@@ -14,8 +14,13 @@ from pfdist.filters.criterion import MEAN
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.feasible import Feasible
 from pfdist.search import StateSpaceRelaxation
+from pfdist.search.first_windows import (
+    MOST_UNITS,
+    relaxation_for,
+    relaxation_with,
+    relaxation_within,
+)
 from pfdist.search.programme import Programme
-from pfdist.search.relaxation import MOST_UNITS, relaxation_for, relaxation_with, relaxation_within
 from pfdist.search.state_space_relaxation import MOST_CELLS
 
 
@@ -118,7 +123,7 @@ def test_with_coarse_units_a_search_still_finds_sets_that_can_be_paid_for(
     model, feasible = SYSTEMS["random walk"], _priced(4001)
     costs = []
     for units in (10_000, 60):
-        monkeypatch.setattr("pfdist.search.relaxation.MOST_UNITS", units)
+        monkeypatch.setattr("pfdist.search.first_windows.MOST_UNITS", units)
         search = StateSpaceRelaxation(feasible, 320)
         costs.append(_found(search, model))
     (regular,) = exactly(model, 24, [search.ask(search.init(), np.random.default_rng(0))[-1]])

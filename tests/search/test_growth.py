@@ -19,8 +19,9 @@ from oracles.windows import (
 )
 from pfdist import StateSpaceModel
 from pfdist.filters.kalman import expected_mse
+from pfdist.search.first_windows import relaxation_with
 from pfdist.search.programme import Programme, longer, near_optimal
-from pfdist.search.relaxation import NOTHING, relaxation_with
+from pfdist.search.relaxation import NOTHING
 
 ROUNDING = 1e-12
 

@@ -17,9 +17,10 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.spacing import Spacing
 from pfdist.runner.proof import Sums, prove
+from pfdist.search.first_windows import relaxation_with
 from pfdist.search.gaps import gaps_with
 from pfdist.search.programme import Programme, highest, longer, near_optimal, with_multipliers
-from pfdist.search.relaxation import NOTHING, Relaxation, relaxation_with
+from pfdist.search.relaxation import NOTHING, Relaxation
 
 ROUNDING = 1e-12
 HORIZON = 5

@@ -24,8 +24,9 @@ from pfdist.filters.kalman import expected_mse
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
+from pfdist.search.first_windows import relaxation_with
 from pfdist.search.programme import Programme
-from pfdist.search.relaxation import NOTHING, START, relaxation_with
+from pfdist.search.relaxation import NOTHING, START
 
 ROUNDING = 1e-12
 systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))

@@ -28,8 +28,9 @@ from pfdist.common.measurement_times import Times
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.constraints import Constraints
 from pfdist.runner.proof import Sums, prove
+from pfdist.search.first_windows import relaxation_with
 from pfdist.search.programme import Programme
-from pfdist.search.relaxation import NOTHING, START, Relaxation, Window, relaxation_with
+from pfdist.search.relaxation import NOTHING, START, Relaxation, Window
 
 ROUNDING = 1e-12
 systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))

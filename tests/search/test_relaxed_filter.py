@@ -17,7 +17,8 @@ from pfdist.common.measurement_times import Times
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, with_truth
 from pfdist.problem.feasible import Feasible
-from pfdist.search.relaxation import Relaxation, relaxation_with
+from pfdist.search.first_windows import relaxation_with
+from pfdist.search.relaxation import Relaxation
 
 pytestmark = pytest.mark.statistics
 

@@ -18,7 +18,7 @@ from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_mse
 from pfdist.problem.feasible import Feasible
 from pfdist.search import Candidate, StateSpaceRelaxation
-from pfdist.search.relaxation import relaxation_with
+from pfdist.search.first_windows import relaxation_with
 from pfdist.search.state_space_relaxation import RelaxationState
 
 HORIZON, BUDGET, DRAWS = 12, 4, 320

@@ -27,9 +27,9 @@ from pfdist.problem.even_grids import even_grids
 from pfdist.problem.feasible import Feasible, rest_of
 from pfdist.problem.points import Points
 from pfdist.search import Exchange, Optimiser, StateSpaceRelaxation
+from pfdist.search.first_windows import relaxation_with
 from pfdist.search.gaps import gaps_with
 from pfdist.search.programme import Programme, longer, near_optimal, with_multipliers
-from pfdist.search.relaxation import relaxation_with
 from pfdist.search.state_space_relaxation import first_relaxation
 
 HORIZON = 9
