@@ -30,10 +30,11 @@ from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
 from pfdist.pools.kinds import POOLS
+from pfdist.problem.clock_section import ClockSection
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
-from pfdist.problem.problem_section import ClockSection, ProblemSection
+from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.search_section import CommonNoiseSettings, EvaluationSettings, SearchSection
 from pfdist.problem.sections import (
