@@ -7,6 +7,7 @@ one, whose constants are rows of a table.
 """
 
 import hashlib
+import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -440,13 +441,15 @@ def _check_numbers(
     groups = _groups(formula)
     for t in _few(instants):
         program, row = program_at(t)
-        found = evaluate_program(program, groups, t, formula.parameters, row)
-        for k in range(_TRIED.shape[1]):
-            single = {name: tuple(each[k] for each in values) for name, values in groups.items()}
+        tried = _TRIED.shape[1]
+        values = evaluate_program(program, groups, t, formula.parameters, row)
+        found = [np.broadcast_to(each, tried) for each in values]
+        for k in range(tried):
+            single = {name: tuple(each[k] for each in parts) for name, parts in groups.items()}
             expected = formula.with_numbers(single, t)
             for a, b in zip(found, expected, strict=True) if expected else ():
-                value = np.broadcast_to(a, _TRIED.shape[1])[k]
-                if not np.isclose(value, b, rtol=_CLOSE, atol=_TINY, equal_nan=True):
+                same = math.isclose(a[k], b, rel_tol=_CLOSE, abs_tol=_TINY)
+                if not same and not (math.isnan(a[k]) and math.isnan(b)):
                     raise _DiffersError
 
 

@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
@@ -24,14 +25,31 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 
 
-@pytest.fixture(scope="module")
-def tables() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("docs_tables", DOCS / "tables.py")
+def _script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", DOCS / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def tables() -> ModuleType:
+    return _script("tables")
+
+
+def test_pictures_were_drawn_by_the_code_of_today(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A number of the code alters its hash; a comment and a docstring do not."""
+    pictures = _script("pictures")
+    assert pictures.stale() == [], "run `python docs/pictures.py`, and look at what it made"
+    code = {'"""A line."""\nx = 1\n': 0, "x = 1  # one\n": 0, "x = 2\n": 1}
+    hashes = list[str]()
+    for text in code:
+        monkeypatch.setattr(Path, "read_text", lambda *_, text=text, **__: text)
+        hashes.append(pictures.code_of("blood"))
+    assert hashes[0] == hashes[1] != hashes[2]
 
 
 @in_turn("page", [*PAGES, DOCS.parent / "README.md"])
