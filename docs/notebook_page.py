@@ -18,6 +18,7 @@ NOTE = (
     "\n\nThis page is [notebook.ipynb](notebook.ipynb) with its outputs; "
     "download it to run it yourself."
 )
+PAPER = 'style="background: white"'  # of a picture on any page
 SECONDS = 900  # for a cell
 
 
@@ -40,13 +41,17 @@ def write(notebook: Any) -> None:
             continue
         parts.append(f"```python\n{cell.source.rstrip(';')}\n```")
         for data in _shown(cell.outputs):
-            if "image/png" in data:
+            html, png = data.get("text/html", ""), data.get("image/png", "")
+            drawing = re.search(r"(?s)<div[^>]*>(<svg.*?</svg>)</div>", html)
+            if html and not png:
+                html = html.replace(drawing[0], "") if drawing else html
+                parts.append(f"```{{raw}} html\n{_table(html)}\n```")
+            if png or drawing:
                 pictures += 1
-                name = f"figures/notebook-{pictures}.png"
-                (FOLDER / name).write_bytes(base64.b64decode(data["image/png"]))
+                name = f"figures/notebook-{pictures}.{'png' if png else 'svg'}"
+                svg = drawing[1].replace("<svg", f"<svg {PAPER}", 1) if drawing else ""
+                (FOLDER / name).write_bytes(base64.b64decode(png) if png else svg.encode())
                 parts.append(f"![{heading}]({name})")
-            else:
-                parts.append(f"```{{raw}} html\n{_table(data['text/html'])}\n```")
     page = "\n\n".join(["---\norphan: true\n---", *parts, ""])
     (FOLDER / "notebook.md").write_text(page, encoding="utf-8")
 

@@ -238,14 +238,14 @@ class StateSpaceModel:
         self.is_angle  # noqa: B018  evaluated here, because it refuses unknown components
 
     def __repr__(self) -> str:
-        given = vars(self) | {"sensors": [*self.sensors]}
+        values = vars(self) | {"sensors": [*self.sensors]}
+        given = ((each.name, values[each.name], each.default) for each in dataclasses.fields(self))
         texts = (
-            f"{each.name}={getattr(given[each.name], '__name__', repr(given[each.name]))}"
-            for each in dataclasses.fields(self)
-            if each.name != "parameter_ranges"
-            and given[each.name] not in (each.default, (), {}, [])
+            f"{name}={getattr(value, '__name__', name if callable(value) else repr(value))}"
+            for name, value, default in given
+            if name != "parameter_ranges" and value not in (default, (), {}, [])
         )
-        return f"StateSpaceModel({', '.join(texts)})"
+        return f"{type(self).__name__}({', '.join(texts)})"
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, without the values that are cached beside them."""

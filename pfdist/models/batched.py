@@ -38,7 +38,7 @@ class _Declaration(Arguments):
     together: Annotated[Whole, Field(ge=1, le=MOST_TOGETHER)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BatchedModel(StateSpaceModel):
     """A model whose functions take and give arrays of particles.
 

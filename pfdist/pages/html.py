@@ -12,6 +12,7 @@ from importlib.resources import files
 from jinja2 import Environment, StrictUndefined
 
 from pfdist.common.parts import Page
+from pfdist.common.shown import marked
 from pfdist.errors import printable
 
 _FOLDER = files("pfdist.pages")
@@ -37,6 +38,7 @@ def as_html(page: Page) -> str:
         finalize=_harmless,
     )
     environment.filters |= {"words": _words, "as_it_is": lambda text: _Code(printable(text))}
+    environment.filters["marked"] = lambda text: marked(str(_harmless(text)))
     style, script = (_text(name) for name in ("style.css", "sort.js"))
     # The page's security policy allows the script with this hash, and no other.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from matplotlib.typing import RGBAColorType
 from numpy.typing import NDArray
 
 from pfdist.pages.figure import Plot, Tables, figure, has_online
@@ -54,7 +53,9 @@ def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     """
     draws, measured, clock = _measured(source)
     shares, ax = 100 * measured.mean(axis=0), axes_for(ax)
-    step, shades, text = step_of(clock.times), _shades(draws), f"online, {len(measured):,} draws"
+    step, text = step_of(clock.times), f"online, {len(measured):,} draws"
+    colour, number = _styles(draws)["online"]["color"], draws.points.ways
+    shades = [to_rgba(colour, alpha) for alpha in np.linspace(0.9, 0.4, number)]  # of sensors
     for share, (sensor, beside), shade in zip(shares.T, _beside(draws.points), shades, strict=True):
         ax.bar(
             np.add(clock.times, beside), share, 0.8 * step / len(shades), color=shade, lw=0,
@@ -86,12 +87,6 @@ def _beside(points: Points) -> list[tuple[str, float]]:
     sensors, step = points.sensors or ("",), step_of(points.clock.times)
     middles = (np.arange(len(sensors)) + 0.5) / len(sensors) - 0.5
     return list(zip(sensors, (step * middles).tolist(), strict=True))
-
-
-def _shades(draws: OnlineDraws) -> list[RGBAColorType]:
-    """The colour of online times, lighter for each further sensor."""
-    colour, number = _styles(draws)["online"]["color"], draws.points.ways
-    return [to_rgba(colour, alpha) for alpha in np.linspace(0.9, 0.4, number)]
 
 
 def _styles(draws: OnlineDraws) -> dict[str, dict[str, Any]]:

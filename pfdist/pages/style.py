@@ -34,9 +34,9 @@ if _backend:
 PALETTE = {
     "red": ("#df4d12", "#f05e39"),
     "blue": ("#00519d", "#87b6f2"),
-    "ochre": ("#653700", "#ffd778"),
-    "green": ("#429b6b", "#6dca8e"),
-    "purple": ("#b462f0", "#a879ff"),
+    "ochre": ("#653700", "#f7c43e"),
+    "green": ("#429b6b", "#8dffb0"),
+    "purple": ("#b462f0", "#af4bff"),
     "grey": ("#535353", "#848484"),
 }
 """Each colour on white paper and on a dark page. The plan is red, the reference blue; a bound and

@@ -130,7 +130,8 @@ def against(
     if value == "expected_mse":
         _draw_references(ax, frame, key, places)
     ax.set_xlabel(verbatim(shown_names(keys_of_runs(frame))[key]))
-    ax.set_ylabel(_label(value))
+    words = verbatim(value.replace("_", " ").replace("mse", "MSE"))
+    ax.set_ylabel(words + " [%]" * (value in _PER_CENT))
     cut_outliers(ax, curves)
     if len(ax.get_legend_handles_labels()[1]) > 1:
         legend_above(ax)
@@ -168,11 +169,6 @@ def _result(frame: pd.DataFrame, value: str) -> str:
     """The column with this result, if it holds numbers."""
     results = map(str, frame.loc[:, SET:].select_dtypes("number"))
     return chosen(value, [n for n in results if not n.endswith(("_low", "_high"))], "value")
-
-
-def _label(value: str) -> str:
-    words = verbatim(value.replace("_", " ").replace("mse", "MSE"))
-    return f"{words} [%]" if value in _PER_CENT else words
 
 
 def _text(value: Any) -> str:

@@ -64,15 +64,14 @@ class _Component(NamedTuple):
     unit: str
 
 
-def _has_systems(run: Run) -> bool:
-    return one_number(run) and {"trajectories", RANGE_SUMS} <= {*run.tables}
-
-
-@figure("system", applies=_has_systems)
+@figure(
+    "system",
+    applies=lambda run: one_number(run) and {"trajectories", RANGE_SUMS} <= {*run.tables},
+)
 def system_figure(tables: Tables) -> Plot:
     """The simulated system, the typical error of the plan over time, and its measurement times."""
-    sets, quantities = _sets_of(tables.run), components_in(tables.trajectories, "z_")
-    angles = angles_of(tables.run)
+    run, quantities = tables.run, components_in(tables.trajectories, "z_")
+    sets, angles = _sets_of(run), angles_of(run)
     components = [
         _Component(k, each, is_angle, each.unit or "rad" * is_angle)
         for k, each in enumerate(quantities[:_MOST])
@@ -92,11 +91,11 @@ def system_figure(tables: Tables) -> Plot:
             label_quantity(band, quantities, k.number)
             what = "typical error" if angles else "expected error"
             errors.set_ylabel(f"{what} [{verbatim(k.unit)}]" if k.unit and angles else what)
-            _draw_errors(errors, sets, k, [profiles[each.name, k.number] for each in sets])
+            _draw_errors(errors, run, sets, k, [profiles[each.name, k.number] for each in sets])
             for t in (t for of_sensor in sets[0].times.values() for t in of_sensor):
                 for ax in (band, errors):
                     ax.axvline(t, color=sets[0].style["color"], lw=thin(0.5), alpha=0.6, zorder=0)
-            _draw_times(times, tables.run, sets, named=not k.number)
+            _draw_times(times, run, sets, named=not k.number)
             stack(column)
 
     return Plot(
@@ -174,18 +173,18 @@ def _draw_band(ax: Axes, trajectories: pd.DataFrame, k: _Component) -> None:
 
 
 def _draw_errors(
-    ax: Axes, sets: Sequence[_Set], k: _Component, profiles: Sequence["pd.Series[float]"]
+    ax: Axes, run: Run, sets: Sequence[_Set], k: _Component, profiles: Sequence["pd.Series[float]"]
 ) -> None:
-    """The typical error of the plan and of the reference; the gain is shaded."""
-    curves = []
+    """The typical error of the plan and of the reference; the gain is shaded where it counts."""
+    curves, counts = [], np.array(problem_of(run).weights or 1.0) > 0
     for each, errors in zip(sets[::-1], profiles[::-1], strict=True):
         known, style = [*each.errors][k.number : k.number + 1], each.style
         label = ": ".join([each.label, *(minus(rounded(error, 3)) for error in known)])
         ax.plot(errors.index, errors, color=style["color"], ls=style["ls"], label=label)
         curves.append(points(errors.index, errors, style["color"], each.label))
     plan, other = profiles[0].to_numpy(), profiles[-1].to_numpy()
-    ax.fill_between(profiles[0].index, plan, other, other > plan, color=sets[0].style["color"],
-                    alpha=0.15, lw=0)  # fmt: skip
+    ax.fill_between(profiles[0].index, plan, other, counts & (other > plan),
+                    color=sets[0].style["color"], alpha=0.15, lw=0)  # fmt: skip
     cut_outliers(ax, curves, zero=True)
     legend_above(ax)
 

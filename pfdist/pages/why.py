@@ -27,18 +27,13 @@ from pfdist.pages.panel import (
 )
 from pfdist.pages.style import GREY, SENSORS, set_style
 from pfdist.problem.set_key import phrase_of
-from pfdist.results import Run
 from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST
 
 _WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
 _LINEAR = 20  # largest ratio of two effective sample sizes on a linear axis
 
 
-def _is_explained(run: Run) -> bool:
-    return "profile" in run.tables and "worth" in run.tables
-
-
-@figure("why", applies=_is_explained, each_set=True)
+@figure("why", applies=lambda run: {"profile", "worth"} <= {*run.tables}, each_set=True)
 def why_figure(tables: Tables, name: str) -> Plot:
     """Rise of a set's expected error if a measurement is left out."""
     run = tables.run

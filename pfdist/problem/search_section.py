@@ -89,7 +89,7 @@ class SearchSection(JobSection):
     Parameters
     ----------
     name : str
-        Name of the search in tables and figures; by default that of the method.
+        Name of the search in tables, and of its plan beside others; by default that of the method.
     evaluation : section
         How the search evaluates sets.
     polish : bool

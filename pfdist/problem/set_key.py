@@ -12,7 +12,7 @@ from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED, REFERENCE
 
 PLAN = "plan"
-"""Label of the set that a search found."""
+"""Label of the set that a search found; that of one of several searches ends with it."""
 KINDS = {EVEN: EVENLY_SPACED, REGULAR: REGULAR, "found": PLAN}
 """Labels of the sets of a budget, by their kind."""
 _ALONE, _IN_TURN = " alone", "sensors in turn"  # labels of regular times of sensors
@@ -48,12 +48,15 @@ class SetKey:
 def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, str]:
     """The labels of sets in tables and figures, by name.
 
-    The set of a single search is the plan. Sets of several searches keep their names. References
+    The set of a search is the plan; of several searches, each has a plan with its name. References
     of a problem with sensors say which of them measure.
 
     >>> job = {"search": [{"name": "genetic"}]}
     >>> labels_of_sets(["evenly_spaced", "genetic", "mine"], job)
     {'evenly_spaced': 'evenly spaced', 'genetic': 'plan', 'mine': 'mine'}
+    >>> two = {"search": [{"name": "genetic"}, {"name": "random"}]}
+    >>> [*labels_of_sets(["genetic", "random"], two).values()]
+    ['genetic plan', 'random plan']
     >>> labels_of_sets(["evenly_spaced_05", "genetic_05"], {**job, "budget": {}})
     {'evenly_spaced_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
     >>> labels_of_sets(["genetic_300"], {**job, "budget": {}, "problem": {"total_price": 500}})
@@ -68,7 +71,9 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     for sensor in job.get("problem", {}).get("sensors", ()):
         labels |= {f"alone_{sensor.lower().replace('-', '_')}": f"{sensor}{_ALONE}"}
         labels["rotation"] = _IN_TURN
-    if len(searches) == 1 and PLAN not in keys:
+    if len(searches) > 1:
+        labels |= {search: f"{search} {PLAN}" for search in searches if search != PLAN}
+    elif PLAN not in keys:
         labels[searches[0]] = PLAN
     is_money = "total_price" in job.get("problem", {})
     return {
@@ -82,8 +87,8 @@ def phrase_of(label: str) -> str:
 
     >>> phrase_of("plan"), phrase_of("5 evenly spaced"), phrase_of("mine")
     ('the plan', '5 evenly spaced times', 'the set mine')
-    >>> phrase_of("evenly spaced for 300")
-    'evenly spaced times for 300'
+    >>> phrase_of("evenly spaced for 300"), phrase_of("genetic plan of 5")
+    ('evenly spaced times for 300', 'the genetic plan of 5')
     """
     origin, _, price = label.partition(" for ")
     if price:
@@ -92,7 +97,7 @@ def phrase_of(label: str) -> str:
         return f"{label} times"
     if label.endswith((_ALONE, _IN_TURN)):
         return label
-    is_title = label.partition(" of ")[0] in (PLAN, REFERENCE)
+    is_title = label.partition(" of ")[0].split(" ")[-1] in (PLAN, REFERENCE)
     return f"the {label}" if is_title else f"the set {label}"
 
 

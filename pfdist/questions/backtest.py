@@ -283,7 +283,8 @@ def backtest(
         check(file)
     with following(chosen.progress, chosen.say) as (show, tell):
         if plan_each:
-            built, plan, even = build(_as_job(job, changes)), None, {}
+            source: Any = job.path if isinstance(job, Run) else job
+            built, plan, even = build(as_job(source, changes)), None, {}
         else:
             found = planned_run(job, results, changes, tell, planned, "")
             built, plan = found.built, found.times
@@ -348,10 +349,6 @@ def backtest(
     for line in (*page.alarms, *page.warnings) if chosen.say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=3)
     return result
-
-
-def _as_job(job: JobSource | Run, changes: Iterable[str]) -> Any:
-    return as_job(job.path if isinstance(job, Run) else job, changes)
 
 
 def _check_columns(built: Built, replicates: Iterable[Replicate]) -> None:

@@ -92,12 +92,6 @@ def _headline(answer: Backtest) -> str:
     )
 
 
-def _foreseen(gain: float, interval: tuple[float, float]) -> str:
-    """A foreseen gain to the digits that are known."""
-    value, *_ = with_interval(*(100 * each for each in (gain, *interval)))
-    return f"{value} %"
-
-
 def _gain(gain: float, interval: tuple[float, float]) -> Cell:
     if not all(map(math.isfinite, interval)):
         return Cell(f"{100 * gain:.2g} %", gain)
@@ -106,14 +100,12 @@ def _gain(gain: float, interval: tuple[float, float]) -> Cell:
 
 
 def _gains(answer: Backtest) -> Table:
-    rows = [
-        [
-            Cell(answer.sets[name]),
-            Cell(_foreseen(each.foreseen, each.foreseen_interval), each.foreseen),
-            _gain(each.found, each.found_interval),
-        ]
-        for name, each in answer.promises.items()
-    ]
+    rows = []
+    for name, each in answer.promises.items():
+        gains = each.foreseen, *each.foreseen_interval
+        foreseen, *_ = with_interval(*(100 * gain for gain in gains))  # the digits that are known
+        found = _gain(each.found, each.found_interval)
+        rows.append([Cell(answer.sets[name]), Cell(f"{foreseen} %", each.foreseen), found])
     return Table("Gain of the plan (95 % CI)", _GAINS, rows)
 
 

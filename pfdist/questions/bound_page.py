@@ -121,7 +121,7 @@ def bound_page(
         limit = f"{100 * (within or 0.0):g} %"
         blocks.append(Text(f"Not all limits are at most {limit} with {answer['draws']:,} draws."))
     reasons = [
-        f"Not proved for {labels[name]}: {each['reason']}."
+        f"Not proved for {phrase_of(labels[name])}: {each['reason']}."
         for name, each in proofs.items()
         if each["reason"]
     ]

@@ -48,8 +48,8 @@ def compared(subject: Subject) -> Section | None:
         return None
     ranks, pairs = (rows_of(run.table(name)) for name in ("ranks", "pairs"))
     if not subject.criterion.is_mean:
-        order = [row.name for row in sorted(subject.rows.values(), key=_minimised)]
-        ranks.sort(key=lambda row: order.index(row.name))
+        values = {name: row.criterion_value for name, row in subject.rows.items()}
+        ranks.sort(key=lambda row: math.inf if (v := values[row.name]) is None else float(v))
     best_is_reference = ranks[0].name == subject.reference_row.name
     last = f"lower than {subject.reference_row.label} by, %"
     heads = (subject.heads.get(name, COLUMNS[name].head) for name in _OF_A_SET)
@@ -74,11 +74,6 @@ def compared(subject: Subject) -> Section | None:
         Text(_PAIRS_MEANING, detail=True),
     ]
     return Section("How the sets compare", blocks)
-
-
-def _minimised(row: Row) -> float:
-    value = row.criterion_value
-    return math.inf if value is None else float(value)
 
 
 def _least(subject: Subject, ranks: Sequence[Row]) -> str:
@@ -226,17 +221,14 @@ def criterion_effect(subject: Subject, row: Row) -> str | None:
     value, low, high = map(float, (row.information, row.information_low, row.information_high))
     bits, side = rounded(value / math.log(2), 3), "more" if gain >= 0 else "less"
     told = Judged(value, low, high).text(subject.criterion.unit)
-    more = Judged(abs(gain), *_signed(gain, ends)).text(subject.criterion.unit)
+    signed = ends if gain >= 0 else [-end for end in reversed(ends)]
+    more = Judged(abs(gain), *signed).text(subject.criterion.unit)
     wide = " The interval is wide: more particles, or more draws, narrow it."
     return (
         f"They give {told} of information about the path ({bits} bits), "
         f"{more} {side} than {subject.reference}."
         f"{wide * (high - low > _WIDE * abs(value))}"
     )
-
-
-def _signed(gain: float, ends: Sequence[float]) -> Sequence[float]:
-    return ends if gain >= 0 else [-end for end in reversed(ends)]
 
 
 def _worst_effect(subject: Subject, name: str) -> str | None:

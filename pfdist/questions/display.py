@@ -187,4 +187,4 @@ def _gain(gain: SetGain) -> str:
     """How far the error of a set is below that of the reference so far; ± is one standard error."""
     of_means = gain.gain_of_means
     change = with_error(100 * abs(of_means.value), 100 * of_means.standard_error)
-    return f"{gain.name}: error {change} % {'higher' if of_means.value < 0 else 'lower'}"
+    return f"{gain.label}: error {change} % {'higher' if of_means.value < 0 else 'lower'}"

@@ -400,11 +400,12 @@ def _estimate(answer: FilteredMeasurements) -> str:
     """The estimate at the last measurement, or else at t = 0; and whether the model fits."""
     measured = answer.table[answer.table["measured"]]
     row = (measured if len(measured) else answer.table[::-1]).iloc[-1].to_dict()
-    estimates = []
-    for each in components_in(answer.table, "mean_"):
+    estimates, quantities = [], components_in(answer.table, "mean_")
+    for each in quantities:
         values = (row[f"{key}_{each.suffix}"] for key in ("mean", "q05", "q95"))
         mean, low, high = (rounded(value, 3) for value in values)
-        name, unit = each.name or f"z{each.suffix}", f" {each.unit}" * bool(each.unit)
+        name = each.name or "z" + each.suffix * (len(quantities) > 1)
+        unit = f" {each.unit}" * bool(each.unit)
         estimates.append(f"{name} = {mean}{unit} (90 % band {low} to {high})")
     at = answer.clock.listed([row["t"]])
     fits = "do not fit" if answer.is_improbable else "fit"

@@ -11,12 +11,13 @@ from pfdist.errors import printable
 from pfdist.pages.figure import FIGURES, Plot, Tables, drawn
 from pfdist.pages.style import PALETTE, SCREEN, styled
 from pfdist.results import Run
+from pfdist.results.run import SHOWN
 
 _SVG, _LINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _COLOURS = {
     "#000000": "currentColor",
-    "#ffffff": "var(--card)",
-    **{light: f"var(--{name})" for name, (light, _) in PALETTE.items()},
+    "#ffffff": "var(--card, white)",
+    **{light: f"var(--{name}, {light})" for name, (light, _) in PALETTE.items()},
 }
 _COLOUR = re.compile("|".join(_COLOURS), re.IGNORECASE)
 _INCHES = (5.4, 3.0)
@@ -42,6 +43,9 @@ def with_pictures(page: Page, run: Run) -> Page:
     return replace(page, sections=[filled(section) for section in page.sections])
 
 
+SHOWN.declare("pictures", with_pictures)
+
+
 def _pictures(tables: Tables, figures: Figures) -> Iterator[Picture]:
     if not tables.run.draws_compared:
         return
@@ -50,7 +54,7 @@ def _pictures(tables: Tables, figures: Figures) -> Iterator[Picture]:
         shown = None if figures.sets is None else {f"{name}-{each}" for each in figures.sets}
         for file, plot in figure.plots(tables):
             if not figure.each_set or shown is None or file in shown:
-                yield picture(plot, file, figure.description)
+                yield replace(picture(plot, file, figure.description), detail=figures.detail)
 
 
 def picture(plot: Plot, name: str, description: str) -> Picture:

@@ -210,10 +210,14 @@ def compute(
             yield from compare_evenly_spaced(session, run)
         if prover is not None and proves:
             publish_sets(run)
-            say(f"The times are found: `pfdist status {relative(str(run.path))}` shows them. "
-                "The proof takes longer.")  # fmt: skip
-            if "budget" not in run.job:
+            if "budget" in run.job:
+                found = f"`pfdist status {relative(str(run.path))}` shows the plans"
+            else:
+                subject = Subject(run)
+                times = subject.rows[subject.by_error[0]].measurement_times
+                found = f"Measure at t = {subject.clock.listed(times)}"
                 compared()
+            say(f"{found}. The proof takes longer.")
             try:
                 yield from prover.prove(session, run)
             except (JobError, ModelError, TaskError) as error:  # the results of the run stand

@@ -50,6 +50,7 @@ from pfdist.questions.subject import (
 from pfdist.questions.why_page import worth_section
 from pfdist.results import Run
 from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, sets_table
+from pfdist.results.run import SHOWN
 from pfdist.results.stored_run import (
     copies_of,
     evaluations_of,
@@ -63,7 +64,7 @@ from pfdist.results.stored_run import (
 )
 
 _LOOKS_BETTER = (
-    "on the same draws. Picking the best of several sets makes it look slightly better than it is."
+    "on the same draws. Picking the best of several makes it look slightly better than it is."
 )
 _BY_EXACT_ERRORS = "by their expected MSEs, which are exact."
 _GAINS_SHOWN = (
@@ -149,6 +150,9 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
     return Page("", "", sections, _warnings(subject), place=place, alarms=subject.alarms)
 
 
+SHOWN.declare("answer", answer_of)
+
+
 def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
     return [section for make in chapters if (section := make(subject)) is not None]
 
@@ -190,7 +194,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     yield Text(" ".join(filter(None, sentences)), prominent=True)
     yield from _other_estimate(subject, row)
     if others := len(subject.found_rows) - 1:
-        best = f"These are the times of the search {row.name}, the best of {others + 1} sets"
+        best = f"This is {phrase_of(row.label)}, the best of {others + 1} plans"
         # The errors of worst scenarios are those of draws, whatever the engine.
         by_chance = row.standard_error or not subject.criterion.is_mean
         yield Text(f"{best} {_LOOKS_BETTER if by_chance else _BY_EXACT_ERRORS}")
@@ -275,7 +279,7 @@ def gains(subject: Subject) -> Section | None:
         *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it
         *_degenerate(subject),
         *_broken(subject),
-        Figures(["gain"], subject.by_error[:1]),
+        Figures(["gain"], subject.by_error[:1], detail=True),
         all_sets(subject),
     ]
     return Section("All sets", blocks)

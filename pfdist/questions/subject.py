@@ -87,7 +87,7 @@ class Subject:
     @cached_property
     def heavy_tail(self) -> str:
         """A sentence if there are too few draws for the interval of an error, else nothing."""
-        shares = {row.label: row.largest_share for row in self.rows.values()}
+        shares = {phrase_of(row.label): row.largest_share for row in self.rows.values()}
         return heavy_tail_warning(shares, self.run.draws_compared)
 
     @cached_property

@@ -49,11 +49,11 @@ class Row(SimpleNamespace):
         return Row(**{k: None if v != v else v for k, v in values.items()})  # noqa: PLR0124  NaN
 
     def __repr__(self) -> str:
-        if not {"expected_mse", "measurement_times"} <= {*vars(self)}:
+        if not {"label", "expected_mse", "measurement_times"} <= {*vars(self)}:
             return super().__repr__()
         mse = with_error(self.expected_mse, self.standard_error)
         times = _listed(self.measurement_times)
-        return f"<{self.name}: {self.measurements} measurements, expected MSE {mse}: t = {times}>"
+        return f"<{self.label}: {self.measurements} measurements, expected MSE {mse}: t = {times}>"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,8 +128,8 @@ _DECLARED = [
     Column(name="name", dtype="object", meaning="name of the set"),
     Column(
         name="label", dtype="object", head="times",
-        meaning="the set as pages call it: plan, if it is that of a single search; evenly spaced; "
-        "or its name",
+        meaning="the set as pages call it: plan, with the name of its search if there are several; "
+        "evenly spaced; or its name",
     ),
     Column(
         name="kind", dtype="object",
@@ -304,8 +304,13 @@ _DECLARED = [
     Column(name="warnings", dtype="object", meaning="sentences"),
 ]  # fmt: skip
 
-COLUMNS = {each.name: each for declared in _DECLARED for each in _with_interval(declared)}
-"""All columns of the table of sets, in their order."""
+_BY_NAME = {each.name: each for declared in _DECLARED for each in _with_interval(declared)}
+_FIRST = (
+    "name", "label", "measurements", "measurement_times", "typical_error", "expected_mse",
+    "standard_error", "gain_of_means", "gain_of_means_low", "gain_of_means_high",
+)  # fmt: skip
+COLUMNS = {name: _BY_NAME[name] for name in dict.fromkeys([*_FIRST, *_BY_NAME])}
+"""All columns of the table of sets; the first ten are those that notebooks show."""
 
 
 def rows_of(table: pd.DataFrame) -> list[Row]:

@@ -10,11 +10,12 @@ from pydantic import Field
 
 from pfdist.common.arguments import path_argument
 from pfdist.common.nearest import must_be
-from pfdist.common.parts import Page, Section
+from pfdist.common.parts import Page
+from pfdist.common.registry import Registry
 from pfdist.common.section import Arguments, Whole
-from pfdist.common.shown import Shown
+from pfdist.common.shown import Shown, as_fragment
 from pfdist.errors import ArgumentError, PfdistError, StoreError
-from pfdist.results.columns import Row, finite, records_of, rows_of, sets_table
+from pfdist.results.columns import Row, finite, records_of
 from pfdist.results.export import export_plan
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.over_time import RANGE_SUMS, error_over_time
@@ -186,15 +187,16 @@ class Run(StoredRun, Shown):
 
     def _page(self) -> Page:
         try:
-            sets = rows_of(self.table("sets")) if "sets" in self.tables else []
-            warnings = list(filter(None, [unproved(self)]))
+            return SHOWN["answer"](self)
         except PfdistError:
-            return Page("", _title(self), [])
-        shown = ("label", "measurements", "measurement_times", "expected_mse", "gain_of_means")
-        table = sets_table("", sets, shown, listed=problem_of(self).clock.listed)
-        return Page("", _title(self), [Section("", [table])], warnings)
+            return Page("", f"run {self.path}: cannot be read", [])
+
+    def _repr_html_(self) -> str:
+        return as_fragment(SHOWN["pictures"](self._page(), self))
 
 
+SHOWN: Registry[Callable[..., Page]] = Registry("pfdist.questions")
+"""The answer of a run, and an answer with pictures, by modules of a higher floor."""
 COMPUTED: dict[str, Callable[[StoredRun], pd.DataFrame]] = {
     "sets": sets_of,
     "gains": gains_of,
@@ -226,11 +228,3 @@ def open_run(path: str | Path) -> Run:
         The folder holds no run, or one that cannot be read.
     """
     return Run(path_argument("run", path))
-
-
-def _title(run: Run) -> str:
-    """A run in a line: its folder, its state and the number of compared draws."""
-    try:
-        return f"run {run.path}: {run.state}, {run.draws_compared:,} draws compared"
-    except StoreError:
-        return f"run {run.path}: cannot be read"

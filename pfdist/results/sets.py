@@ -58,6 +58,7 @@ _ERRS_MORE = "the search's filter has a larger error than the job's"
 def sets_of(run: StoredRun) -> pd.DataFrame:
     """A row for each compared set, the reference first, with all results of the set.
 
+    The first ten columns are those to look at: ``table.iloc[:, :10]``, which a notebook shows.
     The table has times once the searches have ended, and results of draws once the comparison has
     begun. Fractions are not in per cent. With an exact engine, expected_mse has the standard_error
     0, and gain_of_means has an interval of one point.

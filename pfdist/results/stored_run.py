@@ -27,7 +27,7 @@ from pfdist.problem.methods import METHODS
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import DEFAULT_METHOD
-from pfdist.problem.set_key import labels_of_sets, references_of
+from pfdist.problem.set_key import labels_of_sets, phrase_of, references_of
 from pfdist.results.moments import BLOCK, ComparisonStatistics, Gain, relative_gain
 from pfdist.store import QUESTIONS, Store, check_entries, read_run, unusable
 from pfdist.store.schema import KEYS
@@ -277,9 +277,11 @@ def unproved(run: StoredRun) -> str:
         return f"Not proved: {noted}."
     names = defaultdict[str, list[str]](list)
     for name in found_names:
-        names[proofs[name]["reason"] if name in proofs else ""].append(name)
+        names[proofs[name]["reason"] if name in proofs else ""].append(run.labels[name])
     return " ".join(
-        f"Not proved for {', '.join(each)}: {why}." for why, each in names.items() if why
+        f"Not proved for {', '.join(map(phrase_of, each))}: {why}."
+        for why, each in names.items()
+        if why
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pfdist.problem.set_key import labels_of_sets
 from pfdist.results.columns import COLUMNS, Row
 from pfdist.results.stored_run import StoredRun, evaluations_of
 from pfdist.store import QUESTIONS, WHY_PHASE, record_pages, write_file
@@ -61,7 +62,12 @@ def summary_of(run: StoredRun) -> Summary | None:
         return None
     try:
         content = read_if_hashed(path, listing.pages[SUMMARY], _MOST_BYTES)
-        return None if content is None else _unpacked(content, _fingerprint(run))
+        known = None if content is None else _unpacked(content, _fingerprint(run))
+        if known:  # labels are words of this version
+            labels = labels_of_sets([row.name for row in known.sets], run.job)
+            for row in known.sets:
+                row.label = labels[row.name]
+        return known
     except Exception:  # whatever is wrong with the file, the tables are there
         return None
 

@@ -31,7 +31,7 @@ from pfdist.filters.work import (
 from pfdist.kernels.estimators import EVIDENCE, FILTER_NOISE, INFORMATION
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
-from pfdist.problem.set_key import references_of
+from pfdist.problem.set_key import labels_of_sets, references_of
 from pfdist.results import BLOCK, ComparisonStatistics
 from pfdist.results.over_time import (
     RANGE_SUMS,
@@ -68,8 +68,8 @@ def run_comparison(
     draws, study, control = job.comparison.draws, built.study, bool(job.comparison.control)
     work, start = _work(built, sets), reporter.progress.done
     names, half_width = list(sets), job.comparison.until.half_width
-    references = references_of(names, job.identity())
-    interim = InterimGains(names, references, draws, half_width)
+    references, labels = references_of(names, job.identity()), labels_of_sets(names, job.identity())
+    interim = InterimGains(labels, references, draws, half_width)
     shows_gains = len(study.references) == 1 and built.job.criterion.is_mean
     reporter.begin(COMPARISON)
     details = (trajectories, first_draws_again) if built.study.has_details else ()
@@ -226,14 +226,19 @@ class InterimGains:
     """Sums of a comparison's gains, and the rule that ends it.
 
     The comparison ends when no interval is wider than twice `half_width`; with 0 it never ends
-    early. The last block of `draws` may be shorter than the others. `references` names the
-    reference of each other set.
+    early. The last block of `draws` may be shorter than the others. `labels` has all sets by
+    name, and `references` the reference of each other set.
     """
 
     def __init__(
-        self, names: list[str], references: Mapping[str, str], draws: int, half_width: float
+        self,
+        labels: Mapping[str, str],
+        references: Mapping[str, str],
+        draws: int,
+        half_width: float,
     ) -> None:
-        self.statistics = ComparisonStatistics(names, references=references)
+        self.statistics = ComparisonStatistics([*labels], references=references)
+        self._labels = labels
         self._draws, self._half_width = draws, half_width
         # For each block of draws, their values, which come in any order; whether each is missing
         self._waiting: dict[int, tuple[NDArray[np.float64], NDArray[np.bool_]]] = {}
@@ -261,7 +266,7 @@ class InterimGains:
             sets = len(self.statistics.names)
             self.statistics.add(following[:, :-sets], following[:, -sets:])
             self.so_far = tuple(  # after each block, because outcomes come more often
-                SetGain(name, Estimate(gain.of_means, gain.errors.ratio_error))
+                SetGain(self._labels[name], Estimate(gain.of_means, gain.errors.ratio_error))
                 for name, gain in self.statistics.gains.items()
                 if gain.relative.count
             )

@@ -35,12 +35,12 @@ class SetGain:
 
     Parameters
     ----------
-    name : str
+    label : str
     gain_of_means : Estimate
         1 - E[mse] / E[mse of the reference].
     """
 
-    name: str
+    label: str
     gain_of_means: Estimate
 
 

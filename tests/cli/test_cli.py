@@ -248,7 +248,7 @@ def test_without_a_terminal_progress_is_plain_lines(
     assert lines[-1].startswith("100.0 %  comparison  250 draws")
     assert "\x1b" not in "".join(lines)  # no escape codes
     found = results_of(pfdist.open_run(tmp_path / "run"))["genetic"]
-    told = re.search(r"genetic: error ([\d.]+) ± ([\d.]+) % (lower|higher)", lines[-1])
+    told = re.search(r"genetic plan: error ([\d.]+) ± ([\d.]+) % (lower|higher)", lines[-1])
     assert told is not None
     sign = 1 if told[3] == "lower" else -1
     assert sign * float(told[1]) == pytest.approx(100 * found.gain_of_means, rel=0.01)

@@ -396,7 +396,7 @@ def test_the_page_of_the_notebook_has_its_code_and_its_outputs() -> None:
     code = ["".join(cell["source"]).rstrip(";") for cell in cells if cell["cell_type"] == "code"]
     assert [text.strip() for _, text in _blocks(DOCS / "notebook.md", "python")] == code
     page = (DOCS / "notebook.md").read_text(encoding="utf-8")
-    assert page.count("](figures/notebook-") == 4
+    assert page.count("](figures/notebook-") == 5
     assert page.count("<table") >= 4
 
 

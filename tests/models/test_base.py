@@ -11,6 +11,7 @@ from oracles.in_turn import in_turn
 from pfdist import StateSpaceModel, load_model
 from pfdist.errors import ModelError
 from pfdist.models.library.linear_gaussian import linear_gaussian
+from pfdist.models.recorded import recorded
 
 
 def log_likelihood(y, x, t, p):
@@ -182,3 +183,6 @@ def test_a_model_shows_the_names_of_its_formulas_and_no_address() -> None:
         text = repr(load_model(name))
         assert text.startswith(f"StateSpaceModel(name={name!r}, initial=initial, transition=")
         assert " at 0x" not in text
+    text = repr(recorded(load_model("ungm"), range(3)))
+    assert text.startswith("StateSpaceModel(name='ungm', initial=initial, transition=")
+    assert " at 0x" not in text

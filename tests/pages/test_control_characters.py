@@ -48,6 +48,17 @@ def test_a_number_stays_beside_its_unit_but_code_is_copied_as_it_is() -> None:
     assert f">{text}</pre>" in html
 
 
+def test_code_is_marked_and_dates_and_short_words_stay_on_a_line() -> None:
+    text = "On 2026-03-02, `pfdist run a = <b>` needs an x-ray. It is in runs/a-b."
+    page = Page("", "", [Section("", [Text(text)])])
+    code = "<code>pfdist run a = &lt;b&gt;</code>"
+    date, word = (
+        f'<span style="white-space: nowrap">{each}</span>' for each in ("2026-03-02", "x-ray")
+    )
+    assert f"<p>On {date}, {code} needs an {word}. It is in runs/a-b.</p>" in as_html(page)
+    assert code in as_fragment(page)
+
+
 def test_the_texts_of_a_figure_are_clean() -> None:
     def draw(panels: Any) -> None:
         panels[0].plot([0, 1], [0, 1], label=BAD)

@@ -246,9 +246,13 @@ def test_each_component_has_a_column_and_an_angle_is_drawn_around_its_mean(tmp_p
     [(_, plot)] = FIGURES["system"].plots(Tables(run))
     assert re.search(r"falls most at .* to \S+ rad\.$", plot.title)
     pair = ["model.name=constant_velocity", "problem.horizon=10"]
+    pair += ["problem.measurement_budget=2", "comparison.reference=[9, 10]"]
+    pair += [f"problem.instant_weights={[1] * 5 + [0] * 6}"]
     run = pfdist.run(ROOT / "small.toml", tmp_path / "ship", changes=pair, figures=False)
     first, second, *_ = panels = plots.system(run)
     assert (len(panels), first.get_ylabel(), second.get_ylabel()) == (6, "east [km]", "north [km]")
+    [gain] = panels[2].collections  # shaded where it counts
+    assert max(path.vertices[:, 0].max() for path in gain.get_paths()) <= 4
     pyplot.close("all")
 
 

@@ -300,7 +300,7 @@ def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
 ) -> None:
     axes = plots.times(proved, ax=_axes())
     names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names == ["regular", "genetic", "random"]
+    assert names == ["regular", "genetic plan", "random plan"]
     rows = [line for line in axes.get_lines() if line.get_marker() != "None"]
     assert [list(line.get_xdata()) for line in rows] == [list(t) for t in proved.sets.values()]
     assert [line.get_markerfacecolor() == "white" for line in rows] == [True, False, False]
@@ -373,9 +373,12 @@ def test_a_bound_is_drawn_once_it_has_grown_and_an_exact_one_never(proved: Run) 
     assert not FIGURES["bound"].files(proved)
     assert "no lower bound" in plots.bound(proved, ax=_axes()).texts[0].get_text()
     rows = proved.table("bound").assign(steps=1e9, bound_error=0.1)
-    grown = pd.concat([rows, rows.assign(steps=2e9, bound=rows["bound"] + 0.1, draws=99)])
-    (bars,) = plots.bound(grown, ax=_axes()).containers
-    assert bars[0].get_xydata()[:, 0].tolist() == [1.0, 2.0]
+    steps = {98: 2e9, 99: 2.1e9}
+    later = (rows.assign(steps=each, draws=draws) for draws, each in steps.items())
+    axes = plots.bound(pd.concat([rows, *later]), ax=_axes())
+    (bars,) = axes.containers
+    assert bars[0].get_xydata()[:, 0].tolist() == [1.0, 2.0, 2.1]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["1", "2.1"]  # none overlap
     assert bars[0].get_color() == "black"
 
 

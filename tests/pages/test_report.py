@@ -162,7 +162,8 @@ def test_the_plan_alone_has_figures(make: Make, see: See) -> None:
     many = ", ".join(f"{{method='random', name='s{k}', evaluations=2}}" for k in range(20))
     run = make(f"search=[{many}]")
     page = see(run)
-    shown = [name for name in run.names if f"lower with the set {name} than" in page.text]
+    said = "How much lower the error is with the {} plan than"
+    shown = [name for name in run.names if said.format(name) in page.text]
     assert shown == [run.best.name]
     assert len(page.html.encode()) < 500_000
 
@@ -371,7 +372,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     subject = Subject(run)
     costs = {name: found.search_mse for name, found in subject.found_rows.items()}
     assert subject.by_error == sorted(costs, key=lambda name: costs[name])
-    assert "the best of 4 sets by their expected MSEs, which are exact" in _text(run)
+    assert "the best of 4 plans by their expected MSEs, which are exact" in _text(run)
 
 
 def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) -> None:

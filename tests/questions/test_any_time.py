@@ -187,10 +187,9 @@ def test_covariates_stay_from_an_instant_to_the_next(jobs: Path) -> None:
     pfdist.run("rain.toml")
     tables = [pd.DataFrame({"t": t, "y0": [1.0] * len(t)}) for t in ([1, 4], [1, 2.25, 2.75, 4])]
     tables[1].loc[1:2, "y0"] = np.nan  # nothing was measured at these times
-    whole, cut = (
-        pfdist.filter_measurements("rain.toml", each, report=False).table.set_index("t")["mean_0"]
-        for each in tables
-    )
+    answers = [pfdist.filter_measurements("rain.toml", each, report=False) for each in tables]
+    assert "At t = 4 h: z = " in repr(answers[0])  # the model has no names
+    whole, cut = (each.table.set_index("t")["mean_0"] for each in answers)
     np.testing.assert_allclose(cut[whole.index], whole, rtol=1e-12)
     assert cut[2.25] == pytest.approx(whole[2] + 0.25 * 2)
 

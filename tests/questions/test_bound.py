@@ -277,8 +277,10 @@ def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
     assert told is not None
     assert int(told[1].replace(",", "")) > 4
     run = pfdist.open_run(walk)
-    assert repr(run).endswith(f"draws compared | {line}>")
-    assert run._repr_html_().endswith(f"<p>Note: {line}</p>")
+    assert repr(run).startswith("<Measure at t = ")
+    assert repr(run).endswith(f" | {line}>")
+    code = re.sub("`(.*)`", r"<code>\1</code>", line)
+    assert f"<p>Note: {code}</p>" in run._repr_html_()
     assert line in str(page_of(run))
     printed, _, _ = said("status", walk).partition(f"\n\n{walk}: ")
     assert " ".join(printed.split()).endswith(f" Note: {line}")
@@ -301,11 +303,13 @@ def test_a_proof_that_fails_is_named_at_the_end_of_every_answer(
         with pytest.warns(PfdistWarning, match=f"^{line}"):
             run = pfdist.run(walk / "job.toml", walk, **again)
     assert run.as_json()["unproved"] == line
-    assert repr(run).endswith(f" | {line}>")
+    assert repr(run).startswith(f"<{line} | Measure at ")
     monkeypatch.setattr(Prover, "_sums", refuse)
     of_sets = line.replace("proved", "proved for {}")
-    assert repr(bound(walk)).endswith(f" | {of_sets.format('random')}>")
-    assert pfdist.open_run(walk).as_json()["unproved"] == of_sets.format("genetic, random")
+    assert repr(bound(walk)).endswith(f" | {of_sets.format('the random plan')}>")
+    assert pfdist.open_run(walk).as_json()["unproved"] == of_sets.format(
+        "the genetic plan, the random plan"
+    )
 
 
 def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(
@@ -506,7 +510,7 @@ def test_the_command_says_how_much_is_left(exact: Path, said: Callable[..., str]
         sentence = (
             f"Proved: no other 4 times lower the expected MSE by more than a further {percent}."
         )
-        assert (f"For the set {name}: {sentence}" in text) == (name != "regular")
+        assert (f"For the {name} plan: {sentence}" in text) == (name != "regular")
 
 
 def test_the_sentence_states_the_limit_rounded_up_and_then_the_estimate() -> None:

@@ -106,7 +106,7 @@ def test_a_wrong_likelihood_is_said_first(
     reason: str, finished: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = pfdist.open_run(finished())
-    said = f"Not proved for random: {reason}: it is."
+    said = f"Not proved for the random plan: {reason}: it is."
     for module in (subject, run_page):
         monkeypatch.setattr(module, "unproved", lambda _: said)
     assert _first(answer_of(run)) == said

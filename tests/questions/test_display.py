@@ -3,6 +3,7 @@
 import shutil
 import sys
 from collections.abc import Callable
+from html import escape
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -30,7 +31,7 @@ def test_each_result_is_a_line_at_a_prompt_and_a_table_in_a_notebook(
     job = shutil.copytree(exact, tmp_path / "<b>run") / "job.toml"
     run = pfdist.open_run(job.parent)
     results = {
-        "run": run,
+        "Measure at t = ": run,
         "evaluation": pfdist.evaluate(job, [0, 4, 8], draws=20),
         "Proved: no other": pfdist.bound(job, figures=False),
         "Most important measurement": pfdist.why(job, figures=False),
@@ -41,8 +42,11 @@ def test_each_result_is_a_line_at_a_prompt_and_a_table_in_a_notebook(
         assert len(line.splitlines()) == 1
         assert "<table>" in table
         assert "<b>" not in table
-    assert repr(run) == f"<run {run.path}: finished, 20 draws compared>"  # no proof was wanted
-    assert "regular" in run._repr_html_()
+    page = run._repr_html_()
+    assert "<svg" in page  # one picture: the system
+    assert page.count("<svg") == 1
+    assert "Proved: no other 4 times" in page
+    assert f"{escape(str(run.path))}: finished, " in page
 
 
 def test_a_run_that_cannot_be_read_has_a_card_that_says_so(small_run: pfdist.Run) -> None:

@@ -23,6 +23,7 @@ from pfdist.errors import JobError, MeasurementsError, PfdistWarning, PriorError
 from pfdist.filters import one_filter
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.simulation import simulate
+from pfdist.problem.clock import Clock
 from pfdist.questions.filter_measurements import IMPROBABLE, FilteredMeasurements
 from pfdist.store import filtered_schema
 
@@ -232,8 +233,9 @@ def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
     filtering = Filter(model, 400, draw=draw)
     surprises = [filtering.update(t, y[t], warn=False).surprise for t in times]
     table = pd.DataFrame({"t": list(times), "surprise": surprises})
+    clock = Clock.counting(HORIZON)
     found = FilteredMeasurements(
-        Path(), Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path())
+        Path(), Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path()), clock
     )
     assert found.is_improbable is (min(surprises) * len(surprises) < IMPROBABLE)
     return found.is_improbable

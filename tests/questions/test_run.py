@@ -318,7 +318,7 @@ def test_between_search_and_comparison_the_found_times_are_told(
     assert len(results["genetic"].measurement_times) == 4
     assert results["genetic"].expected_mse is None
     text = said("status", tmp_path / "run")
-    assert "genetic: measure at t = " in text
+    assert "genetic plan: measure at t = " in text
     assert "The search estimated an error of" in " ".join(text.split())
     assert f"tables: {tmp_path / 'run' / 'tables'}" in text
     assert "figures" not in text  # there is no such folder yet

@@ -117,7 +117,7 @@ def test_the_papers_experiment_alone_shows_the_papers_figures(
     text = " ".join(" ".join(lines_of(answer_of(run))).split())
     genetic = results_of(run)["genetic"]
     share = 100 * genetic.positive_fraction
-    told = re.search(r"relative gain of the set genetic is (-?[\d.]+) % \(.*?\); (.*)", text)
+    told = re.search(r"relative gain of the genetic plan is (-?[\d.]+) % \(.*?\); (.*)", text)
     assert bool(told) == is_papers
     if told:
         assert float(told[1]) == pytest.approx(100 * genetic.mean_relative_gain, abs=0.5)

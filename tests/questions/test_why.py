@@ -161,9 +161,9 @@ def test_the_command_answers_in_json_and_words_and_leaves_the_run_as_it_was(
     best = min(("genetic", "random"), key=lambda name: results_of(run)[name].expected_mse)
     rises = {row["t"]: row["removed"] for row in answer["sets"][best]["worth"]}
     most, least = (each(rises, key=lambda t: rises[t]) for each in (max, min))
-    assert text.startswith(f"Most important measurement of the set {best}: t = {most} (")
+    assert text.startswith(f"Most important measurement of the {best} plan: t = {most} (")
     assert f" Least important: t = {least} (" in text
-    assert re.findall(r"Measurements of (.*?), on 30 fresh draws", text)[0] == f"the set {best}"
+    assert re.findall(r"Measurements of (.*?), on 30 fresh draws", text)[0] == f"the {best} plan"
     assert text.count("Measurements of ") == 3
     worth, mse = regular["worth"][1], regular["expected_mse"]
     rise, error = (100 * worth[part] / mse for part in ("removed", "removed_error"))

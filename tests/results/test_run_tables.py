@@ -46,6 +46,12 @@ def test_computed_tables_follow_from_the_stored(run: Run) -> None:
     for name in run.sets:
         assert costs[name] == pytest.approx(comparison[f"mse_{name}"].mean())
     assert not set(COMPUTED) & set(KEYS)
+    plan = run.table("sets").iloc[1, :10]  # as a notebook shows it
+    assert plan.notna().all()
+    assert (plan["label"], plan["measurement_times"]) == (
+        "relaxation plan",
+        run.best.measurement_times,
+    )
 
 
 @pytest.mark.parametrize("name", ["comparison", "gains", "trajectories"])

@@ -138,9 +138,9 @@ def test_what_is_shown_at_the_end_is_what_the_summary_says(small_job: Job, tmp_p
     job = _until(small_job, 0.1)
     run = pfdist.run(job, tmp_path / "run", progress=seen.append, figures=False)
     results = results_of(run)
-    assert [found.name for found in seen[-1].found] == ["genetic", "random"]
+    assert [found.label for found in seen[-1].found] == ["genetic plan", "random plan"]
     for found in seen[-1].found:
-        result = results[found.name]
+        [result] = (each for each in results.values() if each.label == found.label)
         assert found.gain_of_means.value == result.gain_of_means
     assert seen[-1].done == seen[-1].total
     assert len({state.found for state in seen}) > 2  # it is shown as it comes
