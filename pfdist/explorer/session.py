@@ -84,11 +84,6 @@ class ExplorerSession:
         self.run, self.built = _opened(source, say)
         if isinstance(self.built.job.criterion, Judging):
             raise other_criterion(self.built.job)
-        if self.built.job.problem.points.delays:
-            raise JobError(
-                "times of a sensor with a delay cannot be moved by hand: pfdist evaluate gives "
-                f"their expected MSE ({self.built.job.path})"
-            )
         self._source = source if isinstance(source, str | Path) else None
         self.job, self.feasible = self.built.job, self.built.feasible
         self._points = self.job.problem.points
@@ -114,8 +109,14 @@ class ExplorerSession:
     # --- what does not change ---------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """All that the page needs once, as JSON values; times are possible measurements."""
+        """All that the page needs once, as JSON values.
+
+        Times are possible measurements. Those of the page are numbered by the instants at which
+        they are made, not at which their values arrive.
+        """
         clock, sets = self._points.clock, self.feasible
+        arrive = [self._points.arriving(made) for made in range(self._points.number)]
+        barred = {*sets.forbidden, *range(self._points.number, max(arrive) + 1)}
         budget = f"{'At most ' * sets.smaller}{sets.total} measurements"
         if sets.total_price is not None:
             budget = f"Measurements for a total price of {sets.total_price}"
@@ -127,17 +128,17 @@ class ExplorerSession:
             "labels": [*map(clock.text, clock.times)],
             "unit": "" if clock.has_dates else clock.unit,  # dates have none
             "sensors": self._points.sensors or ("",),
-            "forbidden": sets.forbidden,
-            "required": sets.required,
+            "forbidden": [made for made, point in enumerate(arrive) if point in barred],
+            "required": self._shown(sets.required),
             "after": None if sets.spacing.is_free else sets.spacing.successors,
             "sensors_after": spaced,
-            "prices": None if sets.price is None else [*map(float, sets.price)],
+            "prices": sets.price and [float(sets.price[min(p, sets.possible - 1)]) for p in arrive],
             "budget": budget,
             "components": [
                 {"name": each.name, "unit": each.unit} for each in self.played.components
             ],
-            "even": self.even,
-            "plan": self.plan,
+            "even": self._shown(self.even),
+            "plan": self.plan and self._shown(self.plan),
             "windows": self._windows(),
             "window_percent": STRICT,
             "judged": self.judgements(),
@@ -152,7 +153,7 @@ class ExplorerSession:
         windows = dict[str, list[int]]()
         for each in windows_of(rows, STRICT, self._points.clock):
             (point,) = self._points.read([each.measurement])
-            windows[str(point)] = [*each.inside.values()]
+            windows[str(*self._shown((point,)))] = [*each.inside.values()]
         return windows
 
     # --- an answer --------------------------------------------------------------------------------
@@ -195,7 +196,7 @@ class ExplorerSession:
         }
         typical = {name: self.played.typical(known[name], each) for name, each in found.items()}
         answer = {
-            "times": chosen,
+            "times": self._shown(chosen),
             "draws": own.draws,
             "finer": finer if own.draws and draws < most else None,
             "curves": {
@@ -316,7 +317,7 @@ class ExplorerSession:
         rows = [
             {
                 "name": each.name,
-                "times": each.times,
+                "times": self._shown(each.times),
                 "written": points.clock.listed(points.written_of(each.times)),
                 "draws": each.change.draws,
                 "gain": each.change.gain,
@@ -350,7 +351,9 @@ class ExplorerSession:
         self.job_text(sets)  # checks the names
         written = {
             name: ",".join(map(unrounded, self._written(times)))
-            for name, times in (({PLAN: self.plan} if self.plan else {}) | {**sets}).items()
+            for name, times in (
+                ({PLAN: self._shown(self.plan)} if self.plan else {}) | {**sets}
+            ).items()
         }
         place = self._source or (self.run.path if self.run else self.job.path)
         if self._source is None and self.run is None and not self.job.origin.is_file:
@@ -364,7 +367,16 @@ class ExplorerSession:
         return self._points.written_of(self._checked(times))
 
     def _checked(self, times: Iterable[int]) -> Times:
-        return validated(times, self._points.number - 1)
+        arriving = (
+            self._points.arriving(made) for made in validated(times, self._points.number - 1)
+        )
+        return validated(arriving, self._points.number - 1)
+
+    def _shown(self, points: Times) -> Times:
+        """Points as the page numbers them."""
+        table = self._points
+        made = (table.first(table.made_at(point)) + table.way(point) for point in points)
+        return tuple(sorted(made))
 
 
 def _opened(source: JobSource | Run, say: Say) -> tuple[Run | None, Built]:

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -222,7 +222,7 @@ class Filter:
             The instant or the measurement is wrong, or no particle explains the measurement. The
             filter is unchanged.
         """
-        t = checked_instant(t, 0, self.horizon)
+        t = self._instant(t)
         if t < self._filter.t or (t == self._filter.t and self._filter.measured):
             after = "after" if self._filter.measured else "not before"
             raise MeasurementsError(
@@ -269,7 +269,7 @@ class Filter:
         MeasurementsError
             The instant is wrong.
         """
-        t = checked_instant(t, 0, self.horizon)
+        t = self._instant(t)
         if t < self._filter.t:
             first = self._formatted(self._filter.t)
             raise MeasurementsError(f"t must not be before {first}, got {self._formatted(t)}")
@@ -326,6 +326,17 @@ class Filter:
             each = estimate_of(start.t + k, mean, variance, is_angle, belief)
             estimates.append(replace(each, measured=each.t in measured))
         return estimates
+
+    def _instant(self, t: Any) -> int:
+        try:
+            return checked_instant(t, 0, self.horizon)
+        except MeasurementsError as error:
+            if not isinstance(t, float) or not t % 1:
+                raise
+            raise MeasurementsError(
+                f"{error}: a filter counts instants, and model.on_clock(times) has their times, "
+                "which may be any"
+            ) from error
 
     def _formatted(self, t: int) -> str:
         return formatted_instant(self.model, t)

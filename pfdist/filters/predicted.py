@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.checks import ARGUMENTS
 
@@ -16,7 +18,9 @@ def circular_measurements(model: StateSpaceModel) -> tuple[int, ...]:
     return tuple(k for k, each in enumerate(model.named("y")) if each.name in angles)
 
 
-def predicted(model: StateSpaceModel) -> StateSpaceModel:
+def predicted(
+    model: StateSpaceModel, delays: tuple[int, ...] = (), horizon: int = 0
+) -> StateSpaceModel:
     """The model whose quantity of interest is a measurement of its state, with noise.
 
     The measurement noise of an instant becomes a part of the state. So each particle has a possible
@@ -26,6 +30,11 @@ def predicted(model: StateSpaceModel) -> StateSpaceModel:
     Parameters
     ----------
     model : StateSpaceModel
+    delays : tuple of int
+        For each sensor of `pfdist.models.sensed`, the number of instants after which a value
+        arrives. The quantity of interest is what it measures now, and would arrive later.
+    horizon : int
+        The last instant, if there are delays.
 
     Returns
     -------
@@ -34,13 +43,21 @@ def predicted(model: StateSpaceModel) -> StateSpaceModel:
     """
     n, noise = model.components[0], model.noise_of_measurements
     initial, process = len(model.initial_noise), len(model.process_noise)
+    delays = delays or (0,) * len(model.parts)
+    remembered = 1 + max(delays)  # states of so many instants
+
+    def quantity_of_interest(x: Any, t: Any, p: Any) -> Any:
+        now, z = x[: n // remembered] * remembered, list[Any]()
+        for part, delay in zip(model.parts, delays, strict=True):
+            at = np.minimum(t + delay, horizon) if delay else t
+            z += part.model.measurement(now, at, x[n:][part.v], p)
+        return tuple(z)
+
     return model.with_formulas(
         lambda owner, name: _of_first(getattr(owner, name), ARGUMENTS[name].index("x"), n),
         initial=lambda w, p: (*model.initial(w[:initial], p), *w[initial:]),
         transition=lambda x, t, w, p: (*model.transition(x[:n], t, w[:process], p), *w[process:]),
-        quantity_of_interest=lambda x, t, p: sum(
-            (tuple(part.model.measurement(x[:n], t, x[n:][part.v], p)) for part in model.parts), ()
-        ),
+        quantity_of_interest=quantity_of_interest,
         error=squared_error,
         initial_noise=(*model.initial_noise, *noise),
         process_noise=(*model.process_noise, *noise),

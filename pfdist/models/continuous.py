@@ -5,7 +5,7 @@ code, so many steps compile as fast as one.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from operator import itemgetter
@@ -50,7 +50,11 @@ def _rows(events: Any) -> Any:
 
 _Finite = Annotated[Number, Field(allow_inf_nan=False)]
 _Event = tuple[_Finite, _Finite | str, Annotated[Whole, Field(ge=0)]]
-_Events = Annotated[tuple[_Event, ...], BeforeValidator(_rows)]
+Rows = tuple[tuple[float, float | str, int], ...]
+Events = Annotated[tuple[_Event, ...], BeforeValidator(_rows)]
+"""A table of events: times, amounts and components of x."""
+_TABLES: ContextVar[Callable[[str], Rows] | None] = ContextVar("tables", default=None)
+"""Gives the events of a name; None outside of `with_events`."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,8 @@ class Flow:
         Time between two instants, or the name of a parameter with this value; without a clock.
     keep : callable, optional
         ``(x, p) -> x`` after each step.
-    events : tuple of (float, float or str, int)
-        Times, amounts and components of x, in the order of time.
+    events : tuple of (float, float or str, int), or str
+        Times, amounts and components of x, in the order of time; or the name of such a table.
     """
 
     step: Callable[[Values, Any, Any, Values, Any], Values]
@@ -83,7 +87,7 @@ class Flow:
     noises: int
     interval: float | str | None
     keep: Callable[[Values, Any], Any] | None
-    events: tuple[tuple[float, float | str, int], ...] = ()
+    events: Rows | str = ()
 
     @property
     def process_noise(self) -> tuple[str, ...]:
@@ -99,7 +103,10 @@ class Flow:
         """The state at t + 1."""
         begin, total = self._interval(t, p)
         count: Any = self.substeps
-        most = self.substeps or MOST_STEPS - len(self.events)
+        events, tables = self.events, _TABLES.get()
+        if isinstance(events, str):  # the model itself has none
+            events = () if tables is None else _in_order(tables(events), self.substeps)
+        most = self.substeps or MOST_STEPS - len(events)
         if self.largest_step is not None:
             count = np.maximum(np.ceil(total / self.largest_step - _ROUNDING), 1.0)
             total = np.where(count > most, np.nan, total)
@@ -111,8 +118,8 @@ class Flow:
         if (halves := _HALVES.get()) is not None:
             count, most, w = 2 * count, 2 * most, halves(self, w)
         h = total / count
-        if self.events:
-            return self._cut(x, begin, total, h, count, most, p)
+        if events:
+            return self._cut(events, x, begin, total, h, count, most, p)
         root = np.sqrt(h) if self.noises else None
 
         def step(x: Values, k: Any, noise: Values) -> Values:
@@ -127,17 +134,17 @@ class Flow:
         return components(self.keep(x, p), len(x), "keep") if self.keep else x
 
     def _cut(
-        self, x: Values, begin: Any, total: Any, h: Any, count: Any, most: int, p: Any
+        self, events: Rows, x: Values, begin: Any, total: Any, h: Any, count: Any, most: int, p: Any
     ) -> Values:
         """The state at t + 1, in steps of length h that are cut at the events.
 
         An event at an instant belongs to the step after it.
         """
-        times = [time for time, _, _ in self.events]
+        times = [time for time, _, _ in events]
         later = [time + _SAME_TIME * (1.0 + abs(time)) for time in times]
         first, last = _number_before(later, begin), _number_before(later, begin + total)
         tables = dict[tuple[int, str], list[float]]()
-        for k, (_, amount, component) in enumerate(self.events):
+        for k, (_, amount, component) in enumerate(events):
             if component >= len(x):
                 raise ValueError(
                     f"events must name components of x below {len(x)}, got {component}"
@@ -207,6 +214,42 @@ def _plus(x: Values, h: Any, rates: Values) -> Values:
     return tuple(value + h * rate for value, rate in zip(x, rates, strict=True))
 
 
+# --- events of a job ------------------------------------------------------------------------------
+
+
+def with_events(model: StateSpaceModel, tables: Mapping[str, Rows]) -> StateSpaceModel:
+    """The model whose equations have the events of the tables that they name.
+
+    Raises
+    ------
+    ModelError
+        An equation names another table, none names one, or one has too many events.
+    """
+    named, is_code = set[str](), not isinstance(model.transition, Programs | Declared)
+
+    def rows(name: str) -> Rows:
+        named.add(name)
+        if name not in tables:
+            raise ValueError(
+                f"events={name!r} must name a table, got {', '.join(tables) or 'none'}"
+            )
+        return tables[name]
+
+    def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
+        before = _TABLES.set(rows)
+        try:
+            return model.transition(x, t, w, p)
+        finally:
+            _TABLES.reset(before)
+
+    changed = replace(model, transition=transition) if is_code else model  # which calls it
+    for name in tables:
+        if name not in named:
+            others = f"; they name {', '.join(sorted(named))}" * bool(named)
+            raise ModelError(f"no equation of the model has events={name!r}{others}")
+    return changed if named else model
+
+
 # --- twice as many steps --------------------------------------------------------------------------
 
 _HALVES: ContextVar[Callable[[Flow, Any], Any] | None] = ContextVar("halves", default=None)
@@ -258,7 +301,7 @@ def ode(
     largest_step: _Step = None,
     dt: _Interval = None,
     keep: Callable[..., Any] | None = None,
-    events: _Events = (),
+    events: Events | str = (),
 ) -> Flow:
     """A transition that solves an ordinary differential equation, dx/dt = rhs(x, t, p).
 
@@ -280,10 +323,12 @@ def ode(
         clock; by default 1.
     keep : callable, optional
         ``(x, p) -> x`` after each step, for instance to keep amounts positive.
-    events : sequence of (float, float or str, int), or array, (k, 3)
+    events : sequence of (float, float or str, int), or array, (k, 3), or str
         Doses and other jumps: a time, an amount and a component of x, which becomes larger by the
         amount then; or the name of a parameter that has the amount. Steps are cut at the times,
-        which may lie between instants. x at the time of an event is the state before it.
+        which may lie between instants. x at the time of an event is the state before it. A text
+        is the name of a table in the section ``model.events`` of the job; the model alone has no
+        events then.
 
     Returns
     -------
@@ -327,12 +372,16 @@ def ode(
         raise ArgumentError("ode takes substeps or largest_step, got both", argument="largest_step")
     if largest_step is None:
         substeps = SUBSTEPS if substeps is None else substeps
+    solve = rk4 if method == "rk4" else heun
+    events = events if isinstance(events, str) else _in_order(events, substeps)
+    return Flow(solve, rhs, substeps, largest_step, 0, dt, keep, events)
+
+
+def _in_order(events: Rows, substeps: int | None) -> Rows:
     if (substeps or 1) + len(events) > MOST_STEPS:
         most = f"at most {MOST_STEPS:,} substeps and events together"
         raise ArgumentError(f"ode takes {most}, got {len(events):,} events", argument="events")
-    solve = rk4 if method == "rk4" else heun
-    in_order = tuple(sorted(events, key=itemgetter(0)))
-    return Flow(solve, rhs, substeps, largest_step, 0, dt, keep, in_order)
+    return tuple(sorted(events, key=itemgetter(0)))
 
 
 # --- stochastic differential equations ------------------------------------------------------------

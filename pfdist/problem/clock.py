@@ -19,7 +19,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.parsing import as_text
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError, shown
-from pfdist.problem.calendar import Calendar, groups
+from pfdist.problem.calendar import SECONDS, Calendar, groups
 
 Time = int | float
 
@@ -278,6 +278,20 @@ class Clock:
         if not self.unit or not listed or self.calendar:
             return text
         return f"{text} (t in {self.unit})" if isinstance(listed[0], str) else f"{text} {self.unit}"
+
+    def duration(self, length: float) -> str:
+        """A length of time as text, in the unit of the clock or a smaller one.
+
+        >>> hours = Clock.regular(6, 0.5, "h")
+        >>> [hours.duration(each) for each in (8 / 3600, 0.5, 36, 0)], Clock((0, 1)).duration(0.1)
+        (['8 s', '30 min', '36 h', '0 h'], '0.1')
+        """
+        if self.unit not in SECONDS or not length:
+            return f"{length:.3g} {self.unit}".rstrip()
+        seconds, longest = length * SECONDS[self.unit], SECONDS[self.unit]
+        fits = [each for each, size in SECONDS.items() if size <= min(seconds, longest)]
+        unit = fits[-1] if fits else "s"
+        return f"{seconds / SECONDS[unit]:.3g} {unit}"
 
     def of_row(self, row: Mapping[Any, Any]) -> Time | str:
         """The measurement of a row of a table as users read it: its time, and its ``sensor``."""

@@ -1,8 +1,10 @@
 """Covariates: parameters of a job's models from columns of tables, a value for each instant.
 
-The job then holds the values, and so does its identity. A run no longer needs the table.
+Tables of events are read alike. The job then holds the values, and so does its identity. A run no
+longer needs the table.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.errors import JobError, shown
 
 _KEYS = {"file", "column"}
+_EVENT = ("time", "amount", "state")
 
 
 def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
@@ -32,16 +35,35 @@ def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
             else value
             for name, value in read["parameters"].items()
         }
+    if isinstance(read.get("events"), dict):
+        read["events"] = {
+            name: _events(value, folder, f"{key}.events.{name}")
+            if isinstance(value, dict)
+            else value
+            for name, value in read["events"].items()
+        }
     if "filter" in read:
         read["filter"] = with_columns(read["filter"], folder, f"{key}.filter")
     return read
 
 
+def _events(given: dict[str, Any], folder: Path, key: str) -> list[list[Any]]:
+    """The rows of a table of events."""
+    if given.keys() != {"file"} or not isinstance(given["file"], str):
+        raise JobError(
+            f"{key} must be rows [time, amount, state], or a table with these columns, as "
+            f'{{file = "doses.csv"}}, got {shown(given)}'
+        )
+    columns = _read(given["file"], _EVENT, folder, key)
+    for row, state in enumerate(columns[2], 1):
+        if state < 0 or state % 1:
+            raise JobError(f"{key}: state must be the number of a component of x, got {state} in "
+                           f"row {row} ({folder / given['file']})")  # fmt: skip
+    return [[time, amount, int(state)] for time, amount, state in zip(*columns, strict=True)]
+
+
 def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[float]:
     """The values of a column; by default it has the name of the parameter."""
-    # Imported here, because most jobs need no tables.
-    from pfdist.store.user_tables import read_user_table  # noqa: PLC0415
-
     file, column = given.get("file"), given.get("column", name)
     if given.keys() - _KEYS or not (isinstance(file, str) and isinstance(column, str)):
         raise JobError(
@@ -49,27 +71,36 @@ def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[fl
             f'{{file = "weather.csv", column = "rain"}}, got {shown(given)}'
         )
 
+    return _read(file, (column,), folder, key)[0]
+
+
+def _read(file: str, names: Sequence[str], folder: Path, key: str) -> list[list[float]]:
+    """The finite numbers of some columns of a table."""
+    # Imported here, because most jobs need no tables.
+    from pfdist.store.user_tables import read_user_table  # noqa: PLC0415
+
     def check_header(header: list[str]) -> None:
-        if column not in header:
-            meant = did_you_mean(column, header) or "."
-            columns = ", ".join(header)
-            raise ValueError(f"the table has no column {shown(column)}{meant} Columns: {columns}")
+        for column in names:
+            if column not in header:
+                meant, columns = did_you_mean(column, header) or ".", ", ".join(header)
+                raise ValueError(
+                    f"the table has no column {shown(column)}{meant} Columns: {columns}"
+                )
 
     if fault := address_fault(file):
         raise JobError(f"{key}.file {fault}")
     path = folder / file
     try:
-        values = read_user_table(path, check_header, (column,), most_rows=MOST_NUMBERS)[column]
+        table = read_user_table(path, check_header, names, most_rows=MOST_NUMBERS)
     except OSError as error:
         meant = did_you_mean_path(path, (path.parent,), lambda other: other.suffix == path.suffix)
         raise JobError(f"{key}: cannot read {path}: {error.strerror}{meant}") from error
     except ValueError as error:
         raise JobError(f"{key}: {error} ({path})") from error
-    wrong = np.flatnonzero(~np.isfinite(values))
-    if wrong.size:
-        row = int(wrong[0])
-        raise JobError(
-            f"{key}: column {shown(column)} must hold finite numbers, got {values[row]} in "
-            f"row {row + 1} ({path})"
-        )
-    return [float(value) for value in values]
+    for column in names:
+        for row in np.flatnonzero(~np.isfinite(table[column]))[:1]:
+            raise JobError(
+                f"{key}: column {shown(column)} must hold finite numbers, got "
+                f"{table[column][row]} in row {row + 1} ({path})"
+            )
+    return [table[column].tolist() for column in names]

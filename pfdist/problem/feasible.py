@@ -415,13 +415,14 @@ class Feasible(Constraints):
         return self.completed({*others, new}) if self.allows({*others, new}) else None
 
 
-def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
+def rest_of(feasible: Feasible, taken: Times, first: int, in_flight: Times = ()) -> Feasible | None:
     """The feasible sets of what is left after the measurements that were taken.
 
     `taken` is sorted, and need not be the start of a feasible set. `first` is the first instant
     that may still be measured, and the times of the result count from it. The result is None if no
     measurement is left or fits. If fewer fit than are left, the sets have as many as fit. A
-    required time that can no longer be measured is left out.
+    required time that can no longer be measured is left out. Measurements in flight were made, and
+    their values arrive from `first` on: all sets contain them.
 
     >>> rest = rest_of(Feasible(horizon=9, measurement_budget=3, minimum_spacing=3), (4,), 5)
     >>> rest.allowed, rest.total  # 7, 8 and 9 may be measured, and no two of them
@@ -431,20 +432,18 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         return None
     points, start = feasible.points, feasible.points.first(first)
     left = range(start, feasible.possible)
-    barred = feasible.spacing.near(taken).union(feasible.forbidden)
-    limits = list[Limit]()
+    barred, limits = _barred(feasible, taken, first), list[Limit]()
+    barred -= {*in_flight}
+    if barred.issuperset(left):
+        return None
     for sensor, limit in enumerate(feasible.limits):
         own, spacing = points.of_way(sensor, taken), limit.spacing
         if spacing is not None:
-            barred |= {points.alike(sensor)[t] for t in spacing.near(own)}
             spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
         most = None if limit.most is None else max(0, limit.most - len(own))
         limits.append(Limit(most, spacing))
-    visits = feasible.visits and feasible.visits.since(start, taken)
-    if visits and visits.most == 0:
-        barred |= {*range(start + visits.open_until, feasible.possible)}
-    required = list[int]()
-    for time in feasible.required:
+    required = [*in_flight]
+    for time in sorted({*feasible.required} - {*in_flight}):
         is_left = time in left and time not in barred
         if is_left and feasible.is_within_limits((*taken, *required, time)):
             required.append(time)
@@ -455,7 +454,7 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         forbidden=tuple(time - start for time in left if time in barred),
         points=points.since(first),
         limits=tuple(limits),
-        visits=visits,
+        visits=feasible.visits and feasible.visits.since(start, taken),
         installs=tuple(
             (price, ways)
             for price, ways in feasible.installs
@@ -464,21 +463,34 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
     )
     if feasible.price is not None and feasible.total_price is not None:
         spent, price = feasible.price_of(taken), feasible.price[start:]
-        money = feasible.total_price - spent
-        required = required if feasible.price_of((*taken, *required)) <= spent + money else []
-        least = min(
-            (feasible.price_of((*taken, t)) - spent for t in left if t not in barred), default=None
-        )
-        if least is None or least > money:
+        money = max(feasible.total_price, feasible.price_of((*taken, *in_flight))) - spent
+        paid = feasible.price_of((*taken, *required)) <= spent + money
+        required = required if paid else [*in_flight]
+        if min(feasible.price_of((*taken, t)) for t in left if t not in barred) > spent + money:
             return None
-        return make(
-            required=tuple(time - start for time in required), price=price, total_price=money
-        )
-    number = max(0, feasible.total - len(taken))
-    times = tuple(time - start for time in required[:number])
+        times = tuple(sorted(time - start for time in required))
+        return make(required=times, price=price, total_price=money)
+    number = max(len(in_flight), feasible.total - len(taken))
+    times = tuple(sorted(time - start for time in required[:number]))
     if feasible.smaller:
         number = min(number, len({*left} - barred))
         return make(required=times, measurement_budget=number) if number else None
     capacity = make(required=times, measurement_budget=len(times)).capacity(())
     number = min(number, capacity)
     return make(required=times, measurement_budget=number) if number else None
+
+
+def _barred(feasible: Feasible, taken: Times, first: int) -> set[int]:
+    """The times that can no longer be measured, from the instant `first` on."""
+    points, start = feasible.points, feasible.points.first(first)
+    left = range(start, feasible.possible)
+    barred = feasible.spacing.near(taken).union(feasible.forbidden)
+    barred |= {time for time in left if points.made_at(time) < first}
+    for sensor, limit in enumerate(feasible.limits):
+        if limit.spacing is not None:
+            near = limit.spacing.near(points.of_way(sensor, taken))
+            barred |= {points.alike(sensor)[t] for t in near}
+    visits = feasible.visits and feasible.visits.since(start, taken)
+    if visits and visits.most == 0:
+        barred |= {*range(start + visits.open_until, feasible.possible)}
+    return barred

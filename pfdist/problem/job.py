@@ -341,8 +341,6 @@ class Job(JobSection):
             "online",
             (self.budget is None, "a job with one measurement budget, got a budget section"),
             (bool(self.search), "a search for the first plan, got search = []"),
-            (not self.problem.points.delays, "sensors without a delay: a time is chosen only when "
-                                             "all values before it are known"),
             (ONLINE not in names, f"searches and sets of other names, got {ONLINE!r}"),
             (self.online.draws <= draws, f"online.draws of at most comparison.draws = {draws}, got "
                                          f"{self.online.draws}: the same draws are compared"),

@@ -46,8 +46,6 @@ class Reading(NamedTuple):
         Whether the filter can have instants that the clock lacks.
     note : callable
         Receives lines about what was not read, moved or repeated.
-    may_repeat : bool
-        Whether a sensor may have several rows at a time.
     sensings : tuple of Sensing
         For each sensor of the model, its limits, beyond which numbers count as these, its delay,
         and whether it may fail.
@@ -59,7 +57,6 @@ class Reading(NamedTuple):
     within: float | None = None
     any_time: Callable[[], bool] = lambda: False
     note: Callable[[str], Any] = lambda line: None
-    may_repeat: bool = True
     sensings: tuple[Sensing, ...] = ()
     sensors: tuple[str, ...] = ()
 
@@ -124,11 +121,16 @@ class Reading(NamedTuple):
     def moved(self, distance: float, clock: Clock) -> None:
         """Note how far the furthest time moved, if any did."""
         if distance:
-            unit = f" {clock.unit}" * bool(clock.unit)
             self.note(
-                f"times of the table count at the nearest instants, at most {distance:.3g}{unit} "
-                f"away, {self.why_instants}"
+                "times of the table count at the nearest instants, at most "
+                f"{clock.duration(distance)} away, {self.why_instants}"
             )
+
+    def repeated(self, rows: int) -> None:
+        """Note how many rows are not the first of their time and sensor, if there are any."""
+        if rows:
+            repeat = "1 row repeats" if rows == 1 else f"{rows} rows repeat"
+            self.note(f"{repeat} a time of the table: the filter weighs each row")
 
 
 PLAIN_READING = Reading()
@@ -144,6 +146,7 @@ class Measurements:
     clock: Clock  # of these instants: that of the job, or also with the times of the table
     repeats: int = 1  # R
     failed: Times = ()  # possible measurements without a value, of sensors that may fail
+    in_flight: Times = ()  # possible measurements whose values arrive after the last row
 
     def made_with(self, model: StateSpaceModel) -> Times:
         """The possible measurements that were made; without sensors, these are instants."""
@@ -176,8 +179,8 @@ def read_measurements(
         own = {name: value for name, value in model.parameters.items() if name not in CLOCK}
         below = {f"{name}_below": name for name in chain(*allowed)}
         known = {*chain(*allowed), *own, *below}
-        check, most = partial(_check_header, allowed, own, reading), _FURTHER
-        most += _MOST_REPEATS * model.points.first(len(clock.times))
+        check = partial(_check_header, allowed, own, reading)
+        most = _FURTHER + _MOST_REPEATS * model.points.first(len(clock.times))
         readers = clock.readers(between=True) | reading.readers(chain(*allowed))
         columns = read_user_table(path, check, known, {"sensor": sensors}, readers, most,
                                   reading.columns)  # fmt: skip
@@ -209,21 +212,29 @@ def read_measurements(
     except OSError as error:
         raise MeasurementsError(f"cannot read {path}: {error.strerror or error}") from error
     measured, repeats = sorted({t for t, _, _ in values}), 1 + max(k for *_, k in [(0,), *values])
-    if more := sum(k > 0 for *_, k in values):
-        repeat = "1 row repeats" if more == 1 else f"{more} rows repeat"
-        reading.note(f"{repeat} a time of the table: the filter weighs each row")
+    reading.repeated(sum(k > 0 for *_, k in values))
     place = {t: k for k, t in enumerate(measured)}
     y = np.full((len(measured), repeats, model.components[1]), np.nan)
     for (t, way, number), each in values.items():
         y[place[t], number, model.parts[way].y] = each
-    missed = tuple(sorted({t for t in arrivals if t <= of_rows.horizon} - {*measured}))
-    together = y.reshape(len(measured), repeats * model.components[1])
-    failed = tuple(
-        model.points.first(t) + way
+    now = max(chain(instants, measured), default=0)
+    empty = [
+        (t, way, model.points.first(t) + way)
         for t, way, row in zip(arrivals, ways, table, strict=True)
-        if reading.sensing(way).fails and np.isnan(row).all()
+        if t <= of_rows.horizon and np.isnan(row).all()
+    ]
+    # A value that is not in the table has not arrived until its last time.
+    missed = tuple(sorted({min(t, now) for t, *_ in empty} - {*measured}))
+    failed = tuple(point for t, way, point in empty if reading.sensing(way).fails and t <= now)
+    return Measurements(
+        tuple(measured),
+        y.reshape(len(measured), repeats * model.components[1]),
+        missed,
+        of_rows,
+        repeats,
+        failed,
+        in_flight=tuple(sorted({point for t, _, point in empty if t > now})),
     )
-    return Measurements(tuple(measured), together, missed, of_rows, repeats, failed)
 
 
 def sensors_of_rows(
@@ -247,7 +258,7 @@ def _placed(
 ) -> dict[tuple[int, int, int], Array]:
     """The measurement of each instant of arrival, sensor and repeat."""
     values, count = dict[tuple[int, int, int], Array](), Counter[tuple[int, int]]()
-    most, late = _MOST_REPEATS if reading.may_repeat else 1, 0
+    late = 0
     for t, arrival, way, row in rows:
         text, name = clock.text(clock.times[t]), model.parts[way].name
         y = _of_sensor(model, way, row, columns, text)
@@ -257,12 +268,11 @@ def _placed(
         if arrival > clock.horizon:
             late += 1
             continue
-        if count[t, way] == most:
-            rule = "one row" if most == 1 else f"at most {most} rows"
-            remedy = ": repeats need problem.sensor.repeats" * (most == 1)
+        if count[t, way] == _MOST_REPEATS:
             of_sensor = f" of {name}" * bool(name)
             raise MeasurementsError(
-                f"each time must have {rule}{of_sensor}, got more at t = {text}{remedy}"
+                f"each time must have at most {_MOST_REPEATS} rows{of_sensor}, got more at t = "
+                f"{text}"
             )
         values[arrival, way, count[t, way]] = y
         count[t, way] += 1
@@ -337,8 +347,9 @@ def instants_of_table(
     if within is not None and moved > within + clock.slack:
         far = exact[distances.index(moved)]
         raise MeasurementsError(
-            f"t must be at most {within:g} from an instant, {reading.why_instants}, got "
-            f"{clock.text(far)}, {moved:.3g} from the nearest: allow more (--within)"
+            f"t must be at most {clock.duration(within)} from an instant, {reading.why_instants}, "
+            f"got {clock.text(far)}, {clock.duration(moved)} from the nearest: allow more "
+            "(--within)"
             + ", or write the step with p.dt, as pfdist.ode does"
             * (not reading.is_late)
         )

@@ -56,6 +56,10 @@ class Points(PointNumbers):
         """The instant at which a point is measured; below 0 if its value cannot have arrived."""
         return int(self.instant(point)) - self.delay(self.way(point))
 
+    def arriving(self, made: int) -> int:
+        """The point whose measurement is made at the instant of a point, by the same sensor."""
+        return made + self.first(self.delay(self.way(made)))
+
     def made(self, points: Iterable[int]) -> Times:
         """The instants at which some points are measured, sorted and each once."""
         return tuple(sorted({*map(self.made_at, points)}))

@@ -98,7 +98,9 @@ class Replicate:
             if not away or min(away) > within + self.clock.slack:
                 name = f" by {model.parts[way].name}" if model.sensors else ""
                 at = self.clock.text(time) if self.clock.has_dates else f"{time:.4g}"
-                raise MeasurementsError(f"no measurement{name} within {within:.4g} of t = {at}")
+                raise MeasurementsError(
+                    f"no measurement{name} within {self.clock.duration(within)} of t = {at}"
+                )
             chosen.append(free[int(np.argmin(away))])
         return tuple(sorted(chosen))
 
@@ -139,6 +141,9 @@ def read_replicates(
             found.append(each)
             distances.append(moved)
         reading.moved(max(distances), clock)
+        first = [part.y.start for part in model.parts]
+        each_row = (each.y.reshape(len(each.y), -1, model.components[1]) for each in found)
+        reading.repeated(sum(int((~np.isnan(y[:, 1:, first])).sum()) for y in each_row))
         return found
     except OSError as error:
         raise MeasurementsError(f"cannot read {source}: {error.strerror or error}") from error

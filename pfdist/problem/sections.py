@@ -74,6 +74,13 @@ _SetName = Annotated[str, Field(max_length=LONGEST_SET_NAME), AfterValidator(is_
 _SetTimes = Annotated[Literal["regular"] | MomentsAndRanges, BeforeValidator(_listed_times)]
 
 
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Event = Annotated[
+    tuple[_Finite, _Finite | str, Annotated[int, Field(ge=0)]],
+    BeforeValidator(lambda row: tuple(row) if isinstance(row, list) else row),
+]
+
+
 class FilterModel(JobSection):
     """The filter's model, if it differs from the truth: another model, or other parameters.
 
@@ -100,11 +107,15 @@ class Model(JobSection):
     parameters : dict of str to float, the model's unit
         Values that replace those of the model: a number, a list with a number for each instant, or
         a column of a table, as in ``{file = "weather.csv", column = "rain"}``.
+    events : dict of str to list
+        Tables of doses and other jumps, which equations name: rows ``[time, amount, state]``, or
+        the columns of a table with these names, as in ``{file = "doses.csv"}``.
     """
 
     name: Text = "ungm"
     parameters: dict[str, Parameter] = Field(default_factory=dict)
     filter: FilterModel = FilterModel()
+    events: dict[str, Listed[_Event]] | None = None
 
 
 class FilterSection(JobSection):

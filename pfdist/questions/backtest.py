@@ -16,7 +16,6 @@ from pydantic import Field
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Page
-from pfdist.common.points import PointNumbers
 from pfdist.common.section import Number, Whole, checked
 from pfdist.common.shown import Shown
 from pfdist.errors import (
@@ -25,7 +24,9 @@ from pfdist.errors import (
     MeasurementsError,
     PfdistWarning,
 )
+from pfdist.models import StateSpaceModel
 from pfdist.problem.clock import Clock, Time
+from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import Replicate, read_replicates
 from pfdist.questions.at_work import at_work
@@ -33,7 +34,6 @@ from pfdist.questions.evaluate import OneSet, instants_evaluated
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.planned_run import (
     UserTable,
-    check_no_delay,
     files_beside,
     planned_run,
     reading_of,
@@ -52,9 +52,7 @@ from pfdist.questions.thinned import (
 from pfdist.results import Run, finite
 from pfdist.results.promise import Promise, RelativeErrors, promise, real_over_foreseen
 from pfdist.results.stored_run import measured_of
-from pfdist.runner.backtesting import (
-    ReplicateErrors,
-)
+from pfdist.runner.backtesting import ReplicateErrors, when_made
 from pfdist.runner.build import Built, build
 from pfdist.runner.progress import silent
 from pfdist.store import backtest_schema
@@ -290,16 +288,11 @@ def backtest(
             built, plan = found.built, found.times
             measured = measured_of(found.run)
             even = {EVEN: measured[EVEN]} if EVEN in measured else {}
-        check_no_delay(built.job)
-        if built.evaluator.told:
-            raise JobError(
-                "scenarios.filter must be 'nominal' or 'learned', got 'told': the scenario of a "
-                "real system is not known"
-            )
+        _check_filter(built)
         execution = built.job.with_changes(settings={"execution": chosen.execution}).execution
         model, clock = built.evaluator.model, built.job.problem.clock
         names = [*model.parameters, *built.evaluator.believed.parameters]
-        reading = reading_of(built, columns, within, chosen.say)._replace(may_repeat=False)
+        reading = reading_of(built, columns, within, chosen.say)
         names = [*dict.fromkeys(names)]
         replicates = read_replicates(table, replicate, model, clock, names, reading)
         _check_columns(built, replicates)
@@ -324,7 +317,8 @@ def backtest(
     sets |= {name: f"the set {name}" for name in own} | dict.fromkeys(even, BEST)
     result = _result(
         sets,
-        model.points,
+        model,
+        built.job.problem.points,
         matched,
         errors,
         block,
@@ -351,6 +345,20 @@ def backtest(
     return result
 
 
+def _check_filter(built: Built) -> None:
+    """Raise `JobError` if the job's filter cannot filter real systems here."""
+    scenarios, delays = built.job.scenarios, built.job.problem.points.delays
+    if built.evaluator.told:
+        raise JobError(
+            "scenarios.filter must be 'nominal' or 'learned', got 'told': the scenario of a "
+            "real system is not known"
+        )
+    if delays and scenarios is not None and scenarios.is_learned:
+        raise JobError(
+            "scenarios.filter must be 'nominal' with sensors that have a delay, got 'learned'"
+        )
+
+
 def _check_columns(built: Built, replicates: Iterable[Replicate]) -> None:
     """Raise `MeasurementsError` if a column has a parameter of which the job has scenarios."""
     given = () if built.job.scenarios is None else built.job.scenarios.parameters
@@ -365,7 +373,8 @@ def _check_columns(built: Built, replicates: Iterable[Replicate]) -> None:
 
 def _result(
     sets: Mapping[str, str],
-    points: PointNumbers,
+    model: StateSpaceModel,
+    points: Points,
     matched: Sequence[Matched],
     errors: Sequence[ReplicateErrors],
     block: int,
@@ -401,8 +410,14 @@ def _result(
         ShownReplicate(
             matched[place].replicate.name,
             np.array(matched[place].replicate.clock.times, np.float64),
-            matched[place].replicate.y if matched[place].is_predicted else matched[place].judged,
-            points.instants(matched[place].sets[0]),
+            (
+                when_made(
+                    matched[place].replicate.y[:, : model.components[1]], model, points.delays
+                )
+                if matched[place].is_predicted
+                else matched[place].judged
+            ),
+            points.made(matched[place].sets[0]),
             errors[place],
         )
         for place in dict.fromkeys(places)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pfdist
 from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
-from pfdist.common.rounding import rounded, unrounded, with_interval
+from pfdist.common.rounding import rounded, with_interval
 from pfdist.filters.filter_estimate import few_particles
 from pfdist.questions.backtest import Backtest
 from pfdist.questions.subject import change_of, number_of
@@ -146,7 +146,7 @@ def _sets(answer: Backtest) -> Table:
 
 def _facts(answer: Backtest) -> list[tuple[str, str]]:
     plan = answer.clock.listed(answer.plan) or "one for each replicate"
-    within = f"{unrounded(answer.within)} {answer.clock.unit}".rstrip()
+    within = answer.clock.duration(answer.within)
     facts = [
         ("plan", f"t = {plan}" if answer.plan else plan),
         ("judged", f"{number_of(answer.judged, 'value')} of "

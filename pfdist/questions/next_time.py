@@ -77,6 +77,8 @@ class NextTime(Shown):
     collapsed : int or float, optional
         The first time at which the effective sample size falls below 5, if it does. The plan then
         starts from a few particles.
+    in_flight : tuple of int or float
+        Times of measurements whose values arrive after `now`.
     """
 
     run: Path
@@ -91,6 +93,7 @@ class NextTime(Shown):
     surprise: float | None
     clock: Clock
     collapsed: Time | None = None
+    in_flight: tuple[Time, ...] = ()
 
     @property
     def difference(self) -> Estimate | None:
@@ -124,6 +127,7 @@ class NextTime(Shown):
             "run": str(self.run),
             "planned": self.name,
             "measured": self.measured,
+            **({"in_flight": self.in_flight} if self.in_flight else {}),
             "now": self.now,
             "next": self.next,
             "plan": self.plan,
@@ -156,7 +160,9 @@ class NextTime(Shown):
                 said += f"; then at about {shown}{', ...' if len(later) > _SHOWN else ''}"
             measured = clock.listed(self.measured)
             where = f"{number}{', at t = ' * bool(measured)}{measured}"
-            facts = [("measured", where), *facts, *self._before()]
+            to_come = f"of t = {clock.listed(self.in_flight)}"
+            waiting = [("values to come", to_come)] * bool(self.in_flight)
+            facts = [("measured", where), *waiting, *facts, *self._before()]
         elif self.left == 0:
             said = f"The budget is spent: {number}"
         else:
@@ -209,9 +215,9 @@ def next_time(
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
         DataFrame, at any times. It may have no rows. An empty cell is a missing component, a row
-        without any value a missed time (for a sensor with fails, a spent measurement), a second row
-        at a time a repeat, which counts, too. If the model has sensors, the column sensor names
-        that of a row.
+        without any value a missed time (for a sensor with fails, a spent measurement; for one with
+        a delay, a value that has not arrived), a second row at a time a repeat, which counts, too.
+        If the model has sensors, the column sensor names that of a row.
     now : int, float, str or datetime, optional
         The last time that has passed, or its date, if nothing was measured at the end. Times
         planned up to it are planned again for later.
@@ -268,6 +274,8 @@ def next_time(
     reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, clock, start, reading)
     made, is_own = rows.made_with(believed), rows.clock is clock and rows.repeats == 1
+    late = (point for point in made if points.made_at(point) < points.instant(point))
+    planner._in_flight = tuple(sorted({*planner._in_flight, *rows.in_flight, *late}))
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
         last, surprise = _tell(planner, rows) if is_own else (-1, None)
         if not is_own:
@@ -278,10 +286,12 @@ def next_time(
                 planner.missed(clock.time(instant))
             last = instant
     is_number = feasible.measurement_budget is not None
-    left = max(0, feasible.total - len(planner.measured)) if is_number else None
-    first = points.first(max(last + 1, start))
-    before = tuple(time for time in plan.times if time >= first)[:left]
-    still = _is_possible(feasible, points.read(planner.measured), before)
+    spent = tuple(sorted((*planner._taken, *planner._in_flight)))
+    left = max(0, feasible.total - len(spent)) if is_number else None
+    first = max(last + 1, start)
+    kept = [t for t in plan.times if t not in spent and points.made_at(t) >= first]
+    before = tuple(sorted(sorted(kept, key=points.made_at)[:left]))
+    still = _is_possible(feasible, spent, before)
     expected, *expected_before = planner.expected(
         planner.plan(), *([points.written_of(before)] if still else [])
     )
@@ -298,6 +308,7 @@ def next_time(
         surprise,
         clock,
         planner.estimate().collapsed,
+        planner.in_flight,
     )
     for line in result._page().alarms if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)

@@ -17,7 +17,6 @@ from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
-from pfdist.problem.job import Job
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.problem import JobSource
 from pfdist.questions.run_of_job import run_and_job
@@ -157,15 +156,6 @@ def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:
     built, prior = replace(plan.built, evaluator=evaluator_on(plan.built, rows.clock)), plan.prior
     at = None if prior is None else replace(prior, t=rows.clock.instant(own.times[prior.t]))
     return plan._replace(built=built, prior=at)
-
-
-def check_no_delay(job: Job) -> None:
-    """Raise `JobError` if a value of a real measurement arrives later."""
-    if job.problem.points.delays:
-        raise JobError(
-            "plans for the rest of a system, and backtest, need sensors without a delay: filter "
-            f"reads late values; estimate = 'smoothed' waits for all of them ({job.path})"
-        )
 
 
 def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: int = 1) -> Filter:

@@ -26,7 +26,7 @@ from pfdist.problem.measurements import Measurements, instant_on
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.options import ComparedDraws, other_criterion
-from pfdist.questions.planned_run import check_no_delay, filter_of
+from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.planning import Now, Planning, Replanner
 from pfdist.runner.searches import planning_of
@@ -75,7 +75,8 @@ class Planner:
     """
 
     _taken: Times
-    _plan: Times
+    _plan: Times  # with the measurements in flight
+    _in_flight: Times
 
     def __init__(
         self,
@@ -88,7 +89,6 @@ class Planner:
         built = job if isinstance(job, Built) else build(as_job(job))
         if isinstance(built.job.criterion, Judging):
             raise other_criterion(built.job)
-        check_no_delay(built.job)
         believed, clock = built.evaluator.believed, built.job.problem.clock
         start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)
         planning = planning_of(built.job, built.evaluator.variance_is_error)
@@ -109,14 +109,18 @@ class Planner:
         first_left = self._points.first(self._now.first)
         self._plan = tuple(time for time in planned if time >= first_left)
         self._before = tuple(time for time in planned if time < first_left)
+        self._in_flight = tuple(
+            time for time in self._plan if self._points.made_at(time) < self._now.first
+        )
 
     def next_time(self) -> Time | None:
         """The time to measure next; None if no measurement is left."""
-        return self.plan()[0] if self._plan else None
+        return next(iter(self.plan()), None)
 
     def plan(self) -> tuple[Time, ...]:
         """All planned times that are left, the next first."""
-        return tuple(self._points.written_of(self._plan))
+        left = (point for point in self._plan if point not in self._in_flight)
+        return tuple(self._points.written_of(sorted(left, key=self._points.made_at)))
 
     @property
     def clock(self) -> Clock:
@@ -133,6 +137,45 @@ class Planner:
         """The times that were measured, also those of measurements that failed."""
         return tuple(self._points.written_of(self._taken))
 
+    @property
+    def in_flight(self) -> tuple[Time, ...]:
+        """The times of measurements that were made, and whose values have not arrived."""
+        return tuple(self._points.written_of(self._in_flight))
+
+    def taken(self, t: Time | str | None = None) -> None:
+        """Note that a measurement was made whose value arrives later.
+
+        It is spent, unless `update` or `missed` passes its arrival without a value. If it was not
+        planned, the remaining times are planned again.
+
+        Parameters
+        ----------
+        t : int, float or str, optional
+            The time of the measurement, with its sensor if there are several, as ``12 lab``; by
+            default the next time.
+
+        Raises
+        ------
+        MeasurementsError
+            The value does not arrive later, or no measurement is left of the plan.
+        MeasurementTimesError
+            The time is wrong, or breaks a constraint of the job.
+        """
+        given = self.next_time() if t is None else t
+        if given is None:
+            raise MeasurementsError("no measurement is left of the plan, got one without t")
+        (point,), points = self._points.checked([given], "t"), self._points
+        if not max(points.made_at(point), self._now.first - 1) < points.instant(point):
+            raise MeasurementsError(
+                f"taken is for a value that arrives later, got {shown(given)}: give its value to "
+                "update"
+            )
+        in_flight = tuple(sorted({*self._in_flight, point}))
+        if point not in self._plan:
+            planned = tuple(sorted({*self._plan, point}))
+            self._plan = self._planned_anew(planned, in_flight)
+        self._in_flight = in_flight
+
     def update(
         self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None
     ) -> FilterEstimate:
@@ -145,7 +188,8 @@ class Planner:
             may be missing. All components of a sensor that did not measure are NaN. If all are NaN,
             planned measurements of sensors with `fails` have failed, and are spent.
         t : int or float, optional
-            The time, if it is not the next planned time. Planned times before it count as missed.
+            The time at which the values arrive, if it is not that of the next planned time. Planned
+            times before it count as missed, unless they were `taken`.
 
         Returns
         -------
@@ -193,7 +237,9 @@ class Planner:
             The time is wrong.
         """
         nothing = [float("nan")] * self._filter.model.components[1]
-        self._plan_anew(self._filter.update(self._time(t), nothing).t)
+        left = [self._points.made_at(each) for each in self._plan if each not in self._in_flight]
+        instant = min(left) if t is None and left else self._time(t)
+        self._plan_anew(self._filter.update(instant, nothing).t)
 
     def estimate(self, t: Time | None = None) -> FilterEstimate:
         """The estimate of z(t) from all measurements so far.
@@ -224,7 +270,8 @@ class Planner:
         Parameters
         ----------
         *plans : iterables of int or float
-            Times that are left to be measured; by default those of `plan`.
+            Times that are left to be measured; by default those of `plan`. Values in flight arrive
+            with each.
         draws : int
             Number of simulated systems, which is rounded up to a multiple of the number of filters.
 
@@ -235,12 +282,13 @@ class Planner:
         ArgumentError
             The number of draws is below 2.
         """
-        first = self._now.first
+        first, made_at = self._now.first, self._points.made_at
         wanted = [self._points.checked(plan) for plan in plans or (self.plan(),)]
         for plan in wanted:
-            if plan and plan[0] < self._points.first(first):
+            late = {point for point in plan if made_at(point) < first} - {*self._in_flight}
+            if late:
                 least = self.clock.text(self.clock.times[first])
-                got = self.clock.text(self._points.written(plan[0]))
+                got = self.clock.text(self._points.written(min(late)))
                 raise MeasurementTimesError(
                     f"times that are left must be at least {least}, got {got}"
                 )
@@ -249,8 +297,9 @@ class Planner:
             filters = range(min(_CLOUDS, draws))
             clouds = [again(self._filter.unmeasured, self._seen, number) for number in filters]
             clouds = [_at(self._now.t, each) for each in clouds]
+        complete = [tuple(sorted({*plan, *self._in_flight})) for plan in wanted]
         evaluations = self._replanner.expected(
-            self._now, wanted, draws, self._built.comparing, self._draw, clouds
+            self._now, complete, draws, self._built.comparing, self._draw, clouds
         )
         return [
             replace(each, measurement_times=tuple(self._points.written_of(plan)))
@@ -265,7 +314,16 @@ class Planner:
     def _time(self, t: Time | None) -> int:
         """The instant that is meant: that of a given time, or the next planned."""
         if t is not None:
-            instant = instant_on(self.clock, t)
+            try:
+                instant = instant_on(self.clock, t)
+            except MeasurementsError as error:
+                times = self.clock.times
+                is_within = isinstance(t, int | float) and times[0] < t < times[-1]
+                if self.clock.counts or not is_within:
+                    raise
+                raise MeasurementsError(
+                    f"{error}: pfdist.next_time takes measurements at any times"
+                ) from error
             if instant < self._now.first:
                 first = self.clock.text(self.clock.times[self._now.first])
                 raise MeasurementsError(
@@ -301,10 +359,7 @@ class Planner:
             prior, self._truths = with_truths(filtering.cloud, self._truths, t, y)
             self._seen.append((t, y))
         self._now = Now(_at(until, prior), passed)
-        first = self._points.first(self._now.first)
-        left = tuple(planned for planned in self._plan if planned >= first)
-        taken = tuple(sorted((*self._before, *taken)))
-        self._plan = self._replanner.plan(self._now, taken, left, self._draw)
+        self._plan_rest()
         return estimates
 
     def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
@@ -312,9 +367,18 @@ class Planner:
         prior, self._truths = with_truths(self._filter.cloud, self._truths, time, y)
         self._seen.append((time, y))
         self._now = Now(prior, measured=True)
-        left = tuple(planned for planned in self._plan if self._points.instant(planned) > time)
-        taken = (*self._before, *self._taken)
-        self._plan = self._replanner.plan(self._now, taken, left, self._draw)
+        self._plan_rest()
+
+    def _plan_rest(self) -> None:
+        """Plan again what is left from now on."""
+        first = self._points.first(self._now.first)
+        self._in_flight = tuple(point for point in self._in_flight if point >= first)
+        left = tuple(planned for planned in self._plan if planned >= first)
+        self._plan = self._planned_anew(left, self._in_flight)
+
+    def _planned_anew(self, plan: Times, in_flight: Times) -> Times:
+        taken = tuple(sorted((*self._before, *self._taken)))
+        return self._replanner.plan(self._now, taken, plan, self._draw, in_flight)
 
 
 def _at(t: int, prior: Prior | None) -> Any:

@@ -18,7 +18,6 @@ from pfdist.common.rounding import rounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError, shown
 from pfdist.pools.base import Pool
-from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.problem.replicates import Replicate
 from pfdist.questions.planner import first_planning
@@ -30,6 +29,9 @@ from pfdist.runner.backtesting import (
     evaluator_for,
     outcomes,
     plan_of,
+    points_of_rows,
+    when_made,
+    with_repeats,
 )
 from pfdist.runner.build import Built
 from pfdist.runner.progress import Progress, Show
@@ -119,7 +121,7 @@ def matched_of(
             why = "the model was fitted to it", "it has too few measurements for a plan"
             left_out[each.name] = why[plan is None and not each.is_training]
             continue
-        wanted = [_wanted(plan, on), *_grids(on.clock, len(plan), built.feasible.cheapest)]
+        wanted = [_wanted(plan, on), *_grids(on, len(plan), built.feasible.cheapest)]
         wanted += [_wanted(times, points) for times in own.values()]
         sets = dict[str, Times]()
         try:
@@ -128,8 +130,11 @@ def matched_of(
         except MeasurementsError as error:
             left_out[each.name] = f"{error}, for the set {name}"
             continue
-        judged = (each.y if each.z is None else each.z).copy()
-        judged[[*points.instants(chain(*sets.values()))]] = np.nan
+        judged = each.z
+        if judged is None:
+            judged = when_made(each.y[:, : model.components[1]], model, points.delays)
+        used = replace(points, clock=each.clock).made(chain(*sets.values()))
+        judged = np.where(np.isin(np.arange(len(judged)), used)[:, None], np.nan, judged)
         if np.isnan(judged).all():
             left_out[each.name] = "no value is left to judge"
             continue
@@ -141,13 +146,15 @@ def _wanted(times: Times, points: Points) -> list[tuple[float, int]]:
     return [(points.clock.times[points.instant(time)], points.way(time)) for time in times]
 
 
-def _grids(clock: Clock, number: int, way: int) -> Iterator[list[tuple[float, int]]]:
+def _grids(points: Points, number: int, way: int) -> Iterator[list[tuple[float, int]]]:
     """Yield the beginnings and the middles of equal parts of the horizon.
 
-    On an even clock, the last instant is a step long, too.
+    On an even clock, the last instant is a step long, too. Values arrive from the delay of the
+    sensor on.
     """
-    first, last = clock.times[0], clock.times[-1]
-    whole = (last - first) * (1 + clock.is_even / clock.horizon)
+    clock = points.clock
+    first, last = clock.times[points.delay(way)], clock.times[-1]
+    whole = (last - first) * (1 + clock.is_even / max(1, clock.horizon - points.delay(way)))
     for offset in (0.0, 0.5):
         yield [(first + whole * (part + offset) / number, way) for part in range(number)]
 
@@ -157,21 +164,26 @@ def judged_errors(
 ) -> list[ReplicateErrors]:
     """The errors of each replicate, relative to the variance of what is judged."""
     evaluators, works = dict[Any, Any](), list[ReplicateWork]()
+    model = built.evaluator.model
+    widest = max(each.replicate.y.shape[1] for each in matched)
+    repeats = widest // model.components[1]
     is_predicted = matched[0].is_predicted
     for each in matched:
         if each.replicate.key not in evaluators:
             evaluator = evaluator_for(built, each.replicate, is_predicted=is_predicted)
-            evaluators[each.replicate.key] = evaluator
+            evaluators[each.replicate.key] = with_repeats(evaluator, repeats)
     angles = next(iter(evaluators.values())).model.is_angle
     variances = _variances(np.concatenate([each.judged for each in matched]), angles)
     for each in matched:
         seed = built.job.seed
+        lacking = (0, 0), (0, widest - each.replicate.y.shape[1])
+        y = np.pad(each.replicate.y, lacking, constant_values=np.nan)
         work = ReplicateWork(
             evaluators[each.replicate.key],
-            each.replicate.y,
+            y,
             each.judged,
             variances,
-            each.sets,
+            tuple(points_of_rows(times, y, model, repeats) for times in each.sets),
             DRAWS,
             (
                 stream_of("backtest", seed, each.replicate.name),
@@ -179,6 +191,7 @@ def judged_errors(
             ),
             built.comparing,
             is_predicted,
+            built.job.problem.points.delays,
         )
         works.append(work)
     errors = dict[int, ReplicateErrors]()

@@ -22,7 +22,7 @@ from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
 from pfdist.models import StateSpaceModel
-from pfdist.models.base import within_half_turn
+from pfdist.models.base import repeated, within_half_turn
 from pfdist.models.parameters import Parameter
 from pfdist.models.recorded import is_of_any_time
 from pfdist.pools.base import Pool, Task
@@ -51,8 +51,8 @@ class ReplicateWork:
     ----------
     evaluator : Evaluator
         Its quantity of interest is what is judged: see `pfdist.filters.predicted`.
-    y : array of float64, (T+1, m)
-        Real measurements.
+    y : array of float64, (T+1, R * m)
+        Real measurements, with R rows for each sensor, as the models of the evaluator have.
     judged : array of float64, (T+1, q)
         Real values that are judged; NaN elsewhere.
     variances : array of float64, (q,)
@@ -66,6 +66,9 @@ class ReplicateWork:
     estimation : Estimation
     is_measured : bool
         Whether measurements are judged, rather than known quantities of interest.
+    delays : tuple of int
+        Those of the sensors. The measurements are those that arrive at an instant; they are judged
+        at the instant at which they are made.
     """
 
     evaluator: Evaluator
@@ -77,6 +80,7 @@ class ReplicateWork:
     streams: tuple[int, int]
     estimation: Estimation
     is_measured: bool
+    delays: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,8 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
         raise MeasurementsError("the filter's estimates must be finite")
     residuals = _difference(z, simulated, is_angle)
     low, high = (real + each for each in np.nanquantile(residuals, INTERVAL, axis=1))
-    noise = _difference(y, z, is_angle) if work.is_measured else np.zeros(1)
+    made = when_made(y, evaluator.model, work.delays)[..., : z.shape[-1]]
+    noise = _difference(made, z, is_angle) if work.is_measured else np.zeros(1)
     of_real, of_simulated, of_noise = (
         (np.broadcast_to(each**2, (*each.shape[:-2], *work.judged.shape)) / work.variances)[
             ..., is_judged
@@ -153,6 +158,15 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
         impossible,
         collapsed,
     )
+
+
+def when_made(y: Array, model: StateSpaceModel, delays: tuple[int, ...]) -> Array:
+    """Values, (..., T+1, m), at the instants at which they are made, not those of arrival."""
+    made = y.copy()
+    for part, delay in zip(model.parts, delays, strict=False):
+        stop = y.shape[-2] - delay
+        made[..., :stop, part.y], made[..., stop:, part.y] = y[..., delay:, part.y], np.nan
+    return made
 
 
 def _simulated(work: ReplicateWork) -> tuple[Array, Array, Array]:
@@ -281,10 +295,31 @@ def evaluator_on(
 
     models = [*map(changed, [truth] if believed == truth else [truth, believed])]
     if is_predicted:
-        models = [*map(predicted, models)]
+        delays, last = job.problem.points.delays, job.problem.clock.horizon
+        models = [predicted(each, delays, last) for each in models]
     evaluator = evaluator_of(job, models[0], models[-1])
     estimations = (built.comparing,) if built.evaluator.has_particles else ()
     return replace(evaluator, engine=built.evaluator.engine, weights=None, estimations=estimations)
+
+
+def with_repeats(evaluator: Evaluator, repeats: int) -> Evaluator:
+    """The evaluator with so many rows of each sensor in a measurement."""
+    if repeats == 1:
+        return evaluator
+    model, believed = (repeated(each, repeats) for each in (evaluator.model, evaluator.believed))
+    return replace(evaluator, model=model, filter_model=believed)
+
+
+def points_of_rows(times: Times, y: Array, model: StateSpaceModel, repeats: int) -> Times:
+    """The points of a model with repeats that have a row, given those of the model."""
+    m, rows = model.components[1], list[int]()
+    for time in times:
+        t, way = model.points.instant(time), model.points.way(time)
+        for k in range(repeats):
+            part = model.parts[way].y
+            if not np.isnan(y[t, k * m + part.start : k * m + part.stop]).all():
+                rows.append((t * repeats + k) * model.points.ways + way)
+    return tuple(sorted(rows))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
+from pfdist.models.continuous import Rows, with_events
 from pfdist.models.learned import learned
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import CLOCK, check_lengths
@@ -321,6 +322,8 @@ def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
     """
     kept = _kept_models(job)
     models = _given_models(job, kept)
+    if not kept:
+        models = _with_events(job.model.events or {}, *models)
     if not kept and job.problem.sensings:
         models = _sensed(job, *models)
     if kept or job.scenarios is None or not job.scenarios.is_learned:
@@ -331,6 +334,17 @@ def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
             f"got 'learned' ({job.path}): a filter that learns has particles"
         )
     return _with_learned(job.scenarios, job.problem.feasible.horizon, *models)
+
+
+def _with_events(
+    tables: Mapping[str, Rows], model: StateSpaceModel, believed: StateSpaceModel
+) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """The models whose equations have the events of the job."""
+    try:
+        truth = with_events(model, tables)
+        return truth, truth if believed is model else with_events(believed, tables)
+    except ModelError as error:
+        raise ModelError(f"model.events: {error}") from error
 
 
 def _sensed(
@@ -407,6 +421,7 @@ def _kept_models(job: Job) -> tuple[StateSpaceModel, ...]:
     for key, got, name in (
         ("model.name", section.name, own.get("name")),
         ("model.filter.name", section.filter.name, own.get("filter", {}).get("name", "")),
+        ("model.events", job.identity()["model"].get("events"), own.get("events")),
     ):
         if got != name:
             raise JobError(

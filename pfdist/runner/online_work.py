@@ -83,7 +83,9 @@ class OnlineWork(FilterWork):
                 except MeasurementsError:  # the draw is degenerate: the last plan stays
                     return (*taken, *plan)
                 prior, truths = with_truths(filtering.settings.prior, truths, t, measured)
-                plan = replanner.plan(Now(prior, measured=True), taken, plan, draw)
+                in_flight = tuple(point for point in plan if points.made_at(point) <= t)
+                now = Now(prior, measured=True)
+                plan = replanner.plan(now, taken, plan, draw, in_flight)
         return taken
 
 

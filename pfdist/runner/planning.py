@@ -90,7 +90,9 @@ class Replanner:
     def __post_init__(self) -> None:
         check_plannable(self.evaluator)
 
-    def plan(self, now: Now, taken: Times, plan: Times, draw: int = 0) -> Times:
+    def plan(
+        self, now: Now, taken: Times, plan: Times, draw: int = 0, in_flight: Times = ()
+    ) -> Times:
         """The plan for the remaining measurements: the current plan, or a better one.
 
         If the current plan is not feasible, the search starts from the better of two plans: one
@@ -106,6 +108,9 @@ class Replanner:
             The current plan: times from `now.first` on. It may be empty.
         draw : int
             Index of the system, which is part of the key of the noise.
+        in_flight : tuple of int
+            Measurements that were made, sorted, whose values arrive from `now.first` on. The plan
+            contains them.
 
         Returns
         -------
@@ -117,7 +122,7 @@ class Replanner:
         ModelError
             A formula failed.
         """
-        rest = rest_of(self.feasible, taken, now.first)
+        rest = rest_of(self.feasible, taken, now.first, in_flight)
         if rest is None:
             return ()
         stream = stream_key(self.stream, draw, now.first, len(taken))

@@ -384,7 +384,7 @@ def test_an_array_is_particles_of_the_first_instant() -> None:
 @in_turn(
     ("t", "y", "words"),
     [
-        (1.5, 0.0, r"^t must be an integer, got 1\.5$"),
+        (1.5, 0.0, r"^t must be an integer, got 1\.5: .* model\.on_clock\(times\) has their times"),
         (True, 0.0, "^t must be an integer, got True$"),
         (31, 0.0, r"^t must lie in 0\.\.30, got 31$"),
         (4, 0.0, "the order of time, each instant once: t must be after 4, got 4$"),

@@ -7,16 +7,18 @@ import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
+import pfdist
 from oracles.moments import assert_covariance
 from pfdist import StateSpaceModel, ode, sde
-from pfdist.errors import ArgumentError, ModelError
+from pfdist.errors import ArgumentError, JobError, ModelError
 from pfdist.filters import plain
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
 from pfdist.models import continuous
-from pfdist.models.continuous import doubled
+from pfdist.models.continuous import doubled, with_events
 from pfdist.models.recorded import recorded
 from pfdist.models.written import models_of, text_of_models
+from pfdist.runner.build import models_of_job
 
 A = np.array([[-0.3, 0.5], [-0.4, -0.1]])
 B = np.array([[0.3, 0.1], [0.0, 0.2]])
@@ -208,6 +210,53 @@ def test_events_may_be_an_array_and_begin_an_infusion():
     np.testing.assert_allclose(simulate(finer, 2, range(1), 0).x[0], states, rtol=1e-14)
 
 
+def test_a_job_names_the_events_of_an_equation(tmp_path):
+    """The table of a file, and its rows in the job, give the states of the events in the model."""
+    rows = [[at, 250.0 if amount == "loading" else amount, to] for at, amount, to in DOSES]
+    rows[-1][1] = 100.0
+    lines = ["amount,time,who,state", *(f"{amount},{at},a,{to}" for at, amount, to in rows)]
+    (tmp_path / "doses.csv").write_text("\n".join(lines))
+    model, clock = dosed("taken", substeps=2), VISITS[0]
+    (tmp_path / "job.toml").write_text(
+        "seed = 1\n[model.events]\ntaken = { file = 'doses.csv' }\n"
+        "[problem]\nhorizon = 3\nmeasurement_budget = 1\n[[search]]\nmethod = 'exhaustive'\n"
+    )
+    read = pfdist.load_job(tmp_path / "job.toml").model.events
+    assert read == {"taken": tuple(map(tuple, rows))}
+    assert not simulate(model.on_clock(clock), 9, range(1), 0).x[0, 1:, 0].any()  # without a job
+    given = with_events(model, read).on_clock(clock)
+    own = dosed(DOSES, substeps=2).on_clock(clock)
+    states = simulate(given, 9, range(1), 0).x
+    np.testing.assert_array_equal(states, simulate(own, 9, range(1), 0).x)
+    problem = pfdist.Problem(model, times=clock, time_unit="d", measurement_budget=1)
+    for events, said in (
+        ({"took": rows}, r"model\.events: .* events='taken' must name a table, got took"),
+        ({"taken": rows, "other": rows}, "no equation of the model has events='other'; they name"),
+        ({}, r"model\.events: .* must name a table, got none"),
+    ):
+        job = problem.job().with_changes(settings={"model": {"events": events}})
+        with pytest.raises(ModelError, match=said):
+            models_of_job(job)
+    job = problem.job().with_changes(settings={"model": {"events": {"taken": rows}}})
+    truth, _ = models_of_job(job)
+    np.testing.assert_array_equal(simulate(truth.on_clock(clock), 9, range(1), 0).x, states)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("time,amount\n1,2", "the table has no column 'state'"),
+        ("time,amount,state\n1,2,0.5", "state must be the number of a component of x, got 0.5"),
+        ("time,amount,state\n1,,0", "column 'amount' must hold finite numbers, got nan in row 1"),
+    ],
+)
+def test_a_wrong_table_of_events_is_one_line(tmp_path, table, said):
+    (tmp_path / "doses.csv").write_text(table)
+    (tmp_path / "job.toml").write_text("seed = 1\n[model.events]\na = { file = 'doses.csv' }\n")
+    with pytest.raises(JobError, match=said):
+        pfdist.load_job(tmp_path / "job.toml")
+
+
 # --- stochastic differential equations ------------------------------------------------------------
 
 
@@ -393,8 +442,8 @@ def test_what_has_no_equation_is_not_changed():
         ({"method": "rk5"}, "method: got 'rk5'; did you mean 'rk4'? Allowed: 'rk4' or 'heun'"),
         ({"substeps": 3, "largest_step": 0.1}, "ode takes substeps or largest_step, got both"),
         ({"events": [(1.0, 2.0)]}, "events must be rows (time, amount, component of x), got [(1.0"),
-        ({"events": [(np.inf, 2.0, 0)]}, "each entry of events must be a finite number, got inf"),
-        ({"events": [(1.0, 2.0, 0.5)]}, "each entry of events must be an integer, got 0.5"),
+        ({"events": [(np.inf, 2.0, 0)]}, "events must be a finite number, got inf"),
+        ({"events": [(1.0, 2.0, 0.5)]}, "events must be an integer, got 0.5"),
     ],
 )
 def test_a_wrong_argument_is_one_line(arguments, message):

@@ -16,10 +16,10 @@ from scipy import stats
 from scipy.special import log_ndtr
 
 import pfdist
+from oracles.late import LATE, late_walk, meter_and_laboratory, of_delays, of_late_walk
 from pfdist import Filter, Problem, Sensor, StateSpaceModel, densities
 from pfdist.common.sensing import Sensing
 from pfdist.errors import JobError, ModelError
-from pfdist.explorer.session import ExplorerSession
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
@@ -269,73 +269,6 @@ def test_a_limit_without_tails_is_refused_and_so_are_wrong_limits(tmp_path: Path
             pfdist.plan(problem, tmp_path / "run", changes=[f"problem.sensor.{change}"])
 
 
-def of_delays(early: tuple[int, ...], late: tuple[int, ...], horizon: int) -> float:
-    """The expected MSE with a meter at `early`, and a laboratory whose values arrive at `late`."""
-    step, noise = np.eye(3, k=-1), np.zeros((3, 3))
-    step[0, 0], noise[0, 0] = 0.95, 0.36
-    covariance, total = np.full((3, 3), 4.0), 0.0
-    for t in range(horizon + 1):
-        covariance = step @ covariance @ step.T + noise if t else covariance
-        for times, state, variance in ((early, 0, 1.0), (late, 2, 0.04)):
-            if t in times:
-                gain = covariance[:, state] / (covariance[state, state] + variance)
-                covariance = covariance - np.outer(gain, covariance[state])
-        total += covariance[0, 0]
-    return total / (horizon + 1)
-
-
-def meter_and_laboratory() -> StateSpaceModel:
-    def sensor(sd: float) -> Sensor:
-        return Sensor(
-            lambda x, t, v, p: (x[0] + sd * v[0],),
-            lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / sd) ** 2,
-            ("normal",),
-        )
-
-    return StateSpaceModel(
-        name="meter and laboratory",
-        initial=lambda w, p: (2.0 * w[0],),
-        transition=lambda x, t, w, p: (0.95 * x[0] + 0.6 * w[0],),
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        linear_gaussian=True,
-        sensors={"bedside": sensor(1.0), "lab": sensor(0.2)},
-    )
-
-
-def late_walk() -> StateSpaceModel:
-    """A walk whose sensor is twice as good at some instants."""
-    return StateSpaceModel(
-        name="late walk",
-        initial=lambda w, p: (2.0 * w[0],),
-        transition=lambda x, t, w, p: (0.95 * x[0] + 0.6 * w[0],),
-        measurement=lambda x, t, v, p: ((1.0 + (3 * t) % 5) * x[0] + v[0],),
-        log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - (1.0 + (3 * t) % 5) * x[0]) ** 2,
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        measurement_noise=("normal",),
-        linear_gaussian=True,
-    )
-
-
-def of_late_walk(made: tuple[int, ...], delay: int, horizon: int) -> float:
-    """The expected MSE by conditioning on the measurements that have arrived."""
-    variance = np.full(horizon + 1, 4.0)
-    for t in range(horizon):
-        variance[t + 1] = 0.95**2 * variance[t] + 0.36
-    s, t = np.meshgrid(np.arange(horizon + 1), np.arange(horizon + 1))
-    joint, total = variance[np.minimum(s, t)] * 0.95 ** abs(s - t), 0.0
-    for now in range(horizon + 1):
-        known = [each for each in made if each + delay <= now]
-        gains = np.array([1.0 + (3 * each) % 5 for each in known])
-        seen = np.outer(gains, gains) * joint[np.ix_(known, known)] + np.eye(len(known))
-        both = gains * joint[now, known]
-        total += joint[now, now] - both @ np.linalg.solve(seen, both)
-    return float(total) / (horizon + 1)
-
-
 @pytest.mark.parametrize("delay", [1, 3])
 @pytest.mark.parametrize("step", [None, 2])
 def test_tables_pages_and_exports_have_the_times_at_which_a_single_late_sensor_measures(
@@ -359,9 +292,6 @@ def test_tables_pages_and_exports_have_the_times_at_which_a_single_late_sensor_m
     export_plan(run, tmp_path / "plan.csv")
     assert (tmp_path / "plan.csv").read_text().splitlines()[2] == f"2,{best[1] * size}"
     assert forbidden_times(run) == [size * t for t in range(9) if t not in times]
-
-
-LATE = {"bedside": {"price": 1}, "lab": {"price": 3, "delay": 2}}
 
 
 def test_late_values_are_those_of_brute_force(tmp_path: Path) -> None:
@@ -402,15 +332,6 @@ def test_an_analysis_afterwards_waits_for_late_values() -> None:
         for each in (LATE, own)
     )
     assert late.expected_mse == pytest.approx(at_once.expected_mse, rel=1e-12)
-
-
-def test_times_are_not_chosen_while_values_are_in_flight() -> None:
-    problem = Problem(late_walk(), horizon=8, measurement_budget=2, sensor={"delay": 3})
-    search = [{"method": "relaxation"}]
-    with pytest.raises(JobError, match="online needs sensors without a delay"):
-        problem.job(search=search, online={"draws": 20})
-    with pytest.raises(JobError, match="a delay cannot be moved by hand"):
-        ExplorerSession(problem.job(search=search))
 
 
 def test_a_filter_of_real_measurements_has_values_when_they_arrive(tmp_path: Path) -> None:
@@ -455,15 +376,6 @@ def test_a_filter_of_real_measurements_has_values_when_they_arrive(tmp_path: Pat
         for each in (sensors, at_once)
     )
     assert late.log_likelihood == pytest.approx(early.log_likelihood, abs=1e-9)
-
-
-def test_plans_for_the_rest_of_a_system_need_values_at_once(tmp_path: Path) -> None:
-    problem = Problem(late_walk(), horizon=8, measurement_budget=2, sensor={"delay": 3})
-    rows = [{"replicate": "a", "t": t, "y0": 0.1 * t} for t in range(9)]
-    with pytest.raises(JobError, match="backtest, need sensors without a delay"):
-        pfdist.backtest(problem, pd.DataFrame(rows), plan_each=True, figures=False, report=False)
-    with pytest.raises(JobError, match="need sensors without a delay"):
-        pfdist.Planner(problem)
 
 
 @pytest.mark.parametrize(

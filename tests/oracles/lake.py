@@ -59,12 +59,16 @@ def days(number: int, seed: int = 5, horizon: int = HORIZON) -> pd.DataFrame:
 
 
 def estimates(y, times, a: float = 0.95, sd: float = 0.3, noise: float = 0.1):
-    """Kalman's mean and variance of x at each instant, for measurements y (T+1,); both (T+1,)."""
+    """Kalman's mean and variance of x at each instant, both (T+1,).
+
+    The measurements y are (T+1,), or (T+1, R) with several rows of a time.
+    """
     mean, variance, means, variances = 0.0, sd**2 / (1 - a**2), [], []
     for t in range(len(y)):
-        if t in times and not np.isnan(y[t]):
-            gain = variance / (variance + noise**2)
-            mean, variance = mean + gain * (y[t] - mean), (1 - gain) * variance
+        for value in np.atleast_1d(y[t]):
+            if t in times and not np.isnan(value):
+                gain = variance / (variance + noise**2)
+                mean, variance = mean + gain * (value - mean), (1 - gain) * variance
         means.append(mean)
         variances.append(variance)
         step = sd * (1 + 0.8 * np.sin(2 * np.pi * t / 48))

@@ -28,7 +28,7 @@ def read(
     text: str | pd.DataFrame, folder: Path, clock: Clock = COUNTS, model: Any = MODEL, column="",
 ) -> list[Replicate]:  # fmt: skip
     """The replicates of a CSV table, whose header may be left out."""
-    reading = Reading(any_time=lambda: True, may_repeat=False)
+    reading = Reading(any_time=lambda: True)
     if isinstance(text, pd.DataFrame):
         return read_replicates(text, column, model, clock, [*model.parameters], reading)
     path = folder / "days.csv"
@@ -107,14 +107,14 @@ def test_the_nearest_measurement_is_used_once_and_by_its_sensor(tmp_path: Path) 
     (found,) = read("day,t,y0\n" + "".join(f"a,{t},1\n" for t in (1, 7, 13, 23)), tmp_path, HOURS)
     assert found.nearest([(0.0, 0), (12.0, 0)], MODEL, 1.0) == (1, 3)
     assert found.nearest([(6.9, 0), (7.1, 0)], MODEL, 6.0) == (2, 3)  # the next nearest
-    with pytest.raises(MeasurementsError, match=r"no measurement within 0\.5 of t = 12"):
+    with pytest.raises(MeasurementsError, match=r"no measurement within 30 min of t = 12"):
         found.nearest([(1.0, 0), (12.0, 0)], MODEL, 0.5)
-    with pytest.raises(MeasurementsError, match=r"within 100 of t = 2$"):
+    with pytest.raises(MeasurementsError, match=r"within 100 h of t = 2$"):
         found.nearest([(2.0, 0)] * 5, MODEL, 100.0)
     text = "day,t,sensor,y0\na,0,still,1\na,6,moving,2\n"
     (seen,) = read(text, tmp_path, HOURS, two_platforms())
     assert seen.nearest([(5.0, 1)], two_platforms(), 5.0) == (1,)
-    with pytest.raises(MeasurementsError, match="no measurement by still within 3 of t = 5"):
+    with pytest.raises(MeasurementsError, match="no measurement by still within 3 h of t = 5"):
         seen.nearest([(5.0, 1)], two_platforms(), 3.0)
 
 
@@ -138,8 +138,8 @@ COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
                                               "z_turbidity"),
         (f"{HEAD},z0\na,0,1,inf", "replicate 'a': z0 must have one finite value at each time, got "
                                   "inf at t = 0"),
-        (f"{HEAD}\na,0,1\nb,1,1\nb,1,2", "replicate 'b': each time must have one row, got more "
-                                         "at t = 1: repeats need problem"),
+        (f"{HEAD}\na,0,1" + 9 * "\nb,1,1", "replicate 'b': each time must have at most 8 rows, got "
+                                         "more at t = 1"),
         (f"{HEAD}\na,0,inf", "replicate 'a': a measurement must be finite, or NaN where a "
                              "component is missing, got y0 = inf at t = 0"),
         (f"{HEAD}\na,-1,1", "replicate 'a': t must lie in 0..4, got -1"),
@@ -166,8 +166,8 @@ def test_a_wrong_table_is_one_line(text: str, said: str, tmp_path: Path) -> None
         ("day,t,y0\na,0,1", "the column sensor is missing, got day, t, y0"),
         ("day,t,sensor,y0\na,0,stil,1", "column 'sensor' in row 1: got 'stil'; did you mean "
                                         "'still'?"),
-        ("day,t,sensor,y0\na,0,still,1\na,0,still,2", "replicate 'a': each time must have one row "
-                                                      "of still, got more at t = 0"),
+        ("day,t,sensor,y0" + 9 * "\na,0,still,1", "time must have at most 8 rows of still, got "
+                                                 "more at t = 0"),
         ("day,t,sensor,y0,z0,z1\na,0,still,1,1,1\na,0,moving,1,1,2",
          "replicate 'a': z1 must have one finite value at each time, got 1.0 and 2.0 at t = 0"),
         ("day,t,sensor,y0,range_sd\na,0,still,1,1\na,0,moving,1,2", "range_sd must have one finite "
@@ -181,13 +181,15 @@ def test_a_wrong_table_of_sensors_is_one_line(text: str, said: str, tmp_path: Pa
     assert "\n" not in str(error.value)
 
 
-def test_times_outside_the_clock_and_too_close_are_named(tmp_path: Path) -> None:
+def test_times_outside_are_named_and_rows_of_one_time_follow_each_other(
+    tmp_path: Path,
+) -> None:
     for time, said in (("-1", "0..24"), ("24.5", "0..24"), ("nan", "nan"), ("inf", "inf")):
         with pytest.raises(MeasurementsError, match=said) as error:
             read(f"day,t,y0\na,{time},1\n", tmp_path, HOURS)
         assert "replicate 'a': t must " in str(error.value)
-    with pytest.raises(MeasurementsError, match=r"replicate 'a': each time must have one row"):
-        read("day,t,y0\na,1.5,1\na,1.5,2\n", tmp_path, HOURS)
+    (found,) = read("day,t,y0\na,1.5,1\na,1.5,2\n", tmp_path, HOURS)
+    assert found.y.tolist()[1] == [1.0, 2.0]
 
 
 def test_files_that_are_no_tables_are_named(

@@ -6,7 +6,9 @@ import pytest
 
 from oracles.every_set import every_set
 from pfdist.common.measurement_times import Times
+from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible, rest_of
+from pfdist.problem.points import Points
 
 PROBLEMS: list[dict[str, Any]] = [
     {"horizon": 9, "measurement_budget": 4},
@@ -41,6 +43,24 @@ def test_the_rest_completes_what_was_taken(problem: dict[str, Any]) -> None:
             assert all(feasible.spent({*taken, *times}) <= feasible.total for times in found)
         checked += len(found)
     assert checked
+
+
+@pytest.mark.parametrize("first", [2, 4])
+def test_the_rest_contains_the_values_in_flight(first: int) -> None:
+    """Against all sets with the same measurements before; values of a laboratory arrive later."""
+    points = Points(Clock.counting(6), ("meter", "lab"), (0, 2))
+    feasible = Feasible(6, 4, forbidden=(1, 3), required=(10,), minimum_spacing=0, points=points)
+    sets, parts = [*feasible.every()], dict[tuple[Times, Times], set[Times]]()
+    for times in sets:
+        taken = tuple(time for time in times if points.instant(time) < first)
+        left = tuple(time for time in times if time not in taken)
+        in_flight = tuple(time for time in left if points.made_at(time) < first)
+        parts.setdefault((taken, in_flight), set()).add(left)
+    assert {len(in_flight) for _, in_flight in parts} == {0, 1, 2}
+    for (taken, in_flight), wanted in parts.items():
+        rest, skipped = rest_of(feasible, taken, first, in_flight), points.first(first)
+        assert rest is not None
+        assert {tuple(skipped + time for time in times) for times in rest.every()} == wanted
 
 
 def test_at_the_start_everything_is_left() -> None:

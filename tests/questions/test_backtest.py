@@ -72,6 +72,25 @@ def test_errors_are_those_of_the_plan_and_both_grids(planned: Path) -> None:
     assert found.files == ()
 
 
+@pytest.mark.slow
+def test_repeats_of_a_time_count_and_a_line_says_how_many(planned: Path) -> None:
+    data, said = days(2), list[str]()
+    more = pd.DataFrame({"day": ["d0", "d1"], "t": [40, 7], "y0": [0.5, 0.25]})
+    found = judged(planned, pd.concat([data, more]), times={"mine": [1, 2, 3, 40]}, say=said.append)
+    assert "2 rows repeat a time of the table: the filter weighs each row" in said
+    once = judged(planned, data, times={"mine": [1, 2, 3, 40]})
+    sets = [[*map(int, found.plan)], *GRIDS.values(), [1, 2, 3, 40]]
+    instants = [t for t in range(HORIZON + 1) if not any(t in times for times in sets)]
+    y = data["y0"].to_numpy().reshape(2, -1)
+    both = np.stack([y[0], np.where(np.arange(HORIZON + 1) == 40, 0.5, np.nan)], axis=1)
+    mean, _ = estimates(both, [1, 2, 3, 40])
+    row = found.table.query("replicate == 'd0' and set == 'mine'").iloc[0]
+    expected = np.mean((y[0] - mean)[instants] ** 2) / y[:, instants].var()
+    assert row["real"] == pytest.approx(expected, rel=1e-9)
+    assert row["judged"] == len(instants)
+    assert found.table["real"][4:].tolist() == pytest.approx(once.table["real"][4:].tolist())
+
+
 def test_smoothed_estimates_are_judged_if_the_job_makes_them(planned: Path, tmp_path: Path) -> None:
     """Unused measurements from all used ones: the conditional mean of a Gaussian process."""
     changes = ["problem.estimate=smoothed"]

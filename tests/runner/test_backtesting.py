@@ -23,6 +23,8 @@ from pfdist.runner.backtesting import (
     errors_of_replicates,
     evaluator_for,
     outcomes,
+    points_of_rows,
+    with_repeats,
 )
 from pfdist.runner.build import build
 
@@ -99,6 +101,25 @@ def test_surprises_are_p_values_of_the_measurements_of_the_plan(y: Any) -> None:
         mean, variance = estimates(y[:, 0], SETS[0][:number])
         expected.append(2 * stats.norm.sf(abs(y[t, 0] - mean[t]) / np.sqrt(variance[t] + 0.01)))
     np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_two_rows_of_a_time_are_weighed_twice(y: Any) -> None:
+    """The filter has both; the first is judged where no set measures."""
+    todo = work(y, parameters={"noise": 1.0})
+    both = np.concatenate([y, np.full_like(y, np.nan)], axis=1)
+    both[[0, 17, 20], 1] = [2.5, -1.0, 4.0]
+    evaluator, model = with_repeats(todo.evaluator, 2), lake()
+    sets = tuple(points_of_rows(times, both, model, 2) for times in SETS)
+    assert sets == ((0, 1, 22, 34, 35, 48), (12, 36, 60, 84))
+    found = errors_of_replicates(replace(todo, evaluator=evaluator, y=both, sets=sets))
+    real, foreseen = exact(y, todo.judged, noise=1.0)
+    which = ~np.isnan(todo.judged[:, 0])
+    mean, variance = estimates(both, SETS[0], noise=1.0)
+    real[0] = np.mean((y[:, 0] - mean)[which] ** 2) / VARIANCE
+    foreseen[0] = np.mean(variance[which] + 1.0) / VARIANCE
+    np.testing.assert_allclose(found.real, real, rtol=1e-9)
+    means_agree(found.foreseen, foreseen)
+    assert found.surprises.size == 4  # of both rows together
 
 
 def test_a_right_model_covers_nine_of_ten_values_and_real_errors_are_as_foreseen() -> None:

@@ -1,0 +1,176 @@
+"""Plans, backtests and moves by hand while values are in flight, against Kalman filters."""
+
+import math
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from oracles.late import LATE, late_walk, meter_and_laboratory, of_delays, of_late_walk
+from pfdist import Problem
+from pfdist.errors import MeasurementsError
+from pfdist.explorer.session import ExplorerSession
+from pfdist.filters.simulation import simulate
+from pfdist.pages.terminal import lines_of
+
+
+def best_completion(taken: set[str], now: int, money: int) -> set[str]:
+    """The best set of `meter_and_laboratory` that was measured like this up to now."""
+
+    def read(written: set[str], name: str) -> tuple[int, ...]:
+        return tuple(int(each.split()[0]) for each in written if each.endswith(name))
+
+    early, late = read(taken, "bedside"), read(taken, "lab")
+    money -= len(early) + 3 * len(late)
+    sets = [
+        ((*early, *more_early), (*late, *more_late))
+        for count in range(money // 3 + 1)
+        for more_late in combinations(range(now + 1, 7), count)
+        for number in [min(8 - now, money - 3 * count)]
+        for more_early in combinations(range(now + 1, 9), number)
+    ]
+    best = min(sets, key=lambda s: of_delays(s[0], tuple(t + 2 for t in s[1]), 8))
+    return {f"{t} bedside" for t in best[0]} | {f"{t} lab" for t in best[1]}
+
+
+EXHAUSTIVE = {"search": {"method": "exhaustive"}}
+
+
+def late_planner() -> pfdist.Planner:
+    problem = Problem(
+        meter_and_laboratory(), horizon=8, total_price=9, sensors=LATE, engine="kalman"
+    )
+    times = ["1 lab", "2 lab", "3 bedside", "5 bedside", "6 bedside"]
+    return pfdist.Planner(problem.job(search=[{"method": "exhaustive"}], online=EXHAUSTIVE), times)
+
+
+def test_the_rest_is_planned_while_values_are_in_flight() -> None:
+    """Against all completions, judged by a Kalman filter that takes values when they arrive."""
+    planner, nan = late_planner(), math.nan
+    assert (planner.plan()[0], planner.next_time()) == ("1 lab", "1 lab")
+    planner.taken()
+    assert planner.in_flight == ("1 lab",)
+    planner.taken()
+    planner.missed(2)
+    assert (planner.in_flight, planner.measured) == (("1 lab", "2 lab"), ())
+    assert {*planner.plan(), *planner.in_flight} == best_completion({"1 lab", "2 lab"}, 2, 9)
+    planner.update([0.3, 0.2], 3)
+    known = {"1 lab", "2 lab", "3 bedside"}
+    assert ({*planner.measured}, planner.in_flight) == ({"1 lab", "3 bedside"}, ("2 lab",))
+    assert {*planner.plan(), *known} == best_completion(known, 3, 9)
+    (left,) = planner.expected()
+    made = sorted(known | {*planner.plan()})
+    early, late = ([int(e[0]) for e in made if e.endswith(name)] for name in ("side", "lab"))
+    after = [of_delays(tuple(early), tuple(t + 2 for t in late), T) * (T + 1) for T in (8, 2)]
+    assert left.expected_mse == pytest.approx((after[0] - after[1]) / 6, rel=1e-9)
+    planner.missed(4)  # the value of 2 does not come: its money is left
+    assert (planner.in_flight, {*planner.measured}) == ((), {"1 lab", "3 bedside"})
+    made = {"1 lab", "3 bedside"}
+    assert {*planner.plan(), *made} == best_completion(made, 4, 9)
+    planner.update([nan, 0.1], 8)
+    assert planner.measured[-1] == "6 lab"  # told when it arrives, although it was not planned
+
+
+def test_a_measurement_that_was_not_planned_is_spent() -> None:
+    planner = late_planner()
+    planner.missed(2)
+    planner.taken("4 lab")
+    assert planner.in_flight == ("4 lab",)
+    assert "4 lab" not in planner.plan()
+    made = [each for each in planner.plan() if each.endswith("lab")]
+    assert len(planner.plan()) - len(made) + 3 * len(made) == 6
+    for wrong in ("5 bedside", "0 lab"):
+        with pytest.raises(MeasurementsError, match="taken is for a value that arrives later"):
+            planner.taken(wrong)
+
+
+def test_next_keeps_measurements_without_a_value_yet(tmp_path: Path) -> None:
+    problem = Problem(
+        meter_and_laboratory(), horizon=8, total_price=9, sensors=LATE, engine="kalman"
+    )
+    job = problem.job(search=[{"method": "exhaustive"}], online=EXHAUSTIVE | {"draws": 2},
+                      comparison={"draws": 100})  # fmt: skip
+    run = pfdist.plan(job, tmp_path / "run", figures=False)
+    rows = [(0, "bedside", 0.2), (0, "lab", 1.0), (2, "lab", math.nan), (3, "bedside", 0.1)]
+    table = pd.DataFrame(rows, columns=["t", "sensor", "y0"])
+    made = {f"{t} {name}" for t, name, _ in rows}
+    found = pfdist.next_time(run.path, table)
+    assert ({*found.measured}, found.in_flight) == (made - {"2 lab"}, ("2 lab",))
+    assert "values to come of t = 2 lab" in " ".join(" ".join(lines_of(found._page())).split())
+    assert found.as_json()["in_flight"] == ["2 lab"]
+    assert {*found.plan, *made} == best_completion(made, 3, 9)
+    late = pfdist.next_time(run.path, table, now=5)  # its value did not arrive at 4
+    assert late.in_flight == ()
+    assert {*late.plan, *made} - {"2 lab"} == best_completion(made - {"2 lab"}, 5, 9)
+
+
+@pytest.mark.slow
+def test_online_times_of_a_linear_system_are_those_of_the_plan(tmp_path: Path) -> None:
+    problem = Problem(
+        late_walk(), horizon=9, measurement_budget=4, sensor={"delay": 3}, engine="kalman"
+    )
+    run = pfdist.online(problem, tmp_path / "run", draws=3, figures=False,
+                        changes=["comparison.draws=100"])  # fmt: skip
+    best = [int(t) for t in run.best.measurement_times]
+    exact = min(of_late_walk(made, 3, 9) for made in combinations(range(7), 4))
+    assert of_late_walk(tuple(best), 3, 9) == pytest.approx(exact)
+    assert [[*each] for each in run.table("online")["measurement_times"]] == [best] * 3
+
+
+def test_late_measurements_are_moved_by_the_times_at_which_they_are_made() -> None:
+    problem = Problem(late_walk(), horizon=8, measurement_budget=2, sensor={"delay": 3},
+                      engine="kalman", forbidden=[1])  # fmt: skip
+    session = ExplorerSession(problem)
+    assert session.state()["forbidden"] == [1, 6, 7, 8]
+    answer = session.answer((2, 4))
+    mse = pfdist.evaluate(problem, [2, 4]).expected_mse
+    assert (answer["times"], answer["broken"]) == ([2, 4], [])
+    curve = np.square(answer["curves"]["yours"][0])
+    assert curve.mean() == pytest.approx(mse) == pytest.approx(of_late_walk((2, 4), 3, 8))
+    assert session.answer((1, 4))["broken"] == ["forbidden: 1 is measured"]
+    assert session.judge("mine", (2, 4))[0]["times"] == [2, 4]
+    assert "'mine': '2,4'" in session.command_line({"mine": (2, 4)})
+
+
+@pytest.mark.filterwarnings("ignore::pfdist.errors.PfdistWarning")
+def test_a_backtest_judges_values_when_they_are_made_by_those_that_have_arrived(
+    tmp_path: Path,
+) -> None:
+    """The real and the foreseen error by conditioning on the values that have arrived."""
+    horizon, delay = 12, 3
+    problem = Problem(late_walk(), horizon=horizon, measurement_budget=2,
+                      sensor={"delay": delay}, engine="kalman")  # fmt: skip
+    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"])
+    y = simulate(late_walk(), horizon, range(2), 5).y[..., 0]
+    rows = [(k, t, y[k, t]) for k in range(2) for t in range(horizon + 1)]
+    table = pd.DataFrame(rows, columns=["id", "t", "y0"])
+    found = pfdist.backtest(run.path, table, times={"mine": [1, 5]}, pool="serial", report=False)
+    even = pfdist.open_run(run.path).sets["evenly_spaced"]
+    assert found.plan == tuple(run.best.measurement_times)
+    sets = [found.plan, (1, 5), (0, 5), (2, 7), even]
+    used = {t for each in sets for t in each}
+    judged = [t for t in range(horizon + 1 - delay) if t not in used]
+    gains = np.array([1.0 + (3 * t) % 5 for t in range(horizon + 1)])
+    variance = [4.0]
+    for _ in range(horizon):
+        variance.append(0.95**2 * variance[-1] + 0.36)
+    s, t = np.meshgrid(np.arange(horizon + 1), np.arange(horizon + 1))
+    joint = np.array(variance)[np.minimum(s, t)] * 0.95 ** abs(s - t) * np.outer(gains, gains)
+    spread = np.concatenate([each[judged] for each in y]).var()
+    for name, made in (("plan", found.plan), ("mine", (1, 5))):
+        real, foreseen = np.zeros((2, len(judged))), []
+        for k, now in enumerate(judged):
+            known = [at for at in made if at + delay <= now]
+            seen = joint[np.ix_(known, known)] + np.eye(len(known))
+            gain = np.linalg.solve(seen, joint[known, now])
+            real[:, k] = (y[:, now] - y[:, known] @ gain) ** 2
+            foreseen.append(joint[now, now] - gain @ joint[known, now] + 1.0)
+        of_set = found.table[found.table["set"] == name]
+        assert of_set["real"].to_numpy() == pytest.approx(real.mean(axis=1) / spread)
+        assert of_set["foreseen"].mean() == pytest.approx(np.mean(foreseen) / spread, rel=0.1)
+    each = pfdist.backtest(problem, table, plan_each=True, pool="serial", report=False)
+    assert {*each.table["set"]} == {"plan", "from_start", "centred"}
+    assert not each.left_out
