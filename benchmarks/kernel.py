@@ -161,7 +161,7 @@ def _calls(case: Case) -> Callable[[], None]:
     times = regular(case.horizon, case.measurement_budget)
     settings = Estimation(case.particles, case.resampling)
     if case.series == "rule":
-        times, settings = tuple(range(case.horizon + 1)), replace(settings, rule=Rule(6.18))
+        times, settings = tuple(range(case.horizon + 1)), replace(settings, rule=Rule((6.18,)))
     once = partial(filter_checked_draws, model, draws, times, 2, settings)
 
     def call() -> None:

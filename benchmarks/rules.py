@@ -13,6 +13,7 @@ from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist.common.rounding import with_error
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
+from pfdist.questions.rule import rule_json
 
 TITLE = "Rules"
 TABLES: tuple[str, ...] = ("rules",)
@@ -54,9 +55,10 @@ def rows_of(job: str, run: Path) -> Iterator[dict[str, Any]]:
         found = pfdist.rule(pfdist.open_run(run), hard=is_hard, figures=False)
         others = [name for name in found.labels if name not in (found.plan, "online")]
         errors = {"rule": "rule", "plan": found.plan, "even": others[0]}
-        row: dict[str, Any] = {"job": job, "budget": found.budget, **found.rule._asdict()}
-        row |= {"draws": len(found.table), "numbers": found.measurements.value,
-                "numbers_error": found.measurements.standard_error,
+        row: dict[str, Any] = {"job": job, "budget": found.budget,
+                               **rule_json(found.rule, found.feasible)}  # fmt: skip
+        row |= {"draws": len(found.table), "numbers": found.spent.value,
+                "numbers_error": found.spent.standard_error,
                 "numbers_deviation": found.table["measurements"].std()}  # fmt: skip
         for kind, name in errors.items():
             error = found.error(name)

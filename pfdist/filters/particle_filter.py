@@ -120,12 +120,16 @@ def _filter(
 ) -> FilterArrays:
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
-    candidates, apart = np.empty(0, np.uint8), np.empty(0, np.int64)
+    rule, sensors = settings.rule or Rule(()), len(model.parts)
+    prices, apart = np.empty(0), np.empty(0, np.int64)
     if settings.rule is not None:  # the filter fills the set of each draw itself
-        candidates = planned.measured[0, :, 0].copy()
+        own = np.unpackbits(planned.measured[0], axis=1, count=sensors, bitorder="little")
+        paid = np.reshape(settings.prices, (-1, sensors))[draws.start :] if settings.prices else 1.0
+        prices = own * paid
         apart = np.array(settings.apart[draws.start :] or draws.instants) - draws.start
         planned = planned._replace(measured=np.zeros_like(planned.measured))
-        others["measured"] = np.zeros(draws.z.shape[:2], np.uint8)
+        shape = len(draws.index), *planned.measured.shape[1:]
+        others["measured"] = np.zeros(shape, np.uint8)
     mse = np.empty((len(draws.index), len(planned.measured)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
@@ -144,7 +148,7 @@ def _filter(
         components_of_state=np.array(components, np.int64),
         is_state=bool(components) and not results.ranks.size,
         is_angle=np.array(truth.is_angle, np.uint8),
-        sensors=len(model.parts),
+        sensors=sensors,
         streams=streams,
         first_draw=draws.index.start,
         start=draws.start,
@@ -172,8 +176,11 @@ def _filter(
         kinds=kinds,
         lag=int(np.max(settings.lag)),
         first_smoothed=first_smoothed(settings.lag, draws.instants),
-        rule=settings.rule or Rule(0.0),
-        candidates=candidates,
+        exponent=rule.exponent,
+        limit=float(rule.limit),
+        thresholds=np.array(rule.thresholds, np.float64),
+        turns=np.array(rule.turns, np.int64),
+        prices=prices,
         apart=apart,
     )
     filter_all(blocks, request, planned, results, scheme.name)
@@ -181,6 +188,9 @@ def _filter(
     degenerate = results.degenerate.view(np.bool_)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
+    if settings.rule is not None:
+        bits = np.unpackbits(results.measured, axis=2, count=sensors, bitorder="little")
+        results = results._replace(measured=bits.reshape(len(bits), sensors * bits.shape[1]))
     return results._replace(degenerate=degenerate)
 
 

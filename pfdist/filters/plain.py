@@ -110,22 +110,28 @@ def _by_rule(
 ) -> FilterArrays:  # fmt: skip
     """The filter of each draw with the set that a rule makes of its candidates.
 
-    The set grows by one measurement at a time, and the filter runs again from the beginning.
+    The set grows by one instant at a time, and the filter runs again from the beginning.
     """
     fixed, end, blocks = replace(settings, rule=None), draws.instants.stop, list[FilterArrays]()
+    prices = [(settings.prices[p] if settings.prices else 1.0) * (p in candidates)
+              for p in range(model.points.first(end))]  # fmt: skip
     for place in range(len(draws.index)):
-        alone, times, left = draws[place : place + 1], Times(), [*candidates]
-        while left:
+        alone, times, t, spent = draws[place : place + 1], Times(), draws.start, 0.0
+        while t < end:
             found = filter_checked_draws(model, alone, times, stream, replace(fixed, lag=0))
-            deviation = np.sqrt(found.variance[0].sum(axis=1))
-            level = {t: rule.level(end - t, len(times)) for t in left}
-            high = [t for t in left if deviation[t - draws.start] > level[t]]
-            times += (*high[:1],)
-            following = settings.apart[times[-1]] if high and settings.apart else 0
-            left = [t for t in left if high and t > high[0] and t >= following]
+            deviation, before = np.sqrt(found.variance[0].sum(axis=1)), len(times)
+            while t < end and len(times) == before:
+                here, following = model.points.at(t), settings.apart[t] if settings.apart else t
+                chosen = rule.chosen(
+                    deviation[t - draws.start], end - t, spent, prices[here.start : here.stop],
+                    several=not settings.apart,
+                )  # fmt: skip
+                times += tuple(sorted(here[sensor] for sensor in chosen))
+                spent += sum(prices[here[sensor]] for sensor in chosen)
+                t = max(t + 1, following if chosen else 0)
         own = filter_checked_draws(model, alone, times, stream, fixed)
-        measured = np.isin([*draws.instants], times)[None].view(np.uint8)
-        blocks.append(own._replace(measured=measured))
+        every = range(model.points.first(draws.start), len(prices))
+        blocks.append(own._replace(measured=np.isin([*every], times)[None].view(np.uint8)))
     return _joined(blocks)
 
 

@@ -52,8 +52,10 @@ class Estimation:
     # tuple, (T+1,), has the lag of each instant
     lag: Lag = 0
     rule: Rule | None = None  # decides at which of the given times each draw is measured
-    # (T+1,): after a measurement at each instant, the first that a rule may measure
+    # (T+1,): after a measurement at each instant, the first that a rule may measure; the same one
+    # if several sensors may measure at an instant
     apart: Times = ()
+    prices: tuple[float, ...] = ()  # of each point, for a rule; by default 1
 
     @property
     def carries(self) -> bool:
@@ -67,7 +69,7 @@ class Estimation:
         del recorded["prior"], recorded["lag"]
         if not self.carries:
             del recorded["threshold"]
-        for name in ("rule", "apart"):
+        for name in ("rule", "apart", "prices"):
             if not recorded[name]:
                 del recorded[name]
         if self.proposal == PLAIN:

@@ -681,12 +681,11 @@ def _take_four(
 
 
 @compiled
-def take_ancestors(scratch, source, target, draws, width):
-    """Copy the state of each particle's ancestor to another row."""
-    for d in range(draws):
-        origin, ancestors = d * width, d * scratch.span
-        for i in range(np.int64(0), width, np.int64(4)):
-            _take_four(scratch.ancestor, ancestors + i, source, origin, target, origin + i)
+def take_ancestors(scratch, source, target, d, width):
+    """Copy the state of each ancestor of a draw's particles to another row."""
+    origin, ancestors = d * width, d * scratch.span
+    for i in range(np.int64(0), width, np.int64(4)):
+        _take_four(scratch.ancestor, ancestors + i, source, origin, target, origin + i)
 
 
 # --- sorting by states ----------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.memory import ahead, call, readers
 from pfdist.kernels.prefixes import Plan
-from pfdist.kernels.rules import Rule
 from pfdist.kernels.variates import Key, VariateRow
 
 INITIAL, TRANSITION, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
@@ -96,10 +95,16 @@ class FilterRequest(NamedTuple):
     lag: int
     # (T+1,): the first instant whose estimate uses the measurement at each instant
     first_smoothed: NDArray[np.int64]
-    rule: Rule
-    # (T+1,): whether the rule may measure at each instant; empty without a rule
-    candidates: NDArray[np.uint8]
-    apart: NDArray[np.int64]  # (T+1,): and the first instant after a measurement at each
+    # of a rule, see `Rule`
+    exponent: float
+    limit: float
+    thresholds: NDArray[np.float64]  # (sensors,)
+    turns: NDArray[np.int64]  # (sensors,): the sensors, from the highest threshold to the lowest
+    # (T+1, sensors): prices, 0 where the rule may not measure; empty without a rule
+    prices: NDArray[np.float64]
+    # (T+1,): the first instant that may be measured after a measurement at each; the same one if
+    # several sensors may measure at an instant
+    apart: NDArray[np.int64]
 
 
 INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
@@ -149,7 +154,8 @@ class FilterArrays(NamedTuple):
     # (2, D, T+1), of the plain twin: log evidence of an instant's measurements, and the particles'
     # mean log-likelihood after them; 0 without a measurement
     told: NDArray[np.float64] = np.empty((2, 0, 0))
-    # (D, T+1): whether a rule measures each draw at each instant; else empty
+    # (D, (T+1) sensors): whether a rule measures each draw at each point; else empty. In the
+    # kernel, bits as in `Plan.measured`
     measured: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
 
 
@@ -194,6 +200,8 @@ class CloudBatch(NamedTuple):
     weighs: NDArray[np.uint8]  # whether the last measurement of the instant gave the weights
     resamples: NDArray[np.uint8]
     degenerate: NDArray[np.uint8]
+    spent: NDArray[np.float64]  # by the rule: the sum of prices,
+    following: NDArray[np.int64]  # and the first instant that it may measure
     first_means: NDArray[np.float64]  # (U, T+1, q, row) of two filters; else empty
 
 
@@ -429,10 +437,12 @@ def measuring(at, s, t):
 
 
 @compiled
-def fill_mean(at, values, mean):
-    """Fill a row of draws with the weighted mean of a row of particles."""
+def fill_mean(at, values, mean, weighed):
+    """Fill a row with the weighted mean of each draw's particles, or of draws just weighed."""
     request, batch = request_of(at.work), batch_of(at.work)
     for d in range(at.draws):
+        if weighed and batch.weighs[d] == 0:
+            continue
         origin = d * batch.width
         if batch.weighted[d]:
             value = weighted_sum(batch.weight, values, origin, batch.width)

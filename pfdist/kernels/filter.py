@@ -73,6 +73,7 @@ from pfdist.kernels.blocks import Compiled, call_block
 from pfdist.kernels.cached import Entry, compiled, entry
 from pfdist.kernels.memory import ahead, call, read, zeros
 from pfdist.kernels.prefixes import Plan
+from pfdist.kernels.rules import ROUNDING
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, number_of_words
 from pfdist.kernels.vectors import LANES
@@ -281,42 +282,69 @@ def _put_truth(instant):
 
 @entry(Instant)
 def _decide(instant):
-    """Measure if the standard deviation of z exceeds the level of the rule, see `Rule`.
+    """Choose the sensors that measure each draw, by the standard deviation of z; see `Rule`.
 
-    The batch has a single draw, whose set is that of the plan. Later steps read the set there.
+    The results have the set of each draw, and the plan has what some draw of the batch measures.
     """
     at, s, t, _, _ = read(instant)
-    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
-    rule, row, measured = request.rule, batch.row, plan_of(at.work).measured
-    own, level = ahead(results.measured, at.first * request.instants), rule.threshold
-    if rule.limit > 0:
-        left = rule.limit
-        for earlier in range(t):
-            left -= own[earlier]
-        level = np.inf
-        if left > 0:
-            level = rule.threshold * ((request.instants - t) / left) ** rule.exponent
-    own[t] = 0
-    last = t - 1
-    while last >= 0 and own[last] == 0:
-        last -= 1
-    is_apart = last < 0 or t >= request.apart[last]
+    request, batch, row = request_of(at.work), batch_of(at.work), batch_of(at.work).row
     mean = ahead(batch.moments, request.quantities * row)
-    _fill_mean_of_z(at, t, mean)
-    if request.candidates[t] != 0 and is_apart and level < np.inf:
+    variance = ahead(mean, request.quantities * row)
+    width = (request.sensors + 7) // 8
+    some = ahead(plan_of(at.work).measured, (s * request.instants + t) * width)
+    _fill_mean_of_z(at, t, mean, False)
+    for place in range(width):
+        some[place] = 0
+    has_variance = False
+    for d in range(at.draws):
+        if t == 0:
+            batch.spent[d], batch.following[d] = 0.0, 0
+        left = request.limit - batch.spent[d] if request.limit > 0.0 else np.inf
+        if not left > 0.0 or t < batch.following[d]:
+            continue
         total = 0.0
-        if request.is_state and batch.weighted[0] == 0:  # the same, in one pass
+        if request.is_state and batch.weighted[d] == 0:  # the same, in one pass
             for c in range(request.quantities):
                 values = ahead(present(at), request.components_of_state[c] * batch.stride)
-                total += sum_of_deviations(values, 0, request.particles, mean[c * row])
+                origin = d * batch.width
+                total += sum_of_deviations(values, origin, request.particles, mean[c * row + d])
             total /= request.particles
         else:
-            variance = ahead(mean, request.quantities * row)
-            _fill_variances(at, t, mean, variance)
+            if not has_variance:
+                _fill_variances(at, t, mean, variance)
+            has_variance = True
             for c in range(request.quantities):
-                total += variance[c * row]
-        own[t] = np.sqrt(total) > level
-    measured[s * request.instants + t] = own[t]
+                total += variance[c * row + d]
+        _choose(at, t, d, np.sqrt(total), left)
+        own = ahead(results_of(at.work).measured, _set_of(at, t, d))
+        for place in range(width):
+            some[place] |= own[place]
+
+
+@compiled
+def _choose(at, t, d, deviation, left):
+    """Choose the sensors of a draw, from the highest threshold to the lowest."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    own = ahead(results_of(at.work).measured, _set_of(at, t, d))
+    factor = 1.0
+    if request.limit > 0.0:
+        factor = ((request.instants - t) / left) ** request.exponent
+    for turn in range(request.sensors):
+        sensor = request.turns[turn]
+        price = request.prices[t * request.sensors + sensor]
+        is_paid = 0.0 < price <= left + ROUNDING * request.limit
+        if is_paid and deviation > request.thresholds[sensor] * factor and t >= batch.following[d]:
+            own[sensor // 8] |= 1 << sensor % 8
+            batch.spent[d] += price
+            left -= price
+            batch.following[d] = request.apart[t]
+
+
+@compiled
+def _set_of(at, t, d):
+    """Where the results have the sensors that measure a draw at an instant."""
+    request = request_of(at.work)
+    return ((at.first + d) * request.instants + t) * ((request.sensors + 7) // 8)
 
 
 # --- measurements ---------------------------------------------------------------------------------
@@ -337,10 +365,13 @@ def _weigh(instant):
 
     If no particle explains a measurement, the draw is degenerate, and the measurement is left out.
     """
-    at = read(instant).at
+    at, _, t, _, _ = read(instant)
     request, batch = request_of(at.work), batch_of(at.work)
     _fill_log_weights(read(instant))
+    decides = steps_of(at.work).decide != 0
     for d in range(at.draws):
+        if decides and results_of(at.work).measured[_set_of(at, t, d)] == 0:
+            continue  # another draw of the batch is measured
         total = weigh(
             batch.log_weight, d * batch.width, batch.width, request.particles, batch.weight,
             batch.cumulative,
@@ -399,7 +430,22 @@ def _fill_log_weights(instant):
     cloud, used = present(at), at.draws * batch.width
     y = sensors_at(at, t, request.first_components[sensor])
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
-    with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
+    if steps_of(at.work).decide == 0:
+        with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
+    else:
+        which, stride = block * request.instants + t, batch.stride
+        for d in range(at.draws):
+            if results_of(at.work).measured[_set_of(at, t, d)] != 0:
+                origin = d * batch.width
+                call_block(
+                    blocks,
+                    which,
+                    (ahead(batch.log_weight, origin), stride),
+                    (ahead(cloud, origin), stride),
+                    (batch.noise, batch.spacious),
+                    (ahead(y, d * of_draw), of_draw, 1),
+                    (1, batch.width),
+                )
     if is_drawn_again(instant):
         guide = ahead(cloud, request.states * batch.stride)
         for i in range(used):
@@ -469,14 +515,21 @@ def _resample(instant):
     drawn = Drawn(at.stream, key, first, at.draws, batch.width, request.particles)
     search = Search(batch.cumulative, batch.resamples, request.holds_truth, drawn, scratch)
     call(steps_of(at.work).scheme, search)
-    source, target = present(at), other(at)
-    for c in range(request.states):
-        row = c * batch.stride
-        take_ancestors(scratch, ahead(source, row), ahead(target, row), at.draws, batch.width)
+    by_rule = steps_of(at.work).decide != 0  # few draws are resampled together, and stay in place
     for d in range(at.draws):
+        if by_rule and not batch.resamples[d]:
+            continue
+        for c in range(request.states):
+            row = c * batch.stride
+            source, target = ahead(present(at), row), ahead(other(at), row)
+            take_ancestors(scratch, source, target, d, batch.width)
+            if by_rule:
+                origin = d * batch.width
+                copy_numbers(ahead(target, origin), ahead(source, origin), batch.width)
         if batch.resamples[d]:
             batch.weighted[d], batch.total[d] = 0, float(request.particles)
-    batch.half[0] = 1 - batch.half[0]
+    if not by_rule:
+        batch.half[0] = 1 - batch.half[0]
 
 
 # --- estimates and errors -------------------------------------------------------------------------
@@ -488,24 +541,25 @@ def _estimate(instant):
     instant = read(instant)
     at, s, t, sensors, _ = instant
     request, steps, batch = request_of(at.work), steps_of(at.work), batch_of(at.work)
-    if steps.decide == 0 or sensors != 0:  # else the mean is that by which the rule decided
-        _fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row))
+    by_rule = steps.decide != 0  # which has filled the mean of a draw that it does not measure
+    if sensors != 0 or not by_rule:
+        _fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row), by_rule)
     if steps.estimate_variance != 0:
         call(steps.estimate_variance, instant)
     add_squared_errors(at, s, t)
 
 
 @compiled
-def _fill_mean_of_z(at, t, mean):
-    """Fill rows of draws with the weighted mean of each component of z."""
+def _fill_mean_of_z(at, t, mean, weighed):
+    """Fill rows of draws with the weighted mean of each component of z; see `fill_mean`."""
     request, batch, cloud = request_of(at.work), batch_of(at.work), present(at)
     if request.is_state:
         for r in range(request.means):
             values = ahead(cloud, request.components_of_state[r] * batch.stride)
-            fill_mean(at, values, ahead(batch.means, r * batch.row))
+            fill_mean(at, values, ahead(batch.means, r * batch.row), weighed)
     else:
         of_particles(at, QUANTITY, t, cloud, batch.quantity)
-        _fill_means(at, batch.means, request.means)
+        _fill_means(at, batch.means, request.means, weighed)
     of_draws(at, ESTIMATE, t, batch.means, mean)
 
 
@@ -514,16 +568,16 @@ def _fill_variances(at, t, mean, variance):
     """Fill rows of draws with the variance of each component of z around a mean."""
     batch = batch_of(at.work)
     with_given(at, DEVIATIONS, t, present(at), batch.quantity, mean, 1, batch.row)
-    _fill_means(at, variance, request_of(at.work).quantities)
+    _fill_means(at, variance, request_of(at.work).quantities, False)
 
 
 @compiled
-def _fill_means(at, means, rows):
+def _fill_means(at, means, rows, weighed):
     """Fill rows of draws with the weighted means of z, or of squared deviations."""
     batch = batch_of(at.work)
     for r in range(rows):
         values = ahead(batch.quantity, r * batch.stride)
-        fill_mean(at, values, ahead(means, r * batch.row))
+        fill_mean(at, values, ahead(means, r * batch.row), weighed)
 
 
 @entry(Instant)
@@ -619,8 +673,8 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    if request.candidates.size:  # by the rule, each draw has a set of its own
-        draws = 1
+    if request.prices.size and (len(request.thresholds) > 1 or request.rows.size or request.lag):
+        draws = 1  # by a rule, each draw has a separate set
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
     )
@@ -651,7 +705,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         save=address(_save, saves),
         move=address(_move),
         put_truth=address(_put_truth, request.holds_truth),
-        decide=address(_decide, request.candidates.size > 0),
+        decide=address(_decide, request.prices.size > 0),
         forget=address(_forget),
         weigh=address(_weigh),
         leave_out=address(guided.leave_out, draws_again),
@@ -687,7 +741,7 @@ def _arrays(
     sets = request.sets if request.filters > 1 else 0
     steps, most = 0, int(request.rows.max(initial=0))
     if request.rows.size:
-        by_rule = request.candidates.size > 0  # which may leave any gap
+        by_rule = request.prices.size > 0  # which may leave any gap
         steps = (request.instants if by_rule else guided.longest_gap(plan)) + 1
     memory, arrays = zeros(
         CloudBatch,
@@ -713,6 +767,8 @@ def _arrays(
         weighs=row,
         resamples=row,
         degenerate=row,
+        spent=row,
+        following=row,
         first_means=sets * request.instants * quantities * row,
     )
     kept, places = zeros(

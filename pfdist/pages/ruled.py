@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def draw_rule(
-    folder: Path, shown: RuledDraw, numbers: Array, quantities: Sequence[Component],
+    folder: Path, shown: RuledDraw, numbers: Array, what: str, quantities: Sequence[Component],
     is_angle: bool, clock: Clock,
 ) -> list[Path]:  # fmt: skip
     """Draw the figure ``rule`` into a run's folder.
@@ -31,7 +31,9 @@ def draw_rule(
     folder : Path
     shown : RuledDraw
     numbers : array of float64, (D,)
-        Numbers of measurements of all draws.
+        Numbers of measurements of all draws, or prices.
+    what : str
+        Which of these.
     quantities : sequence of Component
         The components of z, of which the first is shown.
     is_angle : bool
@@ -45,7 +47,7 @@ def draw_rule(
         _spread(shown, clock, panels[1])
         values, counts = np.unique(numbers, return_counts=True)
         panels[2].bar(values, 100 * counts / numbers.size, color=BLUE, lw=0)
-        panels[2].set_xlabel("measurements of a draw")
+        panels[2].set_xlabel(f"{what} of a draw")
         panels[2].set_ylabel("share of draws [%]")
         panels[2].xaxis.set_major_locator(MaxNLocator(integer=True))
 
@@ -74,7 +76,9 @@ def _spread(shown: RuledDraw, clock: Clock, ax: Axes) -> None:
     level = np.where(np.isfinite(shown.level), shown.level, np.nan)
     marks: dict[str, Any] = {"ms": marker(), "mew": 0, "clip_on": False, "zorder": 5}
     ax.plot(path, deviation, color=GREY, label="standard deviation of z")
-    ax.plot(path, level, color=RED, ls="--", lw=thin(), label="level of the rule")
+    for sensor in range(level.shape[1]):
+        label = "level of the rule" * (sensor == 0)
+        ax.plot(path, level[:, sensor], color=RED, ls="--", lw=thin(), label=label or None)
     ax.plot(times, 0.0 * times, "^", color=RED, label="measured", **marks)
     ax.set_ylim(bottom=0.0)
     ax.set_ylabel("standard deviation")

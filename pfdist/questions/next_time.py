@@ -41,6 +41,7 @@ from pfdist.questions.rule import NextByRule, rule_of, spread_of
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
+from pfdist.runner.ruling import apart_of, prices_of
 
 _SHOWN = 4  # planned times that are named
 _SEE_SURPRISE = (
@@ -318,35 +319,49 @@ def next_time(
 def _by_rule(
     plan: PlannedRun, table: Path | pd.DataFrame, now: Any, reading: Reading
 ) -> NextByRule:
-    """The first instant at which the spread exceeds the level of the run's rule."""
-    rule, built = rule_of(plan.run.path), plan.built
-    believed, feasible, clock = built.evaluator.believed, built.feasible, built.job.problem.clock
+    """The first instant at which the spread exceeds a level of the run's rule."""
+    feasible, points = plan.built.feasible, plan.built.feasible.points
+    rule, believed, clock = (
+        rule_of(plan.run.path, feasible),
+        plan.built.evaluator.believed,
+        points.clock,
+    )
     start = 0 if plan.prior is None else plan.prior.t
     rows = read_measurements(table, believed, clock, start, reading)
-    fine = on_clock_of(plan, rows)
+    fine, on = on_clock_of(plan, rows), replace(points, clock=rows.clock)
     filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
     estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
     at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
-    spent = {*rows.t, *rows.failed}  # a measurement without a value is spent, too
-    made = clock.nearest(rows.clock.times[t] for t in spent)
-    first = max(start, feasible.spacing.after(max(made, default=-1)))
+    # A measurement without a value is spent, too.
+    made = sorted({*rows.made_with(believed), *rows.failed})
+    near = clock.nearest(rows.clock.times[on.instant(point)] for point in made)
+    taken = [points.first(k) + points.way(point) for k, point in zip(near, made, strict=True)]
+    prices = prices_of(feasible)
+    spent, apart = sum(prices[point] for point in taken), apart_of(feasible)
+    first = max(start, apart[points.instant(max(taken))] if apart and taken else 0)
     passed = max([start - 1, *(k for k in range(len(clock.times)) if at[k] <= last)])
     if now is not None:
         passed = _instant_now(now, max(passed, start), clock)
-    left = [k for k in feasible.allowed if k >= first and k > passed]
     following, spread, level = None, 0.0, 0.0
-    for k in left:
+    for k in points.instants(feasible.allowed):
+        if k < first or k <= passed:
+            continue
+        here, left = points.at(k), feasible.horizon + 1 - k
+        paid = [prices[point] * (point in feasible.index) for point in here]
         spread = spread_of(filtering.predict(at[k]), believed.is_angle)
-        level = rule.level(feasible.horizon + 1 - k, len(spent))
-        if spread > level:
-            following = clock.time(k)
+        chosen = rule.chosen(spread, left, spent, paid, several=not apart)
+        levels = rule.levels(left, spent)
+        level = min(levels[way] for way in chosen or range(points.ways))
+        if chosen:
+            written = points.written_of(here[way] for way in sorted(chosen))
+            following = ", ".join(written) if points.sensors else written[0]
             break
     surprise = _surprise_of(estimates)
     few = next((each.collapsed for each in estimates if each.collapsed is not None), None)
     doubts = few_at(None if few is None else rows.clock.time(few), clock)
     doubts += [_SEE_SURPRISE] * (surprise is not None and surprise < IMPROBABLE)
-    measured = tuple(rows.clock.time(t) for t in sorted(spent))
-    return NextByRule(plan.run.path, rule, measured, following, spread, level, clock, doubts)
+    measured = tuple(on.written_of(made))
+    return NextByRule(plan.run.path, rule, measured, following, spread, level, feasible, doubts)
 
 
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:

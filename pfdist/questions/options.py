@@ -2,6 +2,7 @@
 
 import contextlib
 import inspect
+import re
 import sys
 from collections.abc import Callable, Iterator
 from functools import wraps
@@ -131,8 +132,14 @@ class Chosen(Arguments):
         return self.figures if self.report is None else self.report
 
 
-def with_options(function: Callable[P, R]) -> Callable[P, R]:
+def with_options(function: Callable[P, R], without: str = "") -> Callable[P, R]:
     """Show the options in the signature and in the help of a function that takes ``**options``.
+
+    Parameters
+    ----------
+    function : callable
+    without : str
+        Name of an option that the function does not have.
 
     Raises
     ------
@@ -149,6 +156,7 @@ def with_options(function: Callable[P, R]) -> Callable[P, R]:
             annotation=kind,
         )
         for name, kind in Options.__annotations__.items()
+        if name != without
     ]
     names = [each.name for each in (*own, *added)]
 
@@ -167,5 +175,7 @@ def with_options(function: Callable[P, R]) -> Callable[P, R]:
 
     call.__signature__ = signature.replace(parameters=[*own, *added])  # type: ignore[attr-defined]
     described = inspect.cleandoc(Options.__doc__ or "").partition("\n\n")[2]
+    if without:
+        described = re.sub(rf"(?m)^{without} : .*\n(?: .*\n)*", "", described)
     call.__doc__ = (function.__doc__ or "").replace(_PLACE, indent(described, "    ") + "\n")
     return call

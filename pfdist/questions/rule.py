@@ -1,8 +1,10 @@
 """A rule that measures when it is needed, against times that are fixed in advance."""
 
 import json
+import math
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -16,11 +18,14 @@ from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, StoreError
+from pfdist.filters.criterion import Criterion, Judging, Quantile, Sample
 from pfdist.filters.engines import NUMPY
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.kernels.rules import Rule
 from pfdist.models import squared_error
-from pfdist.problem.clock import Clock, Time
+from pfdist.problem.clock import Time
+from pfdist.problem.feasible import Feasible
 from pfdist.problem.problem import JobSource
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.at_work import at_work, noted
@@ -29,7 +34,6 @@ from pfdist.questions.options import (
     ComparedDraws,
     Options,
     following,
-    other_criterion,
     with_options,
 )
 from pfdist.questions.run_of_job import own_store, run_and_job
@@ -38,15 +42,23 @@ from pfdist.results import Run, finite
 from pfdist.results.online import is_online
 from pfdist.results.pairs import pairs_table
 from pfdist.results.sets import best_first, rows_of_sets
-from pfdist.results.stored_run import check_one_number
+from pfdist.results.stored_run import check_one_number, measured_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch, complete
-from pfdist.runner.ruling import TUNING_DRAWS, filtered_by, followed, judged_work, tuned
+from pfdist.runner.ruling import (
+    TUNING_DRAWS,
+    budget_of,
+    filtered_by,
+    followed,
+    judged_work,
+    tuned,
+)
 from pfdist.store import RULE_PHASE, write_file
 
 RULE = "rule"
 FILE = "rule.json"
 """The last rule that was tuned, in the folder of its run."""
+_DIGITS = 9  # of prices, whose sums are rounded
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
@@ -59,18 +71,21 @@ class Ruled(Shown):
     run : Path
         Folder of the run.
     rule : Rule
-        The tuned rule: threshold, exponent, limit (0: none).
-    budget : int
-        The number N of measurements of the plan.
+        The tuned rule: thresholds, exponent, limit (0: none).
+    feasible : Feasible
+        The constraints of the job: its budget, prices and sensors.
+    criterion : Criterion
+        The number that the job minimises.
     plan : str
         Name of the compared set that was planned.
     table : DataFrame
-        A row for each judged draw: measurements (their number with the rule), degenerate (whether
-        no particle explains one of them), mse_rule, and the MSE of each other set, as ``mse_NAME``.
+        A row for each judged draw: measurements (their number with the rule; for a job with prices,
+        price), degenerate (whether no particle explains one of them), mse_rule, and the MSE of each
+        other set, as ``mse_NAME``.
     labels : mapping of str to str
         The other sets as answers call them.
-    numbers : mapping of str to int
-        How many measurements the other sets have.
+    numbers : mapping of str to float
+        How many measurements the other sets have, or their prices.
     unit : str
         The unit of the standard deviation of z; empty if it is not known, or if there is none.
     figures : list of Path
@@ -78,18 +93,29 @@ class Ruled(Shown):
 
     run: Path
     rule: Rule
-    budget: int
+    feasible: Feasible
+    criterion: Criterion
     plan: str
     table: pd.DataFrame
     labels: Mapping[str, str]
-    numbers: Mapping[str, int]
+    numbers: Mapping[str, float]
     unit: str
     figures: Sequence[Path] = ()
 
     @property
-    def measurements(self) -> Estimate:
-        """The mean number of measurements of a draw."""
-        return Estimate.of_mean(self.table["measurements"].to_numpy())
+    def budget(self) -> float:
+        """The number of measurements, or the total price, that the rule may spend on average."""
+        return budget_of(self.feasible)
+
+    @property
+    def what(self) -> str:
+        """The column with what is spent: "measurements", or "price"."""
+        return _spent(self.feasible)
+
+    @property
+    def spent(self) -> Estimate:
+        """The mean number of measurements of a draw, or their mean price."""
+        return Estimate.of_mean(self.table[self.what].to_numpy())
 
     @property
     def degenerate_draws(self) -> int:
@@ -105,11 +131,15 @@ class Ruled(Shown):
         return pairs[pairs["first"] == RULE].set_index("second")
 
     def error(self, name: str = RULE) -> Estimate:
-        """The expected MSE with the rule, or with another set, on the same draws."""
-        return Estimate.of_mean(self.table[f"mse_{name}"].to_numpy())
+        """The expected MSE, or the job's criterion, with the rule or another set, on the draws."""
+        return self.criterion.value(Evaluation((), self.table[f"mse_{name}"].to_numpy()))
 
     def gain(self, name: str) -> tuple[float, tuple[float, float]]:
-        """How far the rule's expected MSE lies below that of a set, as a share, with interval."""
+        """How far the rule's error lies below that of a set, as a share, with interval."""
+        if isinstance(self.criterion, Judging):
+            rule, other = (Sample(self.table[f"mse_{each}"].to_numpy()) for each in (RULE, name))
+            change = self.criterion.change(rule, other)
+            return change.value, (change.low, change.high)
         pair = self.pairs.loc[name]
         gain, low, high = map(float, pair["gain_of_means":"gain_of_means_high"])
         return gain, (low, high)
@@ -121,28 +151,27 @@ class Ruled(Shown):
         return ("better" if gain > 0 else "worse") if is_clear(interval) else "not clearly"
 
     def as_json(self) -> dict[str, Any]:
-        """The result as JSON values; the rule is three numbers."""
-        numbers = self.table["measurements"].astype(int)
-        mean = self.measurements
-        sets = {
-            name: {"measurements": self.numbers[name],
-                   "expected_mse": self.error(name).value,
-                   "standard_error": self.error(name).standard_error,
-                   **self.pairs.loc[name, "difference":"high"].to_dict(),
-                   **self.pairs.loc[name, "gain_of_means":"gain_of_means_high"].to_dict()}
-            for name in self.labels
-        }  # fmt: skip
+        """The result as JSON values; without sensors, the rule is three numbers."""
+        numbers, mean, criterion = self.table[self.what], self.spent, self.criterion.name
+        sets = dict[str, dict[str, Any]]()
+        for name in self.labels:
+            error, (gain, (low, high)) = self.error(name), self.gain(name)
+            sets[name] = {self.what: self.numbers[name], criterion: error.value,
+                          "standard_error": error.standard_error,
+                          "gain": gain, "gain_low": low, "gain_high": high}  # fmt: skip
+            if self.criterion.is_mean:
+                sets[name] |= dict(self.pairs.loc[name, ["difference", "low", "high"]])
         return finite(
             {
                 "run": str(self.run),
-                "rule": self.rule._asdict(),
+                "rule": rule_json(self.rule, self.feasible),
                 "budget": self.budget,
-                "expected_mse": self.error().value,
+                criterion: self.error().value,
                 "standard_error": self.error().standard_error,
                 "draws": len(self.table),
                 "degenerate_draws": self.degenerate_draws,
                 "tuning_draws": TUNING_DRAWS,
-                "measurements": {
+                self.what: {
                     "mean": mean.value,
                     "standard_error": mean.standard_error,
                     "standard_deviation": float(numbers.std()),
@@ -156,27 +185,31 @@ class Ruled(Shown):
         )
 
     def _page(self) -> Page:
-        numbers, mean = self.table["measurements"].astype(int), self.measurements
-        said = effect(*self.gain(self.plan), "the plan", "the rule's expected MSE")
+        numbers, mean, label = self.table[self.what], self.spent, self.criterion.label
+        said = effect(*self.gain(self.plan), "the plan", f"the rule's {label}")
         if self.verdict == "worse":
             said = f"The rule is worse than the plan, so keep the plan. {said}"
-        spread = f"{numbers.std():.2g}; {numbers.min()} to {numbers.max()}"
-        level = level_text(self.rule, self.unit)
+        ends = f"{unrounded(numbers.min())} to {unrounded(numbers.max())}"
+        spread = f"{numbers.std():.2g}; {ends}"
+        level = level_text(self.rule, self.feasible, self.unit)
         facts = [
             ("rule", f"measure when the standard deviation of z exceeds {level}"),
-            ("measurements", f"{mean.text} on average (standard deviation {spread})"),
+            (self.what, f"{mean.text} on average (standard deviation {spread})"),
             ("draws", f"{len(numbers):,}, none of which tuned the rule"),
         ]
         rows = [[Cell("the rule"), Cell(mean.text, mean.value), self._cell(RULE), Cell("")]]
-        for name, label in self.labels.items():
+        for name, other in self.labels.items():
             change = change_of(*self.gain(name))
             number = self.numbers[name]
-            rows.append([Cell(label), Cell(str(number), number), self._cell(name), Cell(change)])
-        head = ("times", "measurements ± SE", "expected MSE ± SE", "rule's error")
+            spent = Cell(unrounded(number), number)
+            rows.append([Cell(other), spent, self._cell(name), Cell(change)])
+        head = ("times", f"{self.what} ± SE", f"{label} ± SE", "rule's error")
         blocks = Text(f"{said}.", prominent=True), Facts(facts), Table("", head, rows)
         over = mean.value - self.budget
-        more = f"On these draws the rule measures {mean.text} times on average, more than "
-        warnings = [f"{more}{self.budget}."] * (over > 2 * mean.standard_error)
+        spends = f"measures {mean.text} times" if self.feasible.price is None else (
+            f"spends {mean.text}")  # fmt: skip
+        more = f"On these draws the rule {spends} on average, more than {unrounded(self.budget)}."
+        warnings = [more] * (over > 2 * mean.standard_error)
         degenerate = self.degenerate_draws
         few = f"In {degenerate:,} draws, no particle explains a measurement of the rule."
         return Page("", "", [Section("", blocks)], warnings + [few] * (degenerate > 0))
@@ -185,7 +218,7 @@ class Ruled(Shown):
         return mse_cell(self.error(name).value, self.error(name).standard_error)
 
 
-@with_options
+@partial(with_options, without="report")
 @checked
 def rule(
     job: JobSource | Run,
@@ -230,8 +263,8 @@ def rule(
     StoreError
         There is no finished run of the job, or the run is of another job or of other models.
     JobError
-        The job has sensors, prices, required times, another criterion, an exact engine, or a model
-        with its own error.
+        The job has required times, visits, delays or limits of single sensors, a criterion other
+        than the expected MSE and a quantile, an exact engine, or a model with its own error.
     TaskError, PoolError
         A task failed, or no worker answers. All finished draws are kept.
     """
@@ -259,18 +292,18 @@ def check_rule(built: Built) -> None:
     """Raise `JobError` if no rule can be tuned for a job."""
     job, feasible, evaluator = built.job, built.feasible, built.evaluator
     problem = job.problem
-    if not job.criterion.is_mean:
-        raise other_criterion(job)
     refused = {
+        f"the criterion {job.criterion.name}, which is not judged by the MSE of each draw alone":
+            not isinstance(job.criterion, Quantile) and not job.criterion.is_mean,
         "filter.engine = 'kalman' (its spread does not depend on y, so a rule is a fixed set)":
             not evaluator.has_particles,
         "filter.engine = 'numpy' (which takes too long)": evaluator.engine == NUMPY.name,
         "an error that the model defines": evaluator.model.error is not squared_error,
-        "sensors, or measurements that are repeated": evaluator.points.ways > 1,
         "a delay (a rule decides when a value arrives, not when it is measured)": any(
             each.delay for each in [problem.sensor, *(problem.sensors or {}).values()] if each
         ),
-        "prices or visits": not feasible.counted,
+        "visits, installations, or limits of single sensors":
+            feasible.is_limited,
         "search = [] (there is no plan)": not job.search,
         "problem.required": bool(feasible.required),
     }  # fmt: skip
@@ -284,7 +317,7 @@ def _draw(found: Ruled, built: Built) -> list[Path]:
     # Not above: the help of the command waits for no Matplotlib.
     from pfdist.pages.ruled import draw_rule  # noqa: PLC0415
 
-    numbers, table = found.table["measurements"].to_numpy(), found.table
+    numbers, table = found.table[found.what].to_numpy(), found.table
     usual = np.abs(numbers - np.median(numbers))
     usual[table["degenerate"] | ~np.isfinite(table["mse_rule"])] = np.inf
     draw = int(np.argmin(usual))
@@ -293,7 +326,9 @@ def _draw(found: Ruled, built: Built) -> list[Path]:
     work = judged_work(built, found.rule, draw + 1)
     shown = followed(built.evaluator, work, draw)
     model, clock = built.evaluator.model, built.job.problem.clock
-    return draw_rule(found.run, shown, numbers, model.named("z"), model.is_angle[0], clock)
+    return draw_rule(
+        found.run, shown, numbers, found.what, model.named("z"), model.is_angle[0], clock
+    )
 
 
 def _judge(
@@ -304,22 +339,31 @@ def _judge(
     table, plan = _compared(run, draws), best_first(rows_of_sets(run))[0]
     own = yield from tuned(session, is_hard=is_hard)
     session.reporter.foresee(judged_work(built, own, len(table)).steps)
-    ((mse, numbers, degenerate),) = yield from filtered_by(
+    ((mse, spent, degenerate),) = yield from filtered_by(
         session, [judged_work(built, own, len(table))]
     )
     session.commit()
     for name in ("draws", "timings"):
         store.settle(name, RULE_PHASE)
-    table.insert(0, "measurements", numbers.astype(int))
-    table.insert(1, "degenerate", degenerate > 0)
-    table.insert(2, "mse_rule", mse)
+    feasible = built.feasible
+    spent = spent.round(_DIGITS) if feasible.price else spent.astype(int)
+    columns = {_spent(feasible): spent, "degenerate": degenerate > 0, "mse_rule": mse}
+    table = pd.concat([pd.DataFrame(columns), table], axis=1)
     labels = {name: phrase_of(run.labels[name]) for name in (plan, run.names[0])}
     labels |= {"online": "online times"} if "mse_online" in table else {}
-    model, budget = built.evaluator.model, built.feasible.total
-    numbers = {name: len(run.sets.get(name, range(budget))) for name in labels}
+    measured, model = measured_of(run), built.evaluator.model
+    numbers = {
+        name: float(feasible.price_of(measured[name])) if name in measured else budget_of(feasible)
+        for name in labels
+    }
     (quantity, *others) = model.named("z")
     unit = "" if others or any(model.is_angle) else quantity.unit  # that of an angle is sqrt(1 - R)
-    return Ruled(run.path, own, budget, plan, table, labels, numbers, unit)
+    criterion = built.job.criterion
+    return Ruled(run.path, own, feasible, criterion, plan, table, labels, numbers, unit)
+
+
+def _spent(feasible: Feasible) -> str:
+    return "price" if feasible.price else "measurements"
 
 
 def _compared(run: Run, draws: int | None) -> pd.DataFrame:
@@ -331,16 +375,27 @@ def _compared(run: Run, draws: int | None) -> pd.DataFrame:
     return table.drop(columns="draw").reset_index(drop=True)
 
 
-def level_text(rule: Rule, unit: str = "") -> str:
-    """The level of a rule as a formula.
+def level_text(rule: Rule, feasible: Feasible, unit: str = "") -> str:
+    """The levels of a rule as a formula.
 
-    >>> level_text(Rule(6.0), "m"), level_text(Rule(3.5, 0.5, 21)), level_text(Rule(2.0, 0.0, 1))
-    ('6 m', '3.5 x (rest of time / rest of budget)^0.5, at most 21 times', '2, at most 1 time')
+    >>> counted = Feasible(horizon=60, measurement_budget=21)
+    >>> level_text(Rule((6.0,)), counted, "m"), level_text(Rule((3.5,), 0.5, 21), counted)
+    ('6 m', '3.5 x (rest of time / rest of budget)^0.5, at most 21 times')
     """
-    threshold, exponent, limit = rule
+    thresholds, exponent, limit = rule
+    levels = [f"{unrounded(c)} {unit}".rstrip() if c < math.inf else "never" for c in thresholds]
+    if sensors := feasible.points.sensors:
+        levels = [f"{level} ({name})" for name, level in zip(sensors, levels, strict=True)]
     power = f" x (rest of time / rest of budget)^{unrounded(exponent)}" * (exponent > 0)
-    most = f", at most {number_of(limit, 'time')}" * (limit > 0)
-    return f"{unrounded(threshold)} {unit}".rstrip() + power + most
+    paid = f"a price of {unrounded(limit)}" if feasible.price else number_of(int(limit), "time")
+    return ", ".join(levels) + power + f", at most {paid}" * (limit > 0)
+
+
+def rule_json(rule: Rule, feasible: Feasible) -> dict[str, Any]:
+    """A rule as JSON values; with sensors, `threshold` has that of each, null for never."""
+    sensors, (thresholds, exponent, limit) = feasible.points.sensors, rule
+    threshold = dict(zip(sensors, thresholds, strict=True)) if sensors else thresholds[0]
+    return finite({"threshold": threshold, "exponent": exponent, "limit": limit})
 
 
 # --- real measurements ----------------------------------------------------------------------------
@@ -357,14 +412,14 @@ class NextByRule(Shown):
         That of the file ``rule.json`` in the folder of the run.
     measured : tuple of int or float
         Times with a measurement.
-    next : int, float or None
+    next : int, float, str or None
         The first time, on the clock of the job, at which the rule measures if nothing is measured
-        before; None if there is none.
+        before, with sensors as ``12 x-ray``; None if there is none.
     standard_deviation, level : float
-        Predicted standard deviation of z at that time, and the level that it exceeds; without such
-        a time, both at the last instant that is left.
-    clock : Clock
-        That of the job.
+        Predicted standard deviation of z at that time, and the lowest level that it exceeds;
+        without such a time, both at the last instant that is left.
+    feasible : Feasible
+        The constraints of the job.
     doubts : sequence of str
         Sentences that put the answer in doubt.
     """
@@ -372,35 +427,42 @@ class NextByRule(Shown):
     run: Path
     rule: Rule
     measured: tuple[Time, ...]
-    next: Time | None
+    next: Time | str | None
     standard_deviation: float
     level: float
-    clock: Clock
+    feasible: Feasible
     doubts: Sequence[str]
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values."""
         names = ("measured", "next", "standard_deviation", "level")
         values = {name: getattr(self, name) for name in names}
-        return finite({"run": str(self.run), "rule": self.rule._asdict(), **values})
+        return finite({"run": str(self.run), "rule": rule_json(self.rule, self.feasible), **values})
 
     def _page(self) -> Page:
         said = f"The rule measures no more after {number_of(len(self.measured), 'measurement')}"
-        facts = [("rule", f"standard deviation of z above {level_text(self.rule)}")]
+        level = level_text(self.rule, self.feasible)
+        facts = [("rule", f"standard deviation of z above {level}")]
         if self.next is not None:
-            said = f"Measure next at t = {self.clock.listed([self.next])}"
+            is_written = isinstance(self.next, str)
+            when = self.next if is_written else self.feasible.points.clock.listed([self.next])
+            said = f"Measure next at t = {when}"
             spread = f"{rounded(self.standard_deviation)}, above {rounded(self.level)}"
             facts.append(("predicted standard deviation", spread))
         blocks = Text(f"{said}.", prominent=True), Facts(facts)
         return Page("", "", [Section("", blocks)], alarms=self.doubts)
 
 
-def rule_of(run: Path) -> Rule:
+def rule_of(run: Path, feasible: Feasible) -> Rule:
     """The rule that was tuned last for a run; a `StoreError` if there is none."""
     if not (run / FILE).exists():
         raise StoreError(f"{run} has no rule: `pfdist rule {run}` tunes one")
     try:
-        return Rule(**parse_json(read_text(run / FILE))["rule"])
+        written = parse_json(read_text(run / FILE))["rule"]
+        threshold, sensors = written["threshold"], feasible.points.sensors
+        each = [threshold[name] for name in sensors] if sensors else [threshold]
+        thresholds = tuple(math.inf if level is None else float(level) for level in each)
+        return Rule(thresholds, float(written["exponent"]), float(written["limit"]))
     except (ValueError, TypeError, KeyError) as error:
         raise StoreError(f"{run / FILE} is damaged: `pfdist rule {run}` writes it again") from error
 

@@ -6,9 +6,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from oracles import beliefs
+from oracles import beliefs, watched
 from oracles.batched import batched
 from oracles.kalman import SCALAR, THREE, kalman_filter, riccati_cost
+from oracles.learned import SD, WALK
+from oracles.three_sensors import HORIZON, SYSTEMS
 from pfdist import StateSpaceModel, load_model
 from pfdist.common.measurement_times import Lag
 from pfdist.filters import plain
@@ -16,10 +18,11 @@ from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.rules import Rule
+from pfdist.models.learned import learned
 
 INSTANTS = tuple(range(13))
 SLOW = pytest.mark.slow
-RULES = Rule(5.0), Rule(3.0, 0.5, 4), Rule(2.0, 1.0, 2)
+RULES = Rule((5.0,)), Rule((3.0,), 0.5, 4), Rule((2.0,), 1.0, 2)
 
 
 @pytest.mark.parametrize("lag", [0, pytest.param(3, marks=SLOW), 12])
@@ -64,7 +67,7 @@ def test_any_spread_and_any_weights_decide_as_in_the_plain_filter(
     model: StateSpaceModel, level: float, settings: Estimation
 ) -> None:
     draws = simulate(model, 12, range(4), 17)
-    settings = replace(settings, rule=Rule(level))
+    settings = replace(settings, rule=Rule((level,)))
     found, slow = (
         filtered(model, draws, INSTANTS, 3, settings)
         for filtered in (filter_checked_draws, plain.filter_checked_draws)
@@ -84,7 +87,9 @@ def test_without_a_spread_that_depends_on_y_a_rule_is_a_fixed_set() -> None:
             deviation = np.sqrt(kalman_filter(SCALAR, nothing, times)[1][t, 0])
             times += (t,) * int(deviation > level)
             gap = min(gap, abs(deviation / level - 1))
-        found = filter_checked_draws(model, draws, INSTANTS, 2, Estimation(4000, rule=Rule(level)))
+        found = filter_checked_draws(
+            model, draws, INSTANTS, 2, Estimation(4000, rule=Rule((level,)))
+        )
         wrong = (found.measured != np.isin(INSTANTS, times)).any(axis=1).mean()
         assert gap > 0.06  # more than 5 standard errors of a deviation of 4,000 particles
         assert wrong == 0, level
@@ -95,15 +100,67 @@ def test_without_a_spread_that_depends_on_y_a_rule_is_a_fixed_set() -> None:
         assert error >= min(riccati_cost(SCALAR, 12, each) for each in every) - 1e-12
 
 
+@pytest.mark.parametrize("several", [True, False])
+@pytest.mark.parametrize("rule", [Rule((0.45, 0.6, 0.8)), Rule((0.4, 0.3, np.inf), 0.5, 3.0)])
+def test_sensors_decide_alike_in_both_engines_and_as_filters_with_their_sets(
+    rule: Rule, several: bool
+) -> None:
+    model, prices = SYSTEMS[0].as_model(), (1.0, 0.25, 2.0)
+    draws, candidates = simulate(model, HORIZON, range(5, 9), 17), tuple(range(1, 3 * HORIZON))
+    apart = () if several else tuple(range(1, HORIZON + 2))
+    settings = Estimation(70, rule=rule, apart=apart, prices=prices * (HORIZON + 1))
+    found, slow = (
+        filtered(model, draws, candidates, 3, settings)
+        for filtered in (filter_checked_draws, plain.filter_checked_draws)
+    )
+    np.testing.assert_array_equal(found.measured, slow.measured)
+    np.testing.assert_allclose(found.mse, slow.mse, rtol=1e-9)
+    each = found.measured.reshape(4, HORIZON + 1, 3)
+    assert each.any(axis=(0, 1)).tolist() == [True, True, rule.thresholds[2] < np.inf]
+    assert (each.sum(axis=2).max() > 1) == several
+    assert not rule.limit or 2.75 < (each @ prices).sum(axis=1).max() <= rule.limit
+    for place, row in enumerate(found.measured):
+        times = tuple(np.flatnonzero(row).tolist())
+        alone = draws[place : place + 1]
+        fixed = filter_checked_draws(model, alone, times, 3, replace(settings, rule=None))
+        assert fixed.mse[0] == found.mse[place]  # the same bits
+
+
+def test_with_two_sensors_a_rule_is_the_fixed_set_of_its_thresholds() -> None:
+    draws, sets = simulate(watched.WALK, watched.HORIZON, range(40), 1), set()
+    apart = tuple(range(1, watched.HORIZON + 2))
+    for thresholds in ((1.55, 1.85), (1.6, 1.3), (1.2, np.inf), (np.inf, 1.55)):
+        error, _, points, near = watched.of_thresholds(thresholds)
+        settings = Estimation(4000, rule=Rule(thresholds), apart=apart)
+        every = tuple(range(2 * watched.HORIZON + 2))
+        found = filter_checked_draws(watched.WALK, draws, every, 2, settings)
+        assert near > 0.05, thresholds  # more than 4 standard errors of a deviation
+        assert (found.measured == np.isin(every, points)).all()
+        assert error >= watched.best_set(watched.of_thresholds(thresholds)[1]) - 1e-12
+        sets.add(points)
+    assert len(sets) == 4
+
+
+def test_what_is_not_known_of_a_learned_parameter_counts_as_spread() -> None:
+    model = learned(WALK, {"drift": {"normal": (0.0, 0.3)}})
+    draws, t = simulate(model, 12, range(40), 1), np.arange(13.0)
+    found = filter_checked_draws(model, draws, INSTANTS, 2, Estimation(4000, rule=Rule((2.0,))))
+    deviation = np.sqrt(1.0 + SD**2 * t + (1.0 + t**2) * 0.3**2)  # before a measurement
+    first = int(np.argmax(deviation > 2.0))
+    assert abs(deviation[[first - 1, first]] / 2.0 - 1.0).min() > 0.05
+    assert deviation[-1] > 2.0 > np.sqrt(1.0 + SD**2 * t[first])
+    assert (found.measured.argmax(axis=1) == first).all()
+
+
 def test_on_a_chain_of_two_states_the_best_rule_is_worse_than_the_plan_and_than_any_bound() -> None:
     instants, rules = (
         range(beliefs.HORIZON + 1),
         [
-            Rule(threshold, exponent, beliefs.BUDGET)
+            Rule((threshold,), exponent, beliefs.BUDGET)
             for threshold in np.linspace(0.05, 0.5, 10)
             for exponent in (0.0, 0.5, 1.0, 2.0)
         ]
-        + [Rule(0.18, 1.0, beliefs.BUDGET)],
+        + [Rule((0.18,), 1.0, beliefs.BUDGET)],
     )
     (best, number), rule = min((beliefs.of_rule(rule), rule) for rule in rules)
     plan = min(map(beliefs.of_set, combinations(instants, beliefs.BUDGET)))
@@ -113,7 +170,7 @@ def test_on_a_chain_of_two_states_the_best_rule_is_worse_than_the_plan_and_than_
     assert round(policy, 5) == 0.12118
     bound = beliefs.average_bound(beliefs.BUDGET, np.linspace(0.03, 0.07, 9))
     assert bound <= policy < plan < best
-    for average in (Rule(0.458), Rule(0.43)):
+    for average in (Rule((0.458,)), Rule((0.43,))):
         error, number = beliefs.of_rule(average)
         assert error >= beliefs.average_bound(number, np.linspace(0.0, 0.2, 5))
     # The particle filter finds the same error: the best rule's decisions leave room for its noise.

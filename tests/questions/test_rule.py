@@ -12,14 +12,17 @@ import pandas as pd
 import pytest
 
 import pfdist
-from oracles import beliefs
+from oracles import beliefs, watched
 from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
 from pfdist.kernels.rules import Rule
-from pfdist.questions.rule import NextByRule, Ruled, _draw, check_rule
+from pfdist.problem.feasible import Feasible
+from pfdist.questions.rule import NextByRule, Ruled, _draw, check_rule, rule_json, rule_of
 from pfdist.runner import ruling
 from pfdist.runner.build import build
+
+COUNTED = Feasible(horizon=12, measurement_budget=4)
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +43,7 @@ def asked(run: Run, **options: Any) -> Ruled:
 
 def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
     found = asked(run)
-    assert found.rule[1:] == (0.0, 0)
+    assert found.rule[1:] == (0.0, 0.0)
     compared = run.table("comparison")
     for name in found.labels:
         np.testing.assert_array_equal(found.table[f"mse_{name}"], compared[f"mse_{name}"])
@@ -50,12 +53,14 @@ def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
     assert own["difference"] == pytest.approx(difference.mean())
     half = 1.9695 * difference.std() / np.sqrt(len(difference))
     assert own["high"] - own["low"] == pytest.approx(2 * half, rel=1e-3)
-    mean = found.measurements
+    mean = found.spent
     assert mean.value - 3 * mean.standard_error < found.budget == 4
     assert mean.value > 3.4
     counted = answer["measurements"]["draws_by_number"]
     assert sum(counted.values()) == answer["draws"] == 250
-    assert json.loads((run.path / "rule.json").read_text())["rule"] == found.rule._asdict()
+    assert json.loads((run.path / "rule.json").read_text())["rule"] == rule_json(
+        found.rule, found.feasible
+    )
 
 
 def test_with_a_hard_limit_no_draw_is_measured_more_often(run: Run) -> None:
@@ -115,7 +120,7 @@ def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None
     found = pfdist.rule(planned, figures=False, pool="serial")
     assert found.verdict == "worse"
     assert "The rule is worse than the plan, so keep the plan." in repr(found)
-    assert found.rule.threshold > 0.45
+    assert found.rule.thresholds[0] > 0.45
 
 
 @pytest.mark.parametrize(
@@ -125,7 +130,7 @@ def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None
         (["problem.required=3"], "problem.required"),
         (["problem.sensor.delay=2"], "a delay"),
         (["problem.sensor.delay=2", "problem.estimate=smoothed"], "a delay"),
-        (["problem.sensor.repeats=2"], "repeated"),
+        (["problem.criterion=worst_instant"], "worst_instant"),
         (["problem.visits.most=2", "problem.visits.within=3"], "visits"),
         (["search=[]", "comparison.sets.mine=[0, 4, 8]"], "no plan"),
     ],
@@ -133,6 +138,83 @@ def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None
 def test_other_problems_are_not_accepted(small_job: Job, changes: list[str], what: str) -> None:
     with pytest.raises(JobError, match=what):
         check_rule(build(small_job.with_changes(changes)))
+
+
+def watched_run(folder: Path, draws: int) -> Run:
+    """A run of a walk that two sensors with prices watch."""
+    problem = Problem(
+        watched.WALK, horizon=watched.HORIZON, total_price=watched.BUDGET, particles=200,
+        sensors={name: {"price": price} for name, (price, _) in watched.SENSORS.items()},
+        engine="compiled", proposal="plain", minimum_spacing=1,
+    )  # fmt: skip
+    fewer = [f"comparison.draws={draws}", "search.random.evaluations=10"]
+    given: Any = {"figures": False, "pool": "serial", "search": "random", "changes": fewer}
+    return pfdist.plan(problem, results=folder / "run", bound_draws=0, **given)
+
+
+def test_each_sensor_has_a_threshold_and_prices_are_within_the_budget(tmp_path: Path) -> None:
+    run = watched_run(tmp_path, 300)
+    found = pfdist.rule(run, figures=False, pool="serial")
+    answer, mean = found.as_json(), found.spent
+    assert list(answer["rule"]["threshold"]) == [*watched.SENSORS]
+    assert 6.0 < mean.value < watched.BUDGET + 3 * mean.standard_error
+    assert answer["price"]["mean"] == mean.value
+    assert found.numbers[found.plan] == watched.BUDGET
+    assert "(sharp)" in repr(found._page())
+    hard = pfdist.rule(run, hard=True, figures=False, pool="serial")
+    assert hard.table["price"].max() == watched.BUDGET == hard.rule.limit
+    assert rule_of(run.path, hard.feasible) == hard.rule
+
+
+def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(tmp_path: Path) -> None:
+    run, table = watched_run(tmp_path, 60), pd.DataFrame({"t": [0], "sensor": "sharp", "y0": 1.0})
+    feasible = build(load_job(run.path / "job.toml")).feasible
+    for rule, now, following in (
+        (Rule((1.2, 1.6)), None, "2 cheap"),  # the deviation is 1.02 at t = 1, and 1.43 at t = 2
+        (Rule((1.2, 1.6)), 2, "3 sharp"),  # 1.74, above both levels
+        (Rule((1.2, 1.6), 0.0, 3.0), 2, "3 cheap"),  # 1 is left, and the sharp one costs 2
+        (Rule((np.inf, 1.6), 0.0, 3.0), 2, None),
+    ):
+        answer = json.dumps({"rule": rule_json(rule, feasible)})
+        (run.path / "rule.json").write_text(answer, encoding="utf-8")
+        found = pfdist.next_time(run, table, rule=True, now=now)
+        assert isinstance(found, NextByRule)
+        assert (found.measured, found.next) == (("0 sharp",), following)
+
+
+@pytest.mark.slow
+def test_the_tuned_thresholds_of_two_sensors_are_about_the_best(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ruling.tuned, "__kwdefaults__", {"draws": 3000})
+    found = pfdist.rule(watched_run(tmp_path, 6000), figures=False, pool="serial")
+    best, _ = watched.best_thresholds(watched.BUDGET)
+    alone = [watched.best_thresholds(watched.BUDGET, only=sensor)[0] for sensor in (0, 1)]
+    error = found.error()
+    assert watched.best_set(watched.BUDGET) < best < min(alone)
+    assert error.value < min(alone) - 3 * error.standard_error
+    assert error.value < 1.1 * best  # 200 particles decide as the exact deviation would, nearly
+
+
+def test_a_quantile_is_judged_as_elsewhere(finished: Callable[..., Path], tmp_path: Path) -> None:
+    given = finished("problem.criterion=quantile 0.9")
+    run = pfdist.open_run(shutil.copytree(given, tmp_path / "run"))
+    found = asked(run, hard=True)
+    mse = np.sort(found.table["mse_rule"])
+    assert found.error().value == mse[int(np.ceil(0.9 * mse.size)) - 1]
+    own = run.table("sets").set_index("name")
+    for name in found.labels:
+        assert found.as_json()["sets"][name]["quantile"] == own.loc[name, "quantile"]
+    assert "rule's 90 % quantile of the MSE" in repr(found)
+
+
+def test_parameters_that_are_learned_have_a_rule(
+    finished: Callable[..., Path], tmp_path: Path
+) -> None:
+    prior = "scenarios.parameters={process_sd={uniform=[0.5, 3.0]}}"
+    given = finished(prior, "scenarios.filter=learned")
+    found = asked(pfdist.open_run(shutil.copytree(given, tmp_path / "run")))
+    assert 3.0 < found.spent.value < 4.0 + 3 * found.spent.standard_error
 
 
 def test_each_set_has_its_own_number_of_measurements(
@@ -161,13 +243,13 @@ def test_the_function_in_the_manual_decides_as_the_rule(
     code = text.partition("```python\n")[2].partition("```")[0]
     (tmp_path / "results" / "plan").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
-    for rule in (Rule(2.0), Rule(2.0, 0.5, 3)):
-        answer = json.dumps({"rule": rule._asdict()})
+    for rule in (Rule((2.0,)), Rule((2.0,), 0.5, 3)):
+        answer = json.dumps({"rule": rule_json(rule, COUNTED)})
         Path("results/plan/rule.json").write_text(answer, encoding="utf-8")
         names = dict[str, Any]()
         exec(code, names)
         for t, spent in product(range(13), range(5)):
-            level = rule.level(13 - t, spent)
+            (level,) = rule.levels(13 - t, spent)
             for deviation in (1.99, 2.01, level - 0.01, level + 0.01):
                 assert names["measures"](deviation, t, 12, spent) is (deviation > level)
 
@@ -185,7 +267,7 @@ def test_next_measures_where_the_filter_of_the_run_would(
     own = pfdist.Filter("ungm", 40, 1, resampling="multinomial", horizon=12)
     own.update(1, 0.5)
     spread = {t: float(own.predict(t).standard_deviation[0]) for t in range(2, 13)}
-    assert found.next == next(t for t in spread if spread[t] > rule.threshold)
+    assert found.next == next(t for t in spread if spread[t] > rule.thresholds[0])
     assert found.standard_deviation == pytest.approx(spread[found.next])
     later = pfdist.next_time(run.path / "job.toml", table, now=found.next, **given)
     assert later.next > found.next
@@ -195,8 +277,8 @@ def test_next_measures_where_the_filter_of_the_run_would(
     (run.path / "rule.json").write_text("{}")
     with pytest.raises(StoreError, match="damaged"):
         pfdist.next_time(run.path / "job.toml", table, **given)
-    spent = Rule(1.0, 0.5, 1)
-    (run.path / "rule.json").write_text(json.dumps({"rule": spent._asdict()}))
+    spent = Rule((1.0,), 0.5, 1)
+    (run.path / "rule.json").write_text(json.dumps({"rule": rule_json(spent, COUNTED)}))
     assert pfdist.next_time(run.path / "job.toml", table, **given).next is None
 
 
@@ -205,7 +287,7 @@ def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacin
 ) -> None:
     given = finished("problem.sensor.fails=0.2", "problem.minimum_spacing=3")
     run = shutil.copytree(given, tmp_path / "run")
-    (run / "rule.json").write_text(json.dumps({"rule": Rule(1e-3, 1.0, 4)._asdict()}))
+    (run / "rule.json").write_text(json.dumps({"rule": rule_json(Rule((1e-3,), 1.0, 4), COUNTED)}))
     table = pd.DataFrame({"t": [1, 4], "y0": [0.5, np.nan]})
     found = pfdist.next_time(run, table, rule=True)
     assert isinstance(found, NextByRule)
@@ -221,5 +303,5 @@ def test_a_filter_that_is_more_unsure_than_z_varies_keeps_its_budget(
     changes = ["model.name=random_walk", f"model.parameters={calm}",
                "model.filter.name=random_walk", f"model.filter.parameters={unsure}"]  # fmt: skip
     found = asked(pfdist.open_run(shutil.copytree(finished(*changes), tmp_path / "run")))
-    mean = found.measurements
+    mean = found.spent
     assert mean.value <= found.budget + 3 * mean.standard_error
