@@ -33,6 +33,7 @@ _GROUP = "pfdist.models"
 _LIBRARY = "pfdist.models.library"
 _FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}
 """Modules that a file beside a model must not hide."""
+_OWN = Path(__file__).parents[1]  # may lie below the model's folder, as in a clone beside it
 _importing = threading.RLock()  # the path and the table of modules belong to all threads
 
 
@@ -212,7 +213,10 @@ def _lies_in(module: types.ModuleType, folder: Path) -> bool:
 
 def _is_installed(module: types.ModuleType) -> bool:
     file = getattr(module, "__file__", None)
-    return file is not None and not {"site-packages", "dist-packages"}.isdisjoint(Path(file).parts)
+    if file is None:
+        return False
+    installed = {"site-packages", "dist-packages"}
+    return Path(file).is_relative_to(_OWN) or not installed.isdisjoint(Path(file).parts)
 
 
 @contextlib.contextmanager

@@ -267,6 +267,17 @@ class Declared:
             return tuple(row[0] for row in rows)
         return rows[0] if self.name in ONE_NUMBER else tuple(rows)
 
+    def tried(self, *arguments: Any) -> Any:
+        """The rows, after a check that a second call gives the same."""
+        first = self(*arguments)
+        if not np.array_equal(first, self(*arguments), equal_nan=True):
+            raise ModelError(
+                f"model {self.model}: {self.name} must compute the same whenever it is called, got "
+                f"two different results: randomness comes from w and v alone, as sd * w[0]"
+                f"{self.place}"
+            )
+        return first
+
     def _called(self, function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
         """The values of the function; a `ModelError` says that it failed."""
         check()

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -126,11 +126,13 @@ class Reading(NamedTuple):
                 f"{clock.duration(distance)} away, {self.why_instants}"
             )
 
-    def repeated(self, rows: int) -> None:
+    def repeated(self, rows: int, instants: Sequence[int] = ()) -> None:
         """Note how many rows are not the first of their time and sensor, if there are any."""
         if rows:
             repeat = "1 row repeats" if rows == 1 else f"{rows} rows repeat"
-            self.note(f"{repeat} a time of the table: the filter weighs each row")
+            begun = 1 + sum(b < a for a, b in pairwise(instants))
+            several = f"; t begins {begun} times: give the rows of one system" * (begun > 2)
+            self.note(f"{repeat} a time of the table: the filter weighs each row{several}")
 
 
 PLAIN_READING = Reading()
@@ -212,7 +214,7 @@ def read_measurements(
     except OSError as error:
         raise MeasurementsError(f"cannot read {path}: {error.strerror or error}") from error
     measured, repeats = sorted({t for t, _, _ in values}), 1 + max(k for *_, k in [(0,), *values])
-    reading.repeated(sum(k > 0 for *_, k in values))
+    reading.repeated(sum(k > 0 for *_, k in values), instants)
     place = {t: k for k, t in enumerate(measured)}
     y = np.full((len(measured), repeats, model.components[1]), np.nan)
     for (t, way, number), each in values.items():

@@ -134,6 +134,12 @@ class Scenarios(JobSection):
         return self.filter == "learned"
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters that differ between systems."""
+        given = self.parameters
+        return (*(given if isinstance(given, dict) else given[0]),)
+
+    @property
     def form(self) -> Criterion:
         """The number that is minimised: the mean, or the error in the worst scenario."""
         return MEAN if self.criterion == "mean" else WorstScenario(apart=len(self.each))

@@ -234,6 +234,15 @@ def fit(
             f"{believed.name} does not declare this: without, a deviation would grow without end"
         )
     start, bounds = _start(believed, parameters)
+    scenarios = built.job.scenarios
+    if scenarios is not None and scenarios.filter != "nominal":
+        for name in {*start} & {*scenarios.names}:
+            raise ArgumentError(
+                f"parameters must be the same for all systems, got {name}, of which "
+                f"[scenarios.parameters] has others: write {name} * {name}_factor in the model, "
+                f"and let {name}_factor differ",
+                argument="parameters",
+            )
     names = [*built.evaluator.model.parameters, *believed.parameters]
     replicates = read_replicates(
         table, replicate, built.evaluator.model, built.job.problem.clock, [*dict.fromkeys(names)],

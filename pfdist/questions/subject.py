@@ -185,8 +185,10 @@ class Subject:
                 self.quantities, angles_of(self.run), errors, others, strict=False
             )
         ]
-        names = [f"{each.name or each.suffix} " * (len(parts) > 1) for each in self.quantities]
-        return ", ".join(map("".join, zip(names, parts, strict=False)))
+        names = [each.name or f"z{each.suffix}" for each in self.quantities]
+        if len(parts) > 1:
+            parts = [f"{name} {part}" for name, part in zip(names, parts, strict=False)]
+        return ", ".join(parts)
 
     @property
     def clock(self) -> Clock:

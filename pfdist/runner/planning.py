@@ -170,7 +170,7 @@ def check_plannable(evaluator: Evaluator) -> None:
     if evaluator.lag:
         raise ModelError(
             "online choice of times needs problem.estimate = 'filtered', got an estimate that uses "
-            "later measurements"
+            "later measurements; docs/afterwards.md says what to do"
         )
     if evaluator.scenarios:
         raise ModelError("online choice of times needs a job without scenarios, got some")

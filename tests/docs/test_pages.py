@@ -181,6 +181,7 @@ def test_the_model_with_angles_is_checked_as_its_page_shows(
     ("page", "file"),
     [
         ("models.md", "tank.py"),
+        ("simulators.md", "cell.py"),
         pytest.param("simulators.md", "growth.py", marks=pytest.mark.recipes),
         pytest.param("cookbook.md", "decay_jax.py", marks=pytest.mark.recipes),
     ],

@@ -180,6 +180,9 @@ def test_formulas_that_call_another_library_are_declared_as_they_are():
 # --- mistakes -------------------------------------------------------------------------------------
 
 
+NOISE = np.random.default_rng(1)
+
+
 def changing(x, t, w, p):
     x *= 0.5
     return x
@@ -192,6 +195,7 @@ def changing(x, t, w, p):
         (lambda x, t, w, p: x[:, :-1], r"transition must give an array \(components, particles\)"),
         (lambda x, t, w, p: x.astype(np.float32), r"got float32 of shape \(1, 2\): JAX computes"),
         (changing, r"transition failed: ValueError: output array is read-only"),
+        (lambda x, t, w, p: x + NOISE.normal(), r"transition must compute the same whenever it is"),
         (lambda x, t, w, p: x + np.nan, r"must stay finite, got x\[0\] = nan at t = 1"),
         (lambda x, t, w, p: (np.zeros(3),), r"failed: ValueError: .*\(3,\).*shape \(2,\)"),
         (lambda x, t, w, p: (x[0], x[0]), r"as many components as initial, 1, got 2"),

@@ -1,5 +1,6 @@
 """A model's file is imported with the modules beside it, and with nobody else's."""
 
+import importlib
 import shutil
 import subprocess
 import sys
@@ -11,9 +12,10 @@ from typing import Any
 
 import pytest
 
+import pfdist
 from oracles.model_text import WALK
 from pfdist.errors import ModelError
-from pfdist.models import StateSpaceModel, load_model
+from pfdist.models import StateSpaceModel, load_model, loader
 from pfdist.models.by_value import by_value
 
 FILES = {
@@ -107,6 +109,17 @@ def test_a_file_that_hides_a_module_is_refused_by_its_name(
     monkeypatch.delitem(sys.modules, "antigravity", raising=False)
     with pytest.raises(ModelError, match=r"antigravity\.py hides the module 'antigravity'"):
         write("import helper", helper="import antigravity", antigravity="A = 1")
+
+
+def test_the_package_may_lie_below_the_folder_of_a_model(
+    write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a clone beside the model; a part of the package that the model loads hides nothing."""
+    monkeypatch.delitem(sys.modules, "pfdist.common.nearest")
+    folder = Path(pfdist.__file__).parents[1]
+    with loader._beside(folder):
+        importlib.import_module("pfdist.common.nearest")
+    assert "pfdist.common.nearest" in sys.modules
 
 
 def test_a_file_that_nobody_imports_hides_nothing(write: Write) -> None:

@@ -13,6 +13,7 @@ import pfdist
 from pfdist.cli.main import main
 from pfdist.errors import MeasurementsError, ModelError, PfdistWarning
 from pfdist.models.recorded import is_of_any_time
+from pfdist.problem.measurements import Reading
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 
@@ -292,3 +293,13 @@ def test_readings_below_the_limit_are_cells_that_say_so(tmp_path: Path) -> None:
             MeasurementsError, match=f"got '{text}'; a reading below the limit is <1"
         ):
             pfdist.filter_measurements(run.path, pd.DataFrame({"t": [1], "y0": [text]}))
+
+
+def test_rows_of_several_systems_are_named_where_one_is_filtered() -> None:
+    """Times that begin anew and repeat are those of other systems, not repeats."""
+    said = list[str]()
+    Reading(note=said.append).repeated(6, [1, 5, 9] * 3)
+    Reading(note=said.append).repeated(1, [1, 5, 9, 5])
+    each = "of the table: the filter weighs each row"
+    several = "; t begins 3 times: give the rows of one system"
+    assert said == [f"6 rows repeat a time {each}{several}", f"1 row repeats a time {each}"]

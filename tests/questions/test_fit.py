@@ -280,3 +280,13 @@ def test_wrong_parameters_end_in_one_line(
 def test_a_fitted_parameter_has_no_column(data: pd.DataFrame) -> None:
     with pytest.raises(pfdist.PfdistError, match="no column in the table, got noise"):
         pfdist.fit(problem(engine="kalman"), data.assign(noise=0.7), ["noise"])
+
+
+@pytest.mark.parametrize("kind", ["learned", "told"])
+def test_a_parameter_that_differs_between_systems_is_not_fitted(
+    data: pd.DataFrame, kind: str
+) -> None:
+    """The filter would not use its value, so every value would be as likely."""
+    scenarios = {"parameters": [{"a": 0.5}, {"a": 0.6}], "filter": kind}
+    with pytest.raises(pfdist.PfdistError, match=r"the same for all systems, got a.*a_factor"):
+        pfdist.fit(problem(scenarios=scenarios, particles=100), data, ["a", "sd"])
