@@ -26,7 +26,7 @@ DRAWS = 1000  # at most: the first of the comparison
 _FEW = 250  # decide, if the difference is so clear
 _CLEAR = 0.999
 _LOOK = 24  # draws of their own that choose the times of each number
-_ENDS = 3
+_GRIDS = 45  # of a number
 _MOST = 24  # numbers that are judged
 _NEAR, _FAR = 40, 12  # numbers after N that are looked at, one by one and then further apart
 _MOST_STEPS = 1e10  # particle-steps of the look: half a minute of a core
@@ -99,7 +99,7 @@ def _grids(built: Built, number: int) -> tuple[Times, ...]:
     feasible = built.job.feasible(number)
     if not built.job.comparison.is_even:
         return (feasible.regular(),)
-    return even_grids(feasible, ends=_ENDS)
+    return even_grids(feasible, _GRIDS)
 
 
 def _numbers(feasible: Feasible) -> list[int]:

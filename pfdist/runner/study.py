@@ -7,7 +7,6 @@ from typing import ClassVar
 
 from pfdist.common.measurement_times import EVEN, Times
 from pfdist.errors import JobError
-from pfdist.filters.engines import is_exact
 from pfdist.problem.even_grids import even_grids
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import Job
@@ -51,8 +50,7 @@ class Study:
         """Evenly spaced sets, of which a race finds the best, by the name of a reference."""
         if not self.job.comparison.is_even:
             return {}
-        every = is_exact(self.job.filter.engine)
-        grids = (even_grids(feasible, every=every) for feasible in self.each)
+        grids = map(even_grids, self.each)
         return dict(zip(self.names(EVEN), grids, strict=True))
 
     @property

@@ -56,6 +56,6 @@ def test_of_exact_errors_the_best_is_no_worse_than_any_integer_grid(
     evaluator = build(job).evaluator
     errors, found = (
         np.array(evaluator.expected_mse([*sets]))
-        for sets in (every, even_grids(job.problem.feasible, every=True))
+        for sets in (every, even_grids(job.problem.feasible))
     )
     assert found.min() <= errors.min()

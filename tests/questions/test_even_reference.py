@@ -20,7 +20,7 @@ def test_of_exact_errors_the_least_is_taken(small_job: Job, tmp_path: Path) -> N
     changes = [*EXACT, "problem.horizon=11"]
     run = pfdist.plan(small_job, tmp_path / "run", changes=changes, figures=False)
     job = pfdist.load_job(run.path)
-    grids = even_grids(job.problem.feasible, every=True)
+    grids = even_grids(job.problem.feasible)
     errors = np.array(build(job).evaluator.expected_mse(grids))
     assert tuple(run.sets["evenly_spaced"]) == grids[int(errors.argmin())] == (0, 3, 6, 9)
     row = run.table("sets").set_index("name").loc["evenly_spaced"]
@@ -61,7 +61,7 @@ def test_a_budget_has_the_best_of_each_number(small_job: Job, tmp_path: Path) ->
     job = pfdist.load_job(run.path)
     evaluator = build(job).evaluator
     for number in (2, 3, 4):
-        grids = even_grids(job.feasible(number), every=True)
+        grids = even_grids(job.feasible(number))
         least = grids[int(np.argmin(evaluator.expected_mse(grids)))]
         assert tuple(run.sets[f"evenly_spaced_{number:02}"]) == least
 
