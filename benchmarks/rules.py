@@ -63,7 +63,7 @@ def rows_of(job: str, run: Path) -> Iterator[dict[str, Any]]:
         for kind, name in errors.items():
             error = found.error(name)
             row |= {f"{kind}_mse": error.value, f"{kind}_error": error.standard_error}
-        gain, (low, high) = found.gain(found.plan)
+        gain, low, high = found.gain(found.plan)
         yield row | {"excess": -gain, "excess_low": -high, "excess_high": -low}
 
 

@@ -6,7 +6,6 @@ programs, and functions of batched models are called directly.
 """
 
 import math
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, SupportsIndex
@@ -22,7 +21,6 @@ from pfdist.filters.work import Estimation
 from pfdist.kernels.ancestors import LEVELS, ancestors_of, weights_of
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.kernels.rules import Rule
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import (
     FILTER_INITIAL,
@@ -82,8 +80,6 @@ def filter_checked_draws(
 
     With a lag, `lines` says whether z along the lines of all particles is wanted, too.
     """
-    if settings.rule is not None:
-        return _by_rule(model, draws, measurement_times, stream, settings, settings.rule)
     count = max(1, _AT_ONCE // settings.particles)
     model = twin_of(model, draws.instants)
     with np.errstate(all="ignore"):
@@ -91,48 +87,12 @@ def filter_checked_draws(
             _filter(model, draws[first : first + count], measurement_times, stream, settings, lines)
             for first in range(0, len(draws.index), count)
         ]
-    return _joined(blocks)
-
-
-def _joined(blocks: list[FilterArrays]) -> FilterArrays:
-    """The arrays of all draws from those of successive blocks."""
     return FilterArrays(
         *(
             np.concatenate(parts, axis=1 if name in ("ranks", "told") else 0)
             for name, parts in zip(FilterArrays._fields, zip(*blocks, strict=True), strict=True)
         )
     )
-
-
-def _by_rule(
-    model: StateSpaceModel, draws: Draws, candidates: Times, stream: int, settings: Estimation,
-    rule: Rule,
-) -> FilterArrays:  # fmt: skip
-    """The filter of each draw with the set that a rule makes of its candidates.
-
-    The set grows by one instant at a time, and the filter runs again from the beginning.
-    """
-    fixed, end, blocks = replace(settings, rule=None), draws.instants.stop, list[FilterArrays]()
-    prices = [(settings.prices[p] if settings.prices else 1.0) * (p in candidates)
-              for p in range(model.points.first(end))]  # fmt: skip
-    for place in range(len(draws.index)):
-        alone, times, t, spent = draws[place : place + 1], Times(), draws.start, 0.0
-        while t < end:
-            found = filter_checked_draws(model, alone, times, stream, replace(fixed, lag=0))
-            deviation, before = np.sqrt(found.variance[0].sum(axis=1)), len(times)
-            while t < end and len(times) == before:
-                here, following = model.points.at(t), settings.apart[t] if settings.apart else t
-                chosen = rule.chosen(
-                    deviation[t - draws.start], end - t, spent, prices[here.start : here.stop],
-                    several=not settings.apart,
-                )  # fmt: skip
-                times += tuple(sorted(here[sensor] for sensor in chosen))
-                spent += sum(prices[here[sensor]] for sensor in chosen)
-                t = max(t + 1, following if chosen else 0)
-        own = filter_checked_draws(model, alone, times, stream, fixed)
-        every = range(model.points.first(draws.start), len(prices))
-        blocks.append(own._replace(measured=np.isin([*every], times)[None].view(np.uint8)))
-    return _joined(blocks)
 
 
 def _filter(

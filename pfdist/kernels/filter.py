@@ -433,19 +433,11 @@ def _fill_log_weights(instant):
     if steps_of(at.work).decide == 0:
         with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
     else:
-        which, stride = block * request.instants + t, batch.stride
         for d in range(at.draws):
             if results_of(at.work).measured[_set_of(at, t, d)] != 0:
-                origin = d * batch.width
-                call_block(
-                    blocks,
-                    which,
-                    (ahead(batch.log_weight, origin), stride),
-                    (ahead(cloud, origin), stride),
-                    (batch.noise, batch.spacious),
-                    (ahead(y, d * of_draw), of_draw, 1),
-                    (1, batch.width),
-                )
+                alone, origin = At(at.work, at.stream, at.number, at.first + d, 1), d * batch.width
+                source, target = ahead(cloud, origin), ahead(batch.log_weight, origin)
+                with_given(alone, block, t, source, target, ahead(y, d * of_draw), of_draw, 1)
     if is_drawn_again(instant):
         guide = ahead(cloud, request.states * batch.stride)
         for i in range(used):

@@ -22,13 +22,14 @@ class Rule(NamedTuple):
 
         >>> Rule((6.0,)).levels(30, 5), Rule((3.0, 9.0), 0.5, 21).levels(32, 13)
         ([6.0], [6.0, 18.0])
-        >>> Rule((3.0,), 0.5, 2).levels(9, 2)
-        [inf]
+        >>> Rule((3.0,), 0.5, 2).levels(9, 2), Rule((3.0,), 40.0, 0.3).levels(9, 0.1 + 0.1 + 0.1)
+        ([inf], [inf])
         """
         left = self.limit - spent
         if not self.limit:
             return [*self.thresholds]
-        factor = (instants / left) ** self.exponent if left > 0 else float("inf")
+        is_left = left > ROUNDING * self.limit
+        factor = (instants / left) ** self.exponent if is_left else float("inf")
         return [threshold * factor for threshold in self.thresholds]
 
     def chosen(

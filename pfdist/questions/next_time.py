@@ -1,5 +1,6 @@
 """The time to measure next, from a run and the measurements so far."""
 
+import math
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
@@ -21,6 +23,7 @@ from pfdist.common.shown import Shown
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
@@ -37,7 +40,7 @@ from pfdist.questions.planned_run import (
     table_argument,
 )
 from pfdist.questions.planner import Planner
-from pfdist.questions.rule import NextByRule, rule_of, spread_of
+from pfdist.questions.rule import NextByRule, rule_of
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
@@ -321,34 +324,29 @@ def _by_rule(
 ) -> NextByRule:
     """The first instant at which the spread exceeds a level of the run's rule."""
     feasible, points = plan.built.feasible, plan.built.feasible.points
-    rule, believed, clock = (
-        rule_of(plan.run.path, feasible),
-        plan.built.evaluator.believed,
-        points.clock,
-    )
+    rule, clock, believed = (
+        rule_of(plan.run.path, feasible), points.clock, plan.built.evaluator.believed
+    )  # fmt: skip
     start = 0 if plan.prior is None else plan.prior.t
     rows = read_measurements(table, believed, clock, start, reading)
-    fine, on = on_clock_of(plan, rows), replace(points, clock=rows.clock)
-    filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
+    filtering, taken, measured = _followed(plan, rows)
     estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
     at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
-    # A measurement without a value is spent, too.
-    made = sorted({*rows.made_with(believed), *rows.failed})
-    near = clock.nearest(rows.clock.times[on.instant(point)] for point in made)
-    taken = [points.first(k) + points.way(point) for k, point in zip(near, made, strict=True)]
-    prices = prices_of(feasible)
-    spent, apart = sum(prices[point] for point in taken), apart_of(feasible)
+    prices, apart = prices_of(feasible), apart_of(feasible)
+    spent = sum(prices[point] for point in taken)
     first = max(start, apart[points.instant(max(taken))] if apart and taken else 0)
     passed = max([start - 1, *(k for k in range(len(clock.times)) if at[k] <= last)])
     if now is not None:
         passed = _instant_now(now, max(passed, start), clock)
-    following, spread, level = None, 0.0, 0.0
+    following, spread, level = None, math.nan, math.nan
     for k in points.instants(feasible.allowed):
         if k < first or k <= passed:
             continue
         here, left = points.at(k), feasible.horizon + 1 - k
         paid = [prices[point] * (point in feasible.index) for point in here]
-        spread = spread_of(filtering.predict(at[k]), believed.is_angle)
+        squares = filtering.predict(at[k]).standard_deviation ** 2  # of an angle, 1 - R counts
+        squares = np.where(believed.is_angle, -np.expm1(-squares / 2), squares)
+        spread = float(np.sqrt(squares.sum()))
         chosen = rule.chosen(spread, left, spent, paid, several=not apart)
         levels = rule.levels(left, spent)
         level = min(levels[way] for way in chosen or range(points.ways))
@@ -360,7 +358,6 @@ def _by_rule(
     few = next((each.collapsed for each in estimates if each.collapsed is not None), None)
     doubts = few_at(None if few is None else rows.clock.time(few), clock)
     doubts += [_SEE_SURPRISE] * (surprise is not None and surprise < IMPROBABLE)
-    measured = tuple(on.written_of(made))
     return NextByRule(plan.run.path, rule, measured, following, spread, level, feasible, doubts)
 
 
@@ -400,21 +397,30 @@ def _tell_all(
 
     The job's instants count: the plan goes on from the first that no measurement follows.
     """
-    clock, points = planner.clock, plan.built.job.problem.points
+    clock = planner.clock
     end = rows.clock.times[max((*rows.t, *rows.missed))]
     until = len(clock.between(clock.times[0], end))
     if passed := abs(clock.times[until - 1] - end) <= clock.slack:
         until -= 1
     if now is not None and (instant := _instant_now(now, until - (not passed), clock)) >= until:
         until, passed = instant, True
-    on = replace(points, clock=rows.clock)
-    made = sorted((*rows.made_with(plan.built.evaluator.believed), *rows.failed))
-    near = clock.nearest(rows.clock.times[on.instant(t)] for t in made)
-    taken = sorted(points.first(k) + points.way(t) for k, t in zip(near, made, strict=True))
-    fine = on_clock_of(plan, rows)
-    filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
-    estimates = planner._follow(filtering, rows, tuple(taken), until, passed=passed)
+    filtering, taken, _ = _followed(plan, rows)
+    estimates = planner._follow(filtering, rows, taken, until, passed=passed)
     return until - (not passed), _surprise_of(estimates)
+
+
+def _followed(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times, tuple[Any, ...]]:
+    """The filter of a table's system, the job's points nearest to those measured, and their texts.
+
+    A measurement without a value is spent, too.
+    """
+    points = plan.built.job.problem.points
+    on, fine = replace(points, clock=rows.clock), on_clock_of(plan, rows)
+    made = sorted({*rows.made_with(plan.built.evaluator.believed), *rows.failed})
+    near = points.clock.nearest(rows.clock.times[on.instant(point)] for point in made)
+    taken = sorted(points.first(k) + points.way(t) for k, t in zip(near, made, strict=True))
+    filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
+    return filtering, tuple(taken), tuple(on.written_of(made))
 
 
 def _surprise_of(estimates: Iterable[FilterEstimate]) -> float | None:

@@ -18,12 +18,11 @@ from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, StoreError
-from pfdist.filters.criterion import Criterion, Judging, Quantile, Sample
+from pfdist.filters.criterion import Criterion, Judged, Judging, Quantile, Sample
 from pfdist.filters.engines import NUMPY
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.kernels.rules import Rule
-from pfdist.models import squared_error
+from pfdist.models import StateSpaceModel, squared_error
 from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.problem import JobSource
@@ -50,8 +49,8 @@ from pfdist.runner.ruling import (
     budget_of,
     filtered_by,
     followed,
-    judged_work,
     tuned,
+    work_of,
 )
 from pfdist.store import RULE_PHASE, write_file
 
@@ -59,7 +58,6 @@ RULE = "rule"
 FILE = "rule.json"
 """The last rule that was tuned, in the folder of its run."""
 _DIGITS = 9  # of prices, whose sums are rounded
-Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,66 +108,47 @@ class Ruled(Shown):
     @property
     def what(self) -> str:
         """The column with what is spent: "measurements", or "price"."""
-        return _spent(self.feasible)
+        return str(self.table.columns[0])
 
     @property
     def spent(self) -> Estimate:
         """The mean number of measurements of a draw, or their mean price."""
         return Estimate.of_mean(self.table[self.what].to_numpy())
 
-    @property
-    def degenerate_draws(self) -> int:
-        """Draws in which no particle explains a measurement of the rule."""
-        return int(self.table["degenerate"].sum())
-
-    @property
-    def pairs(self) -> pd.DataFrame:
-        """The rule against each other set: the columns of the table ``pairs`` of a run."""
-        names = [RULE, *self.labels]
-        errors = self.table[[f"mse_{name}" for name in names]].to_numpy()
-        pairs = pairs_table(names, [errors], {})
-        return pairs[pairs["first"] == RULE].set_index("second")
-
     def error(self, name: str = RULE) -> Estimate:
         """The expected MSE, or the job's criterion, with the rule or another set, on the draws."""
         return self.criterion.value(Evaluation((), self.table[f"mse_{name}"].to_numpy()))
 
-    def gain(self, name: str) -> tuple[float, tuple[float, float]]:
+    def gain(self, name: str) -> Judged:
         """How far the rule's error lies below that of a set, as a share, with interval."""
+        errors = self.table[[f"mse_{RULE}", f"mse_{name}"]].to_numpy()
         if isinstance(self.criterion, Judging):
-            rule, other = (Sample(self.table[f"mse_{each}"].to_numpy()) for each in (RULE, name))
-            change = self.criterion.change(rule, other)
-            return change.value, (change.low, change.high)
-        pair = self.pairs.loc[name]
-        gain, low, high = map(float, pair["gain_of_means":"gain_of_means_high"])
-        return gain, (low, high)
+            return self.criterion.change(*map(Sample, errors.T))
+        (pair,) = pairs_table([RULE, name], [errors], {}).to_dict("records")
+        return Judged(*(pair[f"gain_of_means{end}"] for end in ("", "_low", "_high")))
 
     @property
     def verdict(self) -> str:
         """Whether the rule is "better" or "worse" than the plan, or "not clearly" different."""
-        gain, interval = self.gain(self.plan)
+        gain, *interval = self.gain(self.plan)
         return ("better" if gain > 0 else "worse") if is_clear(interval) else "not clearly"
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values; without sensors, the rule is three numbers."""
-        numbers, mean, criterion = self.table[self.what], self.spent, self.criterion.name
-        sets = dict[str, dict[str, Any]]()
-        for name in self.labels:
-            error, (gain, (low, high)) = self.error(name), self.gain(name)
-            sets[name] = {self.what: self.numbers[name], criterion: error.value,
-                          "standard_error": error.standard_error,
-                          "gain": gain, "gain_low": low, "gain_high": high}  # fmt: skip
-            if self.criterion.is_mean:
-                sets[name] |= dict(self.pairs.loc[name, ["difference", "low", "high"]])
+        numbers, mean = self.table[self.what], self.spent
+        sets = {
+            name: {self.what: self.numbers[name], **self._error_json(name),
+                   **self.gain(name).columns("gain")}
+            for name in self.labels
+        }  # fmt: skip
         return finite(
             {
                 "run": str(self.run),
                 "rule": rule_json(self.rule, self.feasible),
                 "budget": self.budget,
-                criterion: self.error().value,
-                "standard_error": self.error().standard_error,
+                **self._error_json(RULE),
                 "draws": len(self.table),
-                "degenerate_draws": self.degenerate_draws,
+                "degenerate_draws": int(self.table["degenerate"].sum()),
                 "tuning_draws": TUNING_DRAWS,
                 self.what: {
                     "mean": mean.value,
@@ -184,38 +163,40 @@ class Ruled(Shown):
             }
         )
 
+    def _error_json(self, name: str) -> dict[str, float]:
+        error = self.error(name)
+        return {self.criterion.name: error.value, "standard_error": error.standard_error}
+
     def _page(self) -> Page:
         numbers, mean, label = self.table[self.what], self.spent, self.criterion.label
-        said = effect(*self.gain(self.plan), "the plan", f"the rule's {label}")
+        gains = {name: self.gain(name) for name in self.labels}
+        gain, *interval = gains[self.plan]
+        said = effect(gain, interval, "the plan", f"the rule's {label}")
         if self.verdict == "worse":
             said = f"The rule is worse than the plan, so keep the plan. {said}"
         ends = f"{unrounded(numbers.min())} to {unrounded(numbers.max())}"
-        spread = f"{numbers.std():.2g}; {ends}"
         level = level_text(self.rule, self.feasible, self.unit)
         facts = [
             ("rule", f"measure when the standard deviation of z exceeds {level}"),
-            (self.what, f"{mean.text} on average (standard deviation {spread})"),
+            (self.what, f"{mean.text} on average (standard deviation {numbers.std():.2g}; {ends})"),
             ("draws", f"{len(numbers):,}, none of which tuned the rule"),
         ]
-        rows = [[Cell("the rule"), Cell(mean.text, mean.value), self._cell(RULE), Cell("")]]
-        for name, other in self.labels.items():
-            change = change_of(*self.gain(name))
-            number = self.numbers[name]
-            spent = Cell(unrounded(number), number)
-            rows.append([Cell(other), spent, self._cell(name), Cell(change)])
+        rows = []
+        for name, other in {RULE: "the rule", **self.labels}.items():
+            error, number = self.error(name), self.numbers.get(name, mean.value)
+            spent = mean.text if name == RULE else unrounded(number)
+            change = "" if name == RULE else change_of(gains[name][0], gains[name][1:])
+            rows.append([Cell(other), Cell(spent, number),
+                         mse_cell(error.value, error.standard_error), Cell(change)])  # fmt: skip
         head = ("times", f"{self.what} ± SE", f"{label} ± SE", "rule's error")
         blocks = Text(f"{said}.", prominent=True), Facts(facts), Table("", head, rows)
-        over = mean.value - self.budget
-        spends = f"measures {mean.text} times" if self.feasible.price is None else (
-            f"spends {mean.text}")  # fmt: skip
-        more = f"On these draws the rule {spends} on average, more than {unrounded(self.budget)}."
-        warnings = [more] * (over > 2 * mean.standard_error)
-        degenerate = self.degenerate_draws
-        few = f"In {degenerate:,} draws, no particle explains a measurement of the rule."
-        return Page("", "", [Section("", blocks)], warnings + [few] * (degenerate > 0))
-
-    def _cell(self, name: str) -> Cell:
-        return mse_cell(self.error(name).value, self.error(name).standard_error)
+        warnings, few = [], self.table["degenerate"].sum()
+        if mean.value - self.budget > 2 * mean.standard_error:
+            budget = f"{mean.text}, more than {unrounded(self.budget)}"
+            warnings = [f"On these draws the mean {self.what} of the rule is {budget}."]
+        if few:
+            warnings += [f"In {few:,} draws, no particle explains a measurement of the rule."]
+        return Page("", "", [Section("", blocks)], warnings)
 
 
 @partial(with_options, without="report")
@@ -299,9 +280,8 @@ def check_rule(built: Built) -> None:
             not evaluator.has_particles,
         "filter.engine = 'numpy' (which takes too long)": evaluator.engine == NUMPY.name,
         "an error that the model defines": evaluator.model.error is not squared_error,
-        "a delay (a rule decides when a value arrives, not when it is measured)": any(
-            each.delay for each in [problem.sensor, *(problem.sensors or {}).values()] if each
-        ),
+        "a delay (a rule decides when a value arrives, not when it is measured)":
+            any(each.delay for each in [problem.sensor, *(problem.sensors or {}).values()] if each),
         "visits, installations, or limits of single sensors":
             feasible.is_limited,
         "search = [] (there is no plan)": not job.search,
@@ -317,18 +297,14 @@ def _draw(found: Ruled, built: Built) -> list[Path]:
     # Not above: the help of the command waits for no Matplotlib.
     from pfdist.pages.ruled import draw_rule  # noqa: PLC0415
 
-    numbers, table = found.table[found.what].to_numpy(), found.table
-    usual = np.abs(numbers - np.median(numbers))
-    usual[table["degenerate"] | ~np.isfinite(table["mse_rule"])] = np.inf
-    draw = int(np.argmin(usual))
-    if np.isinf(usual[draw]):
+    numbers = found.table[found.what]
+    usual = numbers[~found.table["degenerate"] & np.isfinite(found.table["mse_rule"])]
+    if usual.empty:
         return []
-    work = judged_work(built, found.rule, draw + 1)
-    shown = followed(built.evaluator, work, draw)
-    model, clock = built.evaluator.model, built.job.problem.clock
-    return draw_rule(
-        found.run, shown, numbers, found.what, model.named("z"), model.is_angle[0], clock
-    )
+    draw = int((usual - numbers.median()).abs().idxmin())
+    shown = followed(built.evaluator, work_of(built, found.rule, draw + 1), draw)
+    clock = built.job.problem.clock
+    return draw_rule(found.run, shown, numbers.to_numpy(), found.what, found.unit, clock)
 
 
 def _judge(
@@ -338,32 +314,33 @@ def _judge(
     built, store = session.built, session.store
     table, plan = _compared(run, draws), best_first(rows_of_sets(run))[0]
     own = yield from tuned(session, is_hard=is_hard)
-    session.reporter.foresee(judged_work(built, own, len(table)).steps)
-    ((mse, spent, degenerate),) = yield from filtered_by(
-        session, [judged_work(built, own, len(table))]
-    )
+    work = work_of(built, own, len(table))
+    session.reporter.foresee(work.steps)
+    mse, spent, degenerate = yield from filtered_by(session, work)
     session.commit()
     for name in ("draws", "timings"):
         store.settle(name, RULE_PHASE)
     feasible = built.feasible
-    spent = spent.round(_DIGITS) if feasible.price else spent.astype(int)
-    columns = {_spent(feasible): spent, "degenerate": degenerate > 0, "mse_rule": mse}
-    table = pd.concat([pd.DataFrame(columns), table], axis=1)
+    what = (
+        {"price": spent.round(_DIGITS)} if feasible.price else {"measurements": spent.astype(int)}
+    )
+    own_table = pd.DataFrame(what | {"degenerate": degenerate > 0, "mse_rule": mse})
+    table = pd.concat([own_table, table], axis=1)
     labels = {name: phrase_of(run.labels[name]) for name in (plan, run.names[0])}
     labels |= {"online": "online times"} if "mse_online" in table else {}
-    measured, model = measured_of(run), built.evaluator.model
+    measured, unit = measured_of(run), unit_of(built.evaluator.model)
     numbers = {
         name: float(feasible.price_of(measured[name])) if name in measured else budget_of(feasible)
         for name in labels
     }
-    (quantity, *others) = model.named("z")
-    unit = "" if others or any(model.is_angle) else quantity.unit  # that of an angle is sqrt(1 - R)
     criterion = built.job.criterion
     return Ruled(run.path, own, feasible, criterion, plan, table, labels, numbers, unit)
 
 
-def _spent(feasible: Feasible) -> str:
-    return "price" if feasible.price else "measurements"
+def unit_of(model: StateSpaceModel) -> str:
+    """The unit of the standard deviation of z; empty for that of an angle, sqrt(1 - R)."""
+    (quantity, *others) = model.named("z")
+    return "" if others or any(model.is_angle) else quantity.unit
 
 
 def _compared(run: Run, draws: int | None) -> pd.DataFrame:
@@ -417,7 +394,7 @@ class NextByRule(Shown):
         before, with sensors as ``12 x-ray``; None if there is none.
     standard_deviation, level : float
         Predicted standard deviation of z at that time, and the lowest level that it exceeds;
-        without such a time, both at the last instant that is left.
+        without such a time, both at the last instant that is left, or NaN.
     feasible : Feasible
         The constraints of the job.
     doubts : sequence of str
@@ -465,9 +442,3 @@ def rule_of(run: Path, feasible: Feasible) -> Rule:
         return Rule(thresholds, float(written["exponent"]), float(written["limit"]))
     except (ValueError, TypeError, KeyError) as error:
         raise StoreError(f"{run / FILE} is damaged: `pfdist rule {run}` writes it again") from error
-
-
-def spread_of(estimate: FilterEstimate, is_angle: Sequence[bool]) -> float:
-    """The standard deviation of z by which a rule decides; of angles, 1 - R is the variance."""
-    squares = estimate.standard_deviation**2
-    return float(np.sqrt(np.sum(np.where(is_angle, -np.expm1(-squares / 2), squares))))

@@ -6,8 +6,9 @@ and the noise of their filters.
 """
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -18,9 +19,8 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.work import FilterWork, Result
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import ROUNDING, Rule
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.runner.build import Built
@@ -31,10 +31,12 @@ from pfdist.store import RULE_PHASE
 TUNING_DRAWS = 3000
 ONE_SIDED = 1.645
 """Standard errors by which the mean number of measurements stays below the budget: 95 %."""
-_STEP, _STEPS = 1.002, 4096  # between two thresholds that are tried, and their number, 2^12
-_EXPONENTS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1)
-_NEAR = ((-0.25, 0.0, 0.25), (0.95, 1.0, 1.05))  # steps of exponent and threshold at the end
+_RANGE, _HALVINGS = 1.002**4096, 12  # of the thresholds that are tried: to 0.2 %
+# Steps of the exponent, and factors of the threshold, that are tried with a hard limit
+_HARD = (
+    ((0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1)),
+    ((-0.25, 0.0, 0.25), (0.95, 1.0, 1.05)),
+)
 # Factors of one sensor's threshold, with which the ratios of thresholds are searched. The last of
 # the first round lets the sensor never measure.
 _RATIOS = (0.25, 0.5, 2.0, 4.0, math.inf), (0.7, 1.4), (0.84, 1.2)
@@ -42,7 +44,7 @@ _FEW = 3  # of so many draws, one takes part in this search
 _GUESSES = 200  # draws that show how large z is
 
 Array = NDArray[np.float64]
-Ratios = tuple[float, ...]
+Candidates = Callable[[Rule], Iterable[Rule]]
 
 
 class RuleWork(FilterWork):
@@ -65,8 +67,7 @@ class RuleWork(FilterWork):
 
 def budget_of(feasible: Feasible) -> float:
     """The budget of a rule: a number of measurements, or money."""
-    number, money = feasible.measurement_budget, feasible.total_price
-    return float(money or 0) if number is None else number
+    return feasible.measurement_budget or float(feasible.total_price or 0)
 
 
 def prices_of(feasible: Feasible) -> tuple[float, ...]:
@@ -81,13 +82,9 @@ def apart_of(feasible: Feasible) -> Times:
     return () if spacing.is_free else tuple(points.instant(spacing.after(t)) for t in first)
 
 
-def judged_work(built: Built, rule: Rule, draws: int) -> RuleWork:
-    """The work of a rule on the first draws of the comparison."""
-    return _work(built, rule, draws, built.study.purpose)
-
-
-def _work(built: Built, rule: Rule, draws: int, purpose: str) -> RuleWork:
-    evaluator, feasible = built.evaluator, built.feasible
+def work_of(built: Built, rule: Rule, draws: int, purpose: str = "") -> RuleWork:
+    """The work of a rule on the first draws of a purpose, by default of the comparison."""
+    purpose, evaluator, feasible = purpose or built.study.purpose, built.evaluator, built.feasible
     noise, of_draws = (
         stream_of(purpose, built.job.seed, *role) for role in (["filter", "rule"], ["draws"])
     )
@@ -95,9 +92,8 @@ def _work(built: Built, rule: Rule, draws: int, purpose: str) -> RuleWork:
         built.comparing, rule=rule, apart=apart_of(feasible), prices=prices_of(feasible)
     )
     parts = feasible.allowed, noise, of_draws
-    ids = [evaluator.id_of(estimation, *parts, what) for what in ("mse", "spent")]
-    sets = [feasible.allowed] * 2
-    work = evaluator.work(sets, noise, of_draws, (0, draws), estimation, ids=tuple(ids))
+    ids = tuple(evaluator.id_of(estimation, *parts, what) for what in ("mse", "spent"))
+    work = evaluator.work([feasible.allowed] * 2, noise, of_draws, (0, draws), estimation, ids=ids)
     return RuleWork(**vars(work))
 
 
@@ -105,64 +101,50 @@ class RuledDraw(NamedTuple):
     """One draw that a rule measures; a measured instant comes twice, before and after it."""
 
     draw: int
-    z: Array  # (T+1, q)
     measured: list[int]
     instants: list[int]  # (K,)
-    mean: Array  # (K, q): the filter's estimate
-    variance: Array  # (K, q)
+    deviation: Array  # (K,): of the filter
     level: Array  # (K, sensors): of the rule
 
 
 def followed(evaluator: Evaluator, work: RuleWork, draw: int) -> RuledDraw:
     """One draw of a work, with the spread that its filter sees before each measurement."""
-    here, rule = range(draw, draw + 1), work.estimation.rule or Rule(())
-    numbers = evaluator.scenarios_of(work.draws_stream, here)
+    rule, (noise, _) = work.estimation.rule or Rule(()), work.filter_streams
+    numbers = evaluator.scenarios_of(work.draws_stream, range(draw, draw + 1))
     own = evaluator if numbers is None else evaluator.of_scenarios[numbers[0]]
-    draws, (noise, _) = own.draws(here, work.draws_stream), work.filter_streams
+    draws, points = own.draws(range(draw, draw + 1), work.draws_stream), own.points
     (found,) = own.filter_each(draws, work.measurement_times[:1], [noise], work.estimation)
-    bits = found.measured.reshape(draws.z.shape[1], -1)
-    measured = (np.flatnonzero(bits.any(axis=1)) + own.start).tolist()
-    paid = bits * np.reshape(work.estimation.prices[-bits.size :], bits.shape)
-    spent = np.cumsum([0.0, *paid.sum(axis=1)])  # before each instant
-    settings = replace(own.settings(work.estimation), rule=None, lag=0)
-    filtering = OneFilter(own.believed, settings, noise, draw, own.computed_by.name)
-    path, means, variances = list[int](), list[Array](), list[Array]()
-    for number, t in enumerate([*measured, own.horizon]):
-        _, mean, variance = filtering.at(t)
-        path += range(filtering.t, t + 1)
-        means, variances = [*means, mean], [*variances, variance]
-        if number < len(measured):
-            y = draws.y[0, t - own.start].copy()
-            for part, is_made in zip(own.believed.parts, bits[t - own.start], strict=True):
-                y[part.y] = y[part.y] if is_made else np.nan
-            filtering, _, _ = filtering.at(t, y)
-    levels = [rule.levels(own.horizon + 1 - t, spent[t - own.start]) for t in path]
-    return RuledDraw(
-        draw, draws.z[0], measured, path, np.concatenate(means), np.concatenate(variances),
-        np.array(levels),
-    )  # fmt: skip
+    chosen = (np.flatnonzero(found.measured) + points.first(own.start)).tolist()
+    measured, estimation = [*points.instants(chosen)], replace(work.estimation, rule=None)
+    ends, first = [*measured, own.horizon + 1], own.start
+    sets = [tuple(p for p in chosen if points.instant(p) < end) for end in ends]
+    path, variances, levels = list[int](), list[Array](), list[list[float]]()
+    filters = replace(own, lag=0).filter_each(draws, sets, [noise] * len(sets), estimation)
+    for times, end, each in zip(sets, ends, filters, strict=True):
+        here = range(first, min(end, own.horizon) + 1)
+        spent = sum(work.estimation.prices[point] for point in times)
+        path, first = [*path, *here], end
+        variances.append(each.variance[0, here.start - own.start : here.stop - own.start])
+        levels += [rule.levels(own.horizon + 1 - t, spent) for t in here]
+    deviation = np.sqrt(np.concatenate(variances).sum(axis=1))
+    return RuledDraw(draw, measured, path, deviation, np.array(levels))
 
 
-def filtered_by(
-    session: RunSession, works: Sequence[RuleWork]
-) -> Generator[WorkBatch, None, list[Array]]:
-    """For each rule (3, D): errors, what it spends, and which draws are degenerate.
+def filtered_by(session: RunSession, work: RuleWork) -> Generator[WorkBatch, None, Array]:
+    """Errors, what the rule spends, and which draws are degenerate: (3, D).
 
     Finished draws are in the store.
     """
-    found, reporter = {work.ids: np.empty((3, work.draws[1])) for work in works}, session.reporter
+    found, reporter = np.empty((3, work.draws[1])), session.reporter
 
     def learn(piece: FilterWork, result: Result) -> None:
         here = slice(*piece.draws)
-        found[piece.ids][:2, here], found[piece.ids][2, here] = (
-            result.mse.T,
-            result.degenerate[:, 0],
-        )
+        found[:2, here], found[2, here] = result.mse.T, result.degenerate[:, 0]
         before, draws = reporter.progress, len(range(*piece.draws))
         reporter.reach(before.done + piece.steps, evaluations=before.evaluations + draws)
 
-    yield WorkBatch(session, RULE_PHASE, works, PER_DRAW, learn, more_follows=True)
-    return [found[work.ids] for work in works]
+    yield WorkBatch(session, RULE_PHASE, [work], PER_DRAW, learn, more_follows=True)
+    return found
 
 
 def tuned(
@@ -172,91 +154,82 @@ def tuned(
 
     With a hard limit, the rule of least error among those that never spend more.
     """
-    built, budget, ways = (
-        session.built,
-        budget_of(session.built.feasible),
-        session.built.feasible.points.ways,
-    )
-    ratio = (built.evaluator.horizon + 1 - built.evaluator.start) / budget
-    ratios, few = (1.0,) * ways, max(2, draws // _FEW)
-    first = _work(built, Rule(ratios), draws, "rule")
+    built, budget = session.built, budget_of(session.built.feasible)
+    ways, few = built.feasible.points.ways, max(2, draws // _FEW)
+    instants, even = built.evaluator.horizon + 1 - built.evaluator.start, Rule((1.0,) * ways)
+    ratios = [partial(_with_ratios, sensor, factors)
+              for factors, sensor in product(_RATIOS, range(ways if ways > 1 else 0))]  # fmt: skip
+    around = [partial(_around, instants, *steps) for steps in _HARD]
+    first = work_of(built, even, draws, "rule")
     built.evaluator.compile(first.estimation)  # before the first task, whose time is limited
-    rounds = 1 + math.log2(_STEPS)
-    hard = len(_EXPONENTS) * len(_FACTORS) + len(_NEAR[0]) * len(_NEAR[1])
     searched = (ways > 1) * ways * sum(map(len, _RATIOS)) / _FEW
-    session.reporter.foresee(first.steps * (rounds * (1 + searched) + is_hard * hard))
+    grid = is_hard * sum(len(steps) * len(factors) for steps, factors in _HARD)
+    session.reporter.foresee(first.steps * ((1 + _HALVINGS) * (1 + searched) + grid))
     session.reporter.begin("rule")  # after the forecast: at 0 %
 
-    def on_common_draws(
-        rules: list[Rule], number: int = draws
-    ) -> Generator[WorkBatch, None, list[Array]]:
-        works = [_work(built, each, number, "rule") for each in rules]
-        return (yield from filtered_by(session, works))
-
-    def error(mse: Array) -> float:
-        return built.job.criterion.value(Evaluation((), mse)).value
-
-    def try_on(rule: Rule, number: int) -> Generator[WorkBatch, None, tuple[bool, float]]:
-        """Whether a rule keeps the budget, and its error."""
-        ((mse, spent, _),) = yield from on_common_draws([rule], number)
+    def tried(rule: Rule, number: int) -> Generator[WorkBatch, None, tuple[float, bool]]:
+        """The error on the first common draws, and whether a rule keeps the budget."""
+        mse, spent, _ = yield from filtered_by(session, work_of(built, rule, number, "rule"))
         mean = Moments.of_values(spent)
-        return mean.mean + ONE_SIDED * mean.standard_error <= budget, error(mse)
+        is_kept = mean.mean + ONE_SIDED * mean.standard_error <= budget * (1 + ROUNDING)
+        return built.job.criterion.value(Evaluation((), mse)).value, is_kept
 
-    def lowest(ratios: Ratios, number: int) -> Generator[WorkBatch, None, tuple[float, float]]:
-        """The error and the common factor of the lowest thresholds that keep the budget."""
-        low, high, least = 0, _STEPS, math.inf
-        while high - low > 1:  # the first is high enough, and the last is taken to be too low
-            middle = (low + high) // 2
-            rule = _rule(largest / _STEP**middle, ratios)
-            is_kept, found = yield from try_on(rule, number)
-            low, high, least = (middle, high, found) if is_kept else (low, middle, least)
-        return least, _rounded(largest / _STEP**low)
+    def lowest(ratios: Rule, number: int) -> Generator[WorkBatch, None, tuple[float, Rule]]:
+        """The lowest thresholds with some ratios that keep the budget, and their error."""
+        low, high, error = largest / _RANGE, largest, math.inf  # the highest is high enough
+        for _ in range(_HALVINGS):
+            middle = math.sqrt(low * high)
+            found, is_kept = yield from tried(_scaled(ratios, middle), number)
+            low, high, error = (low, middle, found) if is_kept else (middle, high, error)
+        return error, _scaled(ratios, high)
+
+    def error_of(rule: Rule) -> Generator[WorkBatch, None, float]:
+        """The error of a rule with a limit, or of ratios of thresholds."""
+        found = yield from tried(rule, draws) if rule.limit else lowest(rule, few)
+        return found[0]
 
     any_draws = (built.evaluator.of_scenarios or (built.evaluator,))[0]
     z = any_draws.draws(range(_GUESSES), first.draws_stream).z
     largest = 4.0 * float(np.sqrt(np.mean(np.var(z, axis=0).sum(axis=1)))) or 1.0
-    while not (yield from try_on(_rule(largest, ratios), draws))[0]:
+    while not (yield from tried(_scaled(even, largest), draws))[1]:
         largest *= 8.0  # a filter with another model may be more unsure than z varies
-    if ways > 1:
-        ratios = yield from _best_ratios(ways, lambda ratios: lowest(ratios, few))
-    _, threshold = yield from lowest(ratios, draws)
-    if not is_hard:
-        return _rule(threshold, ratios)
-    best = math.inf, threshold, 0.0
-    for exponents, factors in ((_EXPONENTS, _FACTORS), _NEAR):
-        _, threshold, exponent = best
-        pairs = [
-            (max(0.0, exponent + k * max(1.0, exponent)), factor * threshold * ratio**exponent)
-            for k, factor in product(exponents, factors)
-        ]
-        tried = [(_rounded(c / ratio**k), k) for k, c in dict.fromkeys(pairs)]
-        found_by = yield from on_common_draws([_rule(c, ratios, k, budget) for c, k in tried])
-        errors = (error(mse) for mse, _, _ in found_by)
-        best = min(best, *((e, *pair) for e, pair in zip(errors, tried, strict=True)))
-    return _rule(best[1], ratios, best[2], budget)
+    best = yield from _least(even, ratios, error_of)
+    _, best = yield from lowest(best, draws)
+    return (yield from _least(best._replace(limit=budget), around, error_of)) if is_hard else best
 
 
-def _best_ratios(
-    ways: int, lowest: Callable[[Ratios], Generator[WorkBatch, None, tuple[float, float]]]
-) -> Generator[WorkBatch, None, Ratios]:
-    """The ratios of the sensors' thresholds of least error, the smallest 1, by coordinates."""
-    best = (1.0,) * ways
-    errors = {best: (yield from lowest(best))[0]}
-    for factors, sensor in product(_RATIOS, range(ways)):
-        around = best
-        for factor in factors:
-            changed = [r * factor if s == sensor else r for s, r in enumerate(around)]
-            if math.isfinite(least := min(changed)):
-                ratios = tuple(each / least for each in changed)
-                if ratios not in errors:
-                    errors[ratios], _ = yield from lowest(ratios)
-                best = min(best, ratios, key=errors.__getitem__)
-    return best
+def _least(
+    rule: Rule,
+    rounds: Iterable[Candidates],
+    error: Callable[[Rule], Generator[WorkBatch, None, float]],
+) -> Generator[WorkBatch, None, Rule]:
+    """The rule of least error among the candidates of each round around the best so far."""
+    errors = dict[Rule, float]()
+    for candidates in rounds:
+        for each in (rule, *candidates(rule)):
+            if each not in errors:
+                errors[each] = yield from error(each)
+        rule = min(errors, key=errors.__getitem__)
+    return rule
 
 
-def _rule(threshold: float, ratios: Ratios, exponent: float = 0.0, limit: float = 0.0) -> Rule:
-    return Rule(tuple(_rounded(threshold * ratio) for ratio in ratios), exponent, limit)
+def _with_ratios(sensor: int, factors: Iterable[float], rule: Rule) -> Iterator[Rule]:
+    """Rules with another threshold of a sensor, the smallest threshold 1."""
+    for factor in factors:
+        changed = [c * factor if s == sensor else c for s, c in enumerate(rule.thresholds)]
+        if math.isfinite(min(changed)):
+            yield Rule(tuple(c / min(changed) for c in changed))
 
 
-def _rounded(threshold: float) -> float:
-    return float(f"{threshold:.4g}")
+def _around(
+    instants: int, steps: Iterable[float], factors: Iterable[float], rule: Rule
+) -> Iterator[Rule]:
+    """Rules with other exponents, and about the same level at the beginning."""
+    for step, factor in product(steps, factors):
+        exponent = max(0.0, rule.exponent + step * max(1.0, rule.exponent))
+        ratio = (instants / rule.limit) ** (rule.exponent - exponent)
+        yield _scaled(rule._replace(exponent=exponent), factor * ratio)
+
+
+def _scaled(rule: Rule, factor: float) -> Rule:
+    return rule._replace(thresholds=tuple(float(f"{c * factor:.4g}") for c in rule.thresholds))

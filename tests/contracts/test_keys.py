@@ -42,8 +42,7 @@ UNITS = {
     "questions/fit.py _Fitting.fitted": "starts of one fit: starts",
     "questions/fit.py _Fitting._likelihood": "repetition: repeat",
     "questions/next_time.py next_time": "nothing, it is one system:",
-    "questions/next_time.py _by_rule": "nothing, it is one system:",
-    "questions/next_time.py _tell_all": "nothing, it is one system:",
+    "questions/next_time.py _followed": "nothing, it is one system:",
     "questions/planned_run.py filter_of": "system: draw",
     "questions/planner.py Planner.__init__": "system: draw",  # `plan` gives it to the Replanner
     "questions/simulate.py simulate": "draws:",
@@ -74,8 +73,7 @@ UNITS = {
     "runner/planning.py _Outlook.of_sets": "draws: self.stream",
     "runner/prover.py Prover._weigh_scenarios": "draws:",
     "runner/prover.py Prover._streams": "draws:",
-    "runner/ruling.py _work": "draws: purpose",
-    "runner/ruling.py followed": "draw: draw",
+    "runner/ruling.py work_of": "draws: purpose",
     "runner/ranks.py RankWork._statistics": "draw: index t c",
 }
 

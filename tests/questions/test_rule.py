@@ -18,17 +18,18 @@ from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
 from pfdist.kernels.rules import Rule
 from pfdist.problem.feasible import Feasible
-from pfdist.questions.rule import NextByRule, Ruled, _draw, check_rule, rule_json, rule_of
+from pfdist.questions.rule import NextByRule, Ruled, _draw, check_rule, rule_json, rule_of, unit_of
 from pfdist.runner import ruling
 from pfdist.runner.build import build
 
+SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
 COUNTED = Feasible(horizon=12, measurement_budget=4)
 
 
 @pytest.fixture(autouse=True)
 def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ruling, "_STEPS", 256)
-    monkeypatch.setattr(ruling, "_STEP", 1.03)
+    monkeypatch.setattr(ruling, "_HALVINGS", 8)
+    monkeypatch.setattr(ruling, "_RANGE", 1900.0)
     monkeypatch.setattr(ruling.tuned, "__kwdefaults__", {"draws": 300})
 
 
@@ -48,11 +49,15 @@ def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
     for name in found.labels:
         np.testing.assert_array_equal(found.table[f"mse_{name}"], compared[f"mse_{name}"])
     answer = found.as_json()
-    difference = found.table["mse_rule"] - found.table[f"mse_{found.plan}"]
-    own = answer["sets"][found.plan]
-    assert own["difference"] == pytest.approx(difference.mean())
-    half = 1.9695 * difference.std() / np.sqrt(len(difference))
-    assert own["high"] - own["low"] == pytest.approx(2 * half, rel=1e-3)
+    own, error, plan = (
+        answer["sets"][found.plan],
+        found.table["mse_rule"],
+        compared[f"mse_{found.plan}"],
+    )
+    assert own["gain"] == pytest.approx(1 - error.mean() / plan.mean())
+    apart = error - (1 - own["gain"]) * plan  # the delta method, on paired draws
+    half = 1.97 * apart.std() / np.sqrt(len(apart)) / plan.mean()
+    assert own["gain_high"] - own["gain_low"] == pytest.approx(2 * half, rel=0.1)
     mean = found.spent
     assert mean.value - 3 * mean.standard_error < found.budget == 4
     assert mean.value > 3.4
@@ -109,12 +114,28 @@ def test_a_figure_shows_a_draw_even_if_others_are_degenerate(run: Run) -> None:
     assert [file.name for file in _draw(found, built)] == ["rule.svg"]
 
 
+@pytest.mark.parametrize("rule", [Rule((3.0,)), Rule((2.0,), 0.5, 4.0)])
+def test_the_draw_of_the_figure_is_measured_where_its_deviation_exceeds_the_level(
+    small_job: Job, rule: Rule
+) -> None:
+    built = build(small_job)
+    work = ruling.work_of(built, rule, 8)
+    spent = work.result(built.evaluator).mse[:, 1]
+    for draw in range(8):
+        shown = ruling.followed(built.evaluator, work, draw)
+        before = {t: k for k, t in reversed([*enumerate(shown.instants)])}  # the first of two
+        high = [t for t, k in before.items() if shown.deviation[k] > shown.level[k, 0]]
+        assert sorted(high) == shown.measured
+        assert len(high) == spent[draw]
+    assert spent.any()
+
+
 def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None:
     problem = Problem(
-        beliefs.CHAIN, horizon=beliefs.HORIZON, measurement_budget=beliefs.BUDGET, particles=200,
+        beliefs.CHAIN, horizon=beliefs.HORIZON, measurement_budget=beliefs.BUDGET, particles=100,
         proposal="plain",
     )  # fmt: skip
-    fewer = ["comparison.draws=3000", "search.exhaustive.evaluation.draws=500"]
+    fewer = ["comparison.draws=400", "search.exhaustive.evaluation.draws=100"]
     given: Any = {"results": tmp_path / "run", "figures": False, "pool": "serial"}
     planned = pfdist.plan(problem, search="exhaustive", changes=fewer, bound_draws=0, **given)
     found = pfdist.rule(planned, figures=False, pool="serial")
@@ -152,8 +173,16 @@ def watched_run(folder: Path, draws: int) -> Run:
     return pfdist.plan(problem, results=folder / "run", bound_draws=0, **given)
 
 
-def test_each_sensor_has_a_threshold_and_prices_are_within_the_budget(tmp_path: Path) -> None:
-    run = watched_run(tmp_path, 300)
+@pytest.fixture(scope="module")
+def watched_by_two(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return watched_run(tmp_path_factory.mktemp("watched"), 100)
+
+
+def test_each_sensor_has_a_threshold_and_prices_are_within_the_budget(
+    watched_by_two: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = watched_by_two
+    monkeypatch.setattr(ruling.tuned, "__kwdefaults__", {"draws": 100})
     found = pfdist.rule(run, figures=False, pool="serial")
     answer, mean = found.as_json(), found.spent
     assert list(answer["rule"]["threshold"]) == [*watched.SENSORS]
@@ -166,8 +195,10 @@ def test_each_sensor_has_a_threshold_and_prices_are_within_the_budget(tmp_path: 
     assert rule_of(run.path, hard.feasible) == hard.rule
 
 
-def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(tmp_path: Path) -> None:
-    run, table = watched_run(tmp_path, 60), pd.DataFrame({"t": [0], "sensor": "sharp", "y0": 1.0})
+def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
+    watched_by_two: Run,
+) -> None:
+    run, table = watched_by_two, pd.DataFrame({"t": [0], "sensor": "sharp", "y0": 1.0})
     feasible = build(load_job(run.path / "job.toml")).feasible
     for rule, now, following in (
         (Rule((1.2, 1.6)), None, "2 cheap"),  # the deviation is 1.02 at t = 1, and 1.43 at t = 2
@@ -199,15 +230,17 @@ def test_the_tuned_thresholds_of_two_sensors_are_about_the_best(
 def test_a_quantile_is_judged_as_elsewhere(finished: Callable[..., Path], tmp_path: Path) -> None:
     given = finished("problem.criterion=quantile 0.9")
     run = pfdist.open_run(shutil.copytree(given, tmp_path / "run"))
-    found = asked(run, hard=True)
+    found = asked(run)
     mse = np.sort(found.table["mse_rule"])
     assert found.error().value == mse[int(np.ceil(0.9 * mse.size)) - 1]
     own = run.table("sets").set_index("name")
+    written = json.loads((run.path / "rule.json").read_text())
     for name in found.labels:
-        assert found.as_json()["sets"][name]["quantile"] == own.loc[name, "quantile"]
+        assert written["sets"][name]["quantile"] == own.loc[name, "quantile"]
     assert "rule's 90 % quantile of the MSE" in repr(found)
 
 
+@pytest.mark.slow
 def test_parameters_that_are_learned_have_a_rule(
     finished: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -227,13 +260,10 @@ def test_each_set_has_its_own_number_of_measurements(
     assert [row[1].text for row in table.rows[1:]] == ["4", "3"]
 
 
-def test_the_standard_deviation_of_an_angle_has_no_unit(tmp_path: Path) -> None:
-    small: Any = {"bound_draws": 0, "figures": False, "pool": "serial"}
-    problem = Problem("robot", horizon=6, measurement_budget=2, particles=50)
-    fewer = ["comparison.draws=60", "search.relaxation.evaluation.draws=60"]
-    planned = pfdist.plan(problem, results=tmp_path / "run", changes=fewer, **small)
-    found = pfdist.rule(planned, figures=False, pool="serial")
-    assert (pfdist.load_model("robot").named("z")[0].unit, found.unit) == ("rad", "")
+def test_the_standard_deviation_of_an_angle_has_no_unit() -> None:
+    robot, tumour = map(pfdist.load_model, ("robot", "tumour"))
+    assert (robot.named("z")[0].unit, unit_of(robot)) == ("rad", "")
+    assert unit_of(tumour) == tumour.named("z")[0].unit
 
 
 def test_the_function_in_the_manual_decides_as_the_rule(
@@ -243,7 +273,7 @@ def test_the_function_in_the_manual_decides_as_the_rule(
     code = text.partition("```python\n")[2].partition("```")[0]
     (tmp_path / "results" / "plan").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
-    for rule in (Rule((2.0,)), Rule((2.0,), 0.5, 3)):
+    for rule in (Rule((2.0,)), Rule((2.0,), 0.5, 3), Rule((2.0,), 40.0, 3)):
         answer = json.dumps({"rule": rule_json(rule, COUNTED)})
         Path("results/plan/rule.json").write_text(answer, encoding="utf-8")
         names = dict[str, Any]()
@@ -252,6 +282,7 @@ def test_the_function_in_the_manual_decides_as_the_rule(
             (level,) = rule.levels(13 - t, spent)
             for deviation in (1.99, 2.01, level - 0.01, level + 0.01):
                 assert names["measures"](deviation, t, 12, spent) is (deviation > level)
+        assert names["measures"](1e9, 12, 12, 2, price=2) is (rule.limit == 0)
 
 
 def test_next_measures_where_the_filter_of_the_run_would(
@@ -271,6 +302,8 @@ def test_next_measures_where_the_filter_of_the_run_would(
     assert found.standard_deviation == pytest.approx(spread[found.next])
     later = pfdist.next_time(run.path / "job.toml", table, now=found.next, **given)
     assert later.next > found.next
+    ended = pfdist.next_time(run.path / "job.toml", table, now=12, **given).as_json()
+    assert (ended["next"], ended["standard_deviation"], ended["level"]) == (None, None, None)
     table.to_csv(tmp_path / "one.csv", index=False)
     assert main(["next", str(run.path), str(tmp_path / "one.csv"), "--rule", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["next"] == found.next
@@ -294,6 +327,15 @@ def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacin
     assert (found.measured, found.next) == ((1, 4), 7)
     assert found.level == pytest.approx(1e-3 * (13 - 7) / 2)
     assert pfdist.next_time(run, table, now=5, rule=True).next == 7  # within the spacing
+
+
+def test_a_budget_of_decimal_prices_is_spent_whole(
+    finished: Callable[..., Path], tmp_path: Path
+) -> None:
+    sold = "allowed = [2, 5, 8]\nprice = {'0:12' = 1.1}\ntotal_price = 3.3"  # 3 * 1.1 > 3.3
+    given = finished(job=SMALL.replace("measurement_budget = 4", sold))
+    found = asked(pfdist.open_run(shutil.copytree(given, tmp_path / "run")))
+    assert (found.table["price"] == 3.3).all()
 
 
 def test_a_filter_that_is_more_unsure_than_z_varies_keeps_its_budget(

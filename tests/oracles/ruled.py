@@ -1,0 +1,37 @@
+"""The plain filter with a rule: each draw's set grows, and its filter runs again from the start."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist import StateSpaceModel
+from pfdist.common.measurement_times import Times
+from pfdist.filters import plain
+from pfdist.filters.draws import Draws
+from pfdist.filters.work import Estimation
+from pfdist.kernels.rules import Rule
+
+
+def filter_by_rule(
+    model: StateSpaceModel, draws: Draws, candidates: Times, stream: int, settings: Estimation
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Whether each draw is measured at each point, and the MSE of each draw."""
+    rule, fixed, end = settings.rule or Rule(()), replace(settings, rule=None), draws.instants.stop
+    every = range(model.points.first(end))
+    prices = [(settings.prices[p] if settings.prices else 1.0) * (p in candidates) for p in every]
+    sets, errors = list[Times](), list[float]()
+    for place in range(len(draws.index)):
+        alone, times, t, spent = draws[place : place + 1], Times(), 0, 0.0
+        while t < end:
+            given = model, alone, times, stream, replace(fixed, lag=0)
+            deviation = np.sqrt(plain.filter_checked_draws(*given).variance[0, t].sum())
+            here = model.points.at(t)
+            own = prices[here.start : here.stop]
+            chosen = rule.chosen(deviation, end - t, spent, own, several=not settings.apart)
+            times += tuple(sorted(here[sensor] for sensor in chosen))
+            spent += sum(own[sensor] for sensor in chosen)
+            t = settings.apart[t] if chosen and settings.apart else t + 1
+        sets.append(times)
+        errors.append(plain.filter_checked_draws(model, alone, times, stream, fixed).mse[0])
+    return np.array([np.isin(every, times) for times in sets]), np.array(errors)
