@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
+from pfdist.common.measurement_times import EVEN
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
 from pfdist.results.stored_run import found_sets
 
@@ -97,7 +98,7 @@ def measure(quick: bool, say: Say) -> Tables:
             bound = run.table("sets").set_index("name")["bound"][name]
         written = {each: [*map(str, times)] for each, times in sets.items()}
         chosen = {OURS: written.pop(name)} | written
-        chosen |= _chosen_by_the_manager(written["regular"], say)
+        chosen |= _chosen_by_the_manager(written[EVEN], say)
         exact = pfdist.evaluate(problem, chosen)
         drawn = pfdist.evaluate(
             problem.with_changes(engine="compiled", particles=100 if quick else PARTICLES), chosen,
@@ -122,13 +123,13 @@ def measure(quick: bool, say: Say) -> Tables:
     return {"stone_soup": pd.DataFrame(rows)}
 
 
-def _chosen_by_the_manager(regular: list[str], say: Say) -> dict[str, list[str]]:
-    """The sensors that the manager of Stone Soup chooses at regular times; empty without it."""
+def _chosen_by_the_manager(even: list[str], say: Say) -> dict[str, list[str]]:
+    """The sensors that the manager of Stone Soup chooses at these times; empty without it."""
     if find_spec(PACKAGE) is None:
         say(f"left out: {PACKAGE} is not installed (pip install {PACKAGE})")
         return {}
     peer = import_module("benchmarks.peer_filters.stone_soup_manager")
-    times = [int(each.split()[0]) for each in regular]
+    times = [int(each.split()[0]) for each in even]
     modes = peer.chosen(TRANSITION, np.diag(PROCESS_SDS) ** 2, BEFORE * np.eye(2), ROWS, SDS, times)
     say(f"{PACKAGE} {version(PACKAGE)}")
     names = [f"{t} {SENSORS[mode]}" for t, mode in zip(times, modes, strict=True)]

@@ -189,8 +189,8 @@ COMMANDS = {
         "Filter real measurements of one system, with the filter of a job.",
         {
             "pfdist filter jobs/plan.toml patient.csv": "Filter the measurements of one system",
-            "pfdist filter jobs/plan.toml patient.csv --planned regular --out filtered": (
-                "Compare them with the regular times, and write to another folder"
+            "pfdist filter jobs/plan.toml patient.csv --planned evenly_spaced --out filtered": (
+                "Compare them with evenly spaced times, and write to another folder"
             ),
         },
     ),

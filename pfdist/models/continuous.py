@@ -217,37 +217,45 @@ def _plus(x: Values, h: Any, rates: Values) -> Values:
 # --- events of a job ------------------------------------------------------------------------------
 
 
-def with_events(model: StateSpaceModel, tables: Mapping[str, Rows]) -> StateSpaceModel:
-    """The model whose equations have the events of the tables that they name.
+def with_events(
+    tables: Mapping[str, Rows], *models: StateSpaceModel
+) -> tuple[StateSpaceModel, ...]:
+    """Models whose equations have the events of the tables that they name.
 
     Raises
     ------
     ModelError
         An equation names another table, none names one, or one has too many events.
     """
-    named, is_code = set[str](), not isinstance(model.transition, Programs | Declared)
+    named = list[str]()
 
     def rows(name: str) -> Rows:
-        named.add(name)
+        named.append(name)
         if name not in tables:
             raise ValueError(
                 f"events={name!r} must name a table, got {', '.join(tables) or 'none'}"
             )
         return tables[name]
 
-    def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
-        before = _TABLES.set(rows)
-        try:
-            return model.transition(x, t, w, p)
-        finally:
-            _TABLES.reset(before)
+    def changed(model: StateSpaceModel) -> StateSpaceModel:
+        def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
+            before = _TABLES.set(rows)
+            try:
+                return model.transition(x, t, w, p)
+            finally:
+                _TABLES.reset(before)
 
-    changed = replace(model, transition=transition) if is_code else model  # which calls it
+        if isinstance(model.transition, Programs | Declared):
+            return model
+        before, with_tables = len(named), replace(model, transition=transition)  # which calls it
+        return with_tables if len(named) > before else model
+
+    given = tuple(map(changed, models))
     for name in tables:
         if name not in named:
-            others = f"; they name {', '.join(sorted(named))}" * bool(named)
+            others = f"; they name {', '.join(sorted({*named}))}" * bool(named)
             raise ModelError(f"no equation of the model has events={name!r}{others}")
-    return changed if named else model
+    return given
 
 
 # --- twice as many steps --------------------------------------------------------------------------

@@ -226,7 +226,7 @@ def read_measurements(
         if t <= of_rows.horizon and np.isnan(row).all()
     ]
     # A value that is not in the table has not arrived until its last time.
-    missed = tuple(sorted({min(t, now) for t, *_ in empty} - {*measured}))
+    missed = tuple(sorted({min(t, now) for t in arrivals} - {*measured}))
     failed = tuple(point for t, way, point in empty if reading.sensing(way).fails and t <= now)
     return Measurements(
         tuple(measured),

@@ -72,8 +72,9 @@ class Replicate:
         return tuple(np.flatnonzero(np.stack(parts, axis=1).ravel()).tolist())
 
     def nearest(
-        self, wanted: Iterable[tuple[float, int]], model: StateSpaceModel, within: float
-    ) -> Times:
+        self, wanted: Iterable[tuple[float, int]], model: StateSpaceModel, within: float,
+        delays: Times = (),
+    ) -> Times:  # fmt: skip
         """The measurements that are nearest to wanted times, by the same sensors; sorted.
 
         Each is used once, by the earlier wanted time.
@@ -85,6 +86,8 @@ class Replicate:
         model : StateSpaceModel
         within : float
             The largest distance in time.
+        delays : tuple of int, optional
+            The number of instants after which a value arrives, of each sensor.
 
         Raises
         ------
@@ -94,7 +97,8 @@ class Replicate:
         points, measured, chosen = model.points, self.measured(model), list[int]()
         for time, way in wanted:
             free = [each for each in measured if points.way(each) == way and each not in chosen]
-            away = [abs(self.clock.times[points.instant(each)] - time) for each in free]
+            late = delays[way] if delays else 0
+            away = [abs(self.clock.times[points.instant(each) - late] - time) for each in free]
             if not away or min(away) > within + self.clock.slack:
                 name = f" by {model.parts[way].name}" if model.sensors else ""
                 at = self.clock.text(time) if self.clock.has_dates else f"{time:.4g}"

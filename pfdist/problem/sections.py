@@ -74,10 +74,16 @@ _SetName = Annotated[str, Field(max_length=LONGEST_SET_NAME), AfterValidator(is_
 _SetTimes = Annotated[Literal["regular"] | MomentsAndRanges, BeforeValidator(_listed_times)]
 
 
+def _as_event(row: Any) -> Any:
+    if not isinstance(row, list | tuple) or len(row) != 3:
+        raise ValueError(f"rows of model.events must be [time, amount, state], got {shown(row)}")
+    return tuple(row)
+
+
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Event = Annotated[
     tuple[_Finite, _Finite | str, Annotated[int, Field(ge=0)]],
-    BeforeValidator(lambda row: tuple(row) if isinstance(row, list) else row),
+    BeforeValidator(_as_event),
 ]
 
 

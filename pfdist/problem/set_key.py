@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pfdist.common.measurement_times import EVEN, REGULAR
+from pfdist.problem.methods import METHODS
 from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED, REFERENCE
 
 PLAN = "plan"
@@ -57,6 +58,10 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     >>> two = {"search": [{"name": "genetic"}, {"name": "random"}]}
     >>> [*labels_of_sets(["genetic", "random"], two).values()]
     ['genetic plan', 'random plan']
+    >>> [*labels_of_sets(["plan", "genetic"], job).values()]
+    ['plan', 'genetic plan']
+    >>> labels_of_sets(["relaxation"], {}), labels_of_sets(["relaxation", "genetic"], {})
+    ({'relaxation': 'plan'}, {'relaxation': 'relaxation', 'genetic': 'genetic'})
     >>> labels_of_sets(["evenly_spaced_05", "genetic_05"], {**job, "budget": {}})
     {'evenly_spaced_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
     >>> labels_of_sets(["genetic_300"], {**job, "budget": {}, "problem": {"total_price": 500}})
@@ -65,16 +70,17 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     {'alone_ct': 'ct alone', 'rotation': 'sensors in turn'}
     """
     keys = {column: set_key_of(column, job) for column in columns}
-    # A comparison has no search of its own, but sets of runs.
-    searches = [search["name"] for search in job.get("search", ())] or [DEFAULT_METHOD]
+    searches = [search["name"] for search in job.get("search", ())]
+    if not searches:  # a comparison has sets of runs, and several that were found are named alike
+        found = [column for column in keys if column.endswith((*METHODS,))]
+        searches = [DEFAULT_METHOD] * (found == [DEFAULT_METHOD])
     labels = {EVEN: EVENLY_SPACED}
     for sensor in job.get("problem", {}).get("sensors", ()):
         labels |= {f"alone_{sensor.lower().replace('-', '_')}": f"{sensor}{_ALONE}"}
         labels["rotation"] = _IN_TURN
-    if len(searches) > 1:
-        labels |= {search: f"{search} {PLAN}" for search in searches if search != PLAN}
-    elif PLAN not in keys:
-        labels[searches[0]] = PLAN
+    alone = len(searches) == 1 and PLAN not in keys
+    for search in searches:
+        labels[search] = PLAN if alone or search == PLAN else f"{search} {PLAN}"
     is_money = "total_price" in job.get("problem", {})
     return {
         column: _label(labels.get(key.origin, key.origin), key, is_money)

@@ -363,7 +363,7 @@ def _by_rule(
 
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
     """Whether times may still be measured, by their spacing, their limits and the total price."""
-    apart, money = feasible.spacing.apart((*measured[-1:], *left)), feasible.total_price
+    apart, money = feasible.spacing.apart(sorted((*measured[-1:], *left))), feasible.total_price
     apart = apart and feasible.is_within_limits((*measured, *left))
     return apart and (money is None or feasible.price_of((*measured, *left)) <= money)
 

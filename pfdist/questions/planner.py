@@ -145,8 +145,8 @@ class Planner:
     def taken(self, t: Time | str | None = None) -> None:
         """Note that a measurement was made whose value arrives later.
 
-        It is spent, unless `update` or `missed` passes its arrival without a value. If it was not
-        planned, the remaining times are planned again.
+        It is spent, unless `update` or `missed` passes its arrival without a value, and its sensor
+        cannot fail. If it was not planned, the remaining times are planned again.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class Planner:
         if estimate.measured:
             measurement = np.atleast_1d(np.array(y, np.float64))
             here = made(self._filter.model, instant, measurement)
-            self._taken = tuple(sorted((*self._taken, *here)))
+            self._taken = tuple(sorted({*self._taken, *here}))
         else:
             self._fail(each for each in self._plan if self._points.instant(each) == instant)
         self._plan_anew(estimate.t, measurement)
@@ -372,6 +372,7 @@ class Planner:
     def _plan_rest(self) -> None:
         """Plan again what is left from now on."""
         first = self._points.first(self._now.first)
+        self._fail(point for point in self._in_flight if point < first)
         self._in_flight = tuple(point for point in self._in_flight if point >= first)
         left = tuple(planned for planned in self._plan if planned >= first)
         self._plan = self._planned_anew(left, self._in_flight)

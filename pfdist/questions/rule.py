@@ -171,9 +171,10 @@ class Ruled(Shown):
         numbers, mean, label = self.table[self.what], self.spent, self.criterion.label
         gains = {name: self.gain(name) for name in self.labels}
         gain, *interval = gains[self.plan]
-        said = effect(gain, interval, "the plan", f"the rule's {label}")
+        plan = self.labels[self.plan]
+        said = effect(gain, interval, plan, f"the rule's {label}")
         if self.verdict == "worse":
-            said = f"The rule is worse than the plan, so keep the plan. {said}"
+            said = f"The rule is worse than {plan}, so keep {plan}. {said}"
         ends = f"{unrounded(numbers.min())} to {unrounded(numbers.max())}"
         level = level_text(self.rule, self.feasible, self.unit)
         facts = [

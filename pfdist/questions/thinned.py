@@ -126,7 +126,7 @@ def matched_of(
         sets = dict[str, Times]()
         try:
             for name, times in zip((PLAN, FROM_START, CENTRED, *own), wanted, strict=True):
-                sets[name] = each.nearest(times, model, within)
+                sets[name] = each.nearest(times, model, within, points.delays)
         except MeasurementsError as error:
             left_out[each.name] = f"{error}, for the set {name}"
             continue
@@ -143,18 +143,17 @@ def matched_of(
 
 
 def _wanted(times: Times, points: Points) -> list[tuple[float, int]]:
-    return [(points.clock.times[points.instant(time)], points.way(time)) for time in times]
+    return [(points.clock.times[points.made_at(time)], points.way(time)) for time in times]
 
 
 def _grids(points: Points, number: int, way: int) -> Iterator[list[tuple[float, int]]]:
     """Yield the beginnings and the middles of equal parts of the horizon.
 
-    On an even clock, the last instant is a step long, too. Values arrive from the delay of the
-    sensor on.
+    On an even clock, the last instant is a step long, too. The last value arrives in time.
     """
-    clock = points.clock
-    first, last = clock.times[points.delay(way)], clock.times[-1]
-    whole = (last - first) * (1 + clock.is_even / max(1, clock.horizon - points.delay(way)))
+    clock, steps = points.clock, points.clock.horizon - points.delay(way)
+    first, last = clock.times[0], clock.times[steps]
+    whole = (last - first) * (1 + clock.is_even / max(1, steps))
     for offset in (0.0, 0.5):
         yield [(first + whole * (part + offset) / number, way) for part in range(number)]
 

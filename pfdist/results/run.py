@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -192,7 +193,10 @@ class Run(StoredRun, Shown):
             return Page("", f"run {self.path}: cannot be read", [])
 
     def _repr_html_(self) -> str:
-        return as_fragment(SHOWN["pictures"](self._page(), self))
+        page = self._page()
+        with suppress(PfdistError):  # a table of a picture is damaged
+            page = SHOWN["pictures"](page, self)
+        return as_fragment(page)
 
 
 SHOWN: Registry[Callable[..., Page]] = Registry("pfdist.questions")

@@ -341,8 +341,8 @@ def _with_events(
 ) -> tuple[StateSpaceModel, StateSpaceModel]:
     """The models whose equations have the events of the job."""
     try:
-        truth = with_events(model, tables)
-        return truth, truth if believed is model else with_events(believed, tables)
+        given = with_events(tables, *([model] if believed is model else [model, believed]))
+        return given[0], given[-1]
     except ModelError as error:
         raise ModelError(f"model.events: {error}") from error
 

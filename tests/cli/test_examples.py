@@ -66,6 +66,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         shutil.copy(JOBS / f"{job}.toml", folder / "jobs")
     (folder / "mine.py").write_text("from pfdist.models.library.ungm import model\n")
     (folder / "patient.csv").write_text("t,y0\n1,0.3\n4,5.1\n9,2.2\n")
+    rows = [f"{name},{t},{(7 * t) % 5}" for name in "ab" for t in range(61)]
+    (folder / "patients.csv").write_text("\n".join(["patient,t,y0", *rows, ""]))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert main(["plan", "jobs/plan.toml", "--bound-draws", "0"]) == 0

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 import pfdist
 from oracles.moments import assert_covariance
 from pfdist import StateSpaceModel, ode, sde
-from pfdist.errors import ArgumentError, JobError, ModelError
+from pfdist.errors import ArgumentError, JobError, ModelError, PfdistError
 from pfdist.filters import plain
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
@@ -224,7 +224,7 @@ def test_a_job_names_the_events_of_an_equation(tmp_path):
     read = pfdist.load_job(tmp_path / "job.toml").model.events
     assert read == {"taken": tuple(map(tuple, rows))}
     assert not simulate(model.on_clock(clock), 9, range(1), 0).x[0, 1:, 0].any()  # without a job
-    given = with_events(model, read).on_clock(clock)
+    given = with_events(read, model)[0].on_clock(clock)
     own = dosed(DOSES, substeps=2).on_clock(clock)
     states = simulate(given, 9, range(1), 0).x
     np.testing.assert_array_equal(states, simulate(own, 9, range(1), 0).x)
@@ -233,13 +233,16 @@ def test_a_job_names_the_events_of_an_equation(tmp_path):
         ({"took": rows}, r"model\.events: .* events='taken' must name a table, got took"),
         ({"taken": rows, "other": rows}, "no equation of the model has events='other'; they name"),
         ({}, r"model\.events: .* must name a table, got none"),
+        ({"taken": [[1, 2]]}, r"rows of model\.events must be \[time, amount, state\], got"),
     ):
-        job = problem.job().with_changes(settings={"model": {"events": events}})
-        with pytest.raises(ModelError, match=said):
-            models_of_job(job)
+        with pytest.raises(PfdistError, match=said):
+            models_of_job(problem.job().with_changes(settings={"model": {"events": events}}))
     job = problem.job().with_changes(settings={"model": {"events": {"taken": rows}}})
     truth, _ = models_of_job(job)
     np.testing.assert_array_equal(simulate(truth.on_clock(clock), 9, range(1), 0).x, states)
+    for pair in ((model, own), (own, model)):  # one of the two has no events of the job
+        named, _ = sorted(with_events(read, *pair), key=lambda each: each is own)
+        np.testing.assert_array_equal(simulate(named.on_clock(clock), 9, range(1), 0).x, states)
 
 
 @pytest.mark.parametrize(

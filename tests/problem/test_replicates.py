@@ -107,6 +107,7 @@ def test_the_nearest_measurement_is_used_once_and_by_its_sensor(tmp_path: Path) 
     (found,) = read("day,t,y0\n" + "".join(f"a,{t},1\n" for t in (1, 7, 13, 23)), tmp_path, HOURS)
     assert found.nearest([(0.0, 0), (12.0, 0)], MODEL, 1.0) == (1, 3)
     assert found.nearest([(6.9, 0), (7.1, 0)], MODEL, 6.0) == (2, 3)  # the next nearest
+    assert found.nearest([(7.0, 0)], MODEL, 0.5, (1,)) == (3,)  # arrives at 13, made at 7
     with pytest.raises(MeasurementsError, match=r"no measurement within 30 min of t = 12"):
         found.nearest([(1.0, 0), (12.0, 0)], MODEL, 0.5)
     with pytest.raises(MeasurementsError, match=r"within 100 h of t = 2$"):

@@ -56,6 +56,13 @@ def test_a_run_that_cannot_be_read_has_a_card_that_says_so(small_run: pfdist.Run
     assert "cannot be read" in small_run._repr_html_()
 
 
+def test_a_run_whose_picture_cannot_be_drawn_still_has_an_answer(small_run: pfdist.Run) -> None:
+    shutil.rmtree(small_run.path / "tables" / "trajectories")
+    page = small_run._repr_html_()
+    assert "Measure at t = " in page
+    assert "<svg" not in page
+
+
 def test_progress_is_silent_unless_it_is_wanted(
     job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

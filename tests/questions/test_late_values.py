@@ -107,6 +107,55 @@ def test_next_keeps_measurements_without_a_value_yet(tmp_path: Path) -> None:
     assert {*late.plan, *made} - {"2 lab"} == best_completion(made - {"2 lab"}, 5, 9)
 
 
+def test_the_plan_before_is_compared_although_a_value_arrives_after_its_first_time(
+    tmp_path: Path,
+) -> None:
+    problem = Problem(
+        meter_and_laboratory(), horizon=8, measurement_budget=3, sensors=LATE, engine="kalman",
+        required=["3 bedside"],
+    )  # fmt: skip
+    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"])
+    table = pd.DataFrame([(2, "lab", math.nan)], columns=["t", "sensor", "y0"])
+    found = pfdist.next_time(run.path, table)
+    assert (found.in_flight, found.planned_before[0]) == (("2 lab",), "3 bedside")
+    assert found.expected_before is not None
+
+
+@pytest.mark.parametrize("value", [0.1, math.nan])
+def test_a_row_whose_value_arrives_after_the_end_says_what_time_it_is(
+    tmp_path: Path, value: float
+) -> None:
+    problem = Problem(late_walk(), horizon=8, measurement_budget=3, sensor={"delay": 3},
+                      engine="kalman")  # fmt: skip
+    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"])
+    table = pd.DataFrame([(0, 0.3), (6, value)], columns=["t", "y0"])
+    found = pfdist.next_time(run.path, table, say=lambda line: None)
+    assert (found.now, found.plan, found.measured) == (6, (), (0,))
+
+
+def test_a_failed_measurement_in_flight_is_spent() -> None:
+    """Also if another sensor has a value when its value would arrive."""
+    sensors = {"bedside": {}, "lab": {"delay": 2, "fails": 0.1}}
+    problem = Problem(
+        meter_and_laboratory(), horizon=4, measurement_budget=3, sensors=sensors, particles=20
+    )
+    planner = pfdist.Planner(problem, ["0 lab", "2 bedside", "3 bedside"])
+    planner.taken()
+    planner.update([0.2, math.nan], 2)
+    assert {*planner.measured} == {"0 lab", "2 bedside"}
+    assert len(planner.plan()) == 1
+
+
+def test_a_point_is_spent_once(tmp_path: Path) -> None:
+    """Two rows of a time, of which one failed."""
+    problem = Problem(
+        late_walk(), horizon=5, measurement_budget=3, sensor={"fails": 0.1}, particles=200
+    )
+    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"])
+    table = pd.DataFrame([(1, math.nan), (1, 0.3)], columns=["t", "y0"])
+    assert pfdist.next_time(run.path, table).left == 2
+
+
 @pytest.mark.slow
 def test_online_times_of_a_linear_system_are_those_of_the_plan(tmp_path: Path) -> None:
     problem = Problem(

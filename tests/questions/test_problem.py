@@ -186,7 +186,7 @@ def test_questions_about_a_problem_find_its_run_and_need_no_object(
     run = pfdist.run(job, figures=False)
     found = pfdist.why(job, draws=20, figures=False)
     assert found.run == Path("results/robot").absolute()
-    assert set(found.sets["name"]) == {"regular", "random"}
+    assert set(found.sets["name"]) == {"evenly_spaced", "random"}
     pd.testing.assert_frame_equal(found.worth, pfdist.why(run, draws=20, figures=False).worth)
     measured = pd.DataFrame({"t": [0], "y0": [0.3]})
     assert pfdist.next_time(job, measured).measured == (0,)

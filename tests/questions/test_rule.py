@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -141,6 +142,8 @@ def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None
     found = pfdist.rule(planned, figures=False, pool="serial")
     assert found.verdict == "worse"
     assert "The rule is worse than the plan, so keep the plan." in repr(found)
+    one_of_two = replace(found, labels={**found.labels, found.plan: "the exhaustive plan"})
+    assert "so keep the exhaustive plan." in repr(one_of_two)
     assert found.rule.thresholds[0] > 0.45
 
 

@@ -325,4 +325,4 @@ def test_a_plan_is_exactly_better_than_sets_that_others_choose() -> None:
     assert is_installed or any("stonesoup is not installed" in line for line in said)
     # 100 particles and 100 draws
     far = abs(table["expected_mse"] - table["exact_mse"]) / table["standard_error"]
-    assert far["regular"] < 4
+    assert far["evenly_spaced"] < 4
