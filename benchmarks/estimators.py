@@ -31,7 +31,7 @@ HORIZON = 60
 GOOD = (1, 2, 3, 7, 11, 12, 16, 19, 20, 23, 24, 32, 33, 37, 41, 44, 45, 49, 53, 54, 58)
 NEAR = tuple(15 if t == 16 else t for t in GOOD)
 ESTIMATORS = (SQUARED_ERROR.name, FILTER_VARIANCE.name)
-SCHEMES = ("multinomial", "systematic", "sorted_systematic")
+SCHEMES = ("multinomial", "systematic")
 PARTICLES = (100, 200, 500)
 DRAWS = 20_000
 MARKS: dict[int, Any] = {
@@ -176,7 +176,7 @@ def plot(tables: Tables) -> Figure:
         for row in _rows(tables):
             scheme, size = SCHEMES.index(row["resampling"]), PARTICLES.index(row["particles"])
             axes.plot(
-                ESTIMATORS.index(row["estimator"]) + 0.22 * (scheme - 1) + 0.06 * (size - 1),
+                ESTIMATORS.index(row["estimator"]) + 0.22 * (scheme - 0.5) + 0.06 * (size - 1),
                 row[f"saved_{quantity}"],
                 color=colours[row["resampling"]],
                 **MARKS[row["particles"]],

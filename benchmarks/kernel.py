@@ -24,7 +24,6 @@ from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.rules import Rule
-from pfdist.kernels.schemes import SCHEMES
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.library.linear_gaussian import linear_gaussian
 from pfdist.models.loader import installed_models
@@ -93,7 +92,7 @@ class Case:
 def cases(quick: bool) -> Iterator[Case]:
     """Give all cases; with `quick` every second size up to the middle."""
     for model in installed_of(MODELS):
-        for resampling in _fitting(model):
+        for resampling in RESAMPLING:
             yield Case(model=model, resampling=resampling)
     for size in SIZES["particles"][1:5]:
         yield Case("rule", particles=size, draws=Case().draws * 500 // size)
@@ -109,12 +108,6 @@ def cases(quick: bool) -> Iterator[Case]:
                 if series in ("particles", "horizon"):  # keeps the work about the same
                     case = replace(case, draws=max(1, case.draws * Case().steps // case.steps))
                 yield case
-
-
-def _fitting(model: str) -> list[str]:
-    """Give the resampling schemes that the state of a model allows."""
-    scalar = load_model(model).components[0] == 1
-    return [scheme for scheme in RESAMPLING if scalar or not SCHEMES[scheme].sorts]
 
 
 def installed_of(names: tuple[str, ...]) -> list[str]:

@@ -46,7 +46,6 @@ from pfdist.problem.sections import (
     FilterModel,
     FilterSection,
     Model,
-    Until,
 )
 from pfdist.problem.sensor_section import SensorSection, VisitsSection
 from pfdist.problem.sweep import SweepFile
@@ -85,7 +84,6 @@ _SECTIONS: Mapping[str, type[JobSection]] = {
     "[[search]]": SearchSection,
     "[search.evaluation]": EvaluationSettings,
     "[comparison]": Comparison,
-    "[comparison.until]": Until,
     "[budget]": Budget,
     "[online]": Online,
     "[execution]": Execution,

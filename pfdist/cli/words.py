@@ -32,7 +32,7 @@ def shown_default(value: Any) -> str | None:
 
 # Words are no JSON.
 _PLAIN = Parameter(negative=(), json_list=False, json_dict=False, show_default=shown_default)
-_PYTHON_ALONE = {"say", "progress", "figures", "parallel", "points"}
+_PYTHON_ALONE = {"say", "progress", "figures", "points"}
 
 
 class Word(NamedTuple):
@@ -202,7 +202,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     ),
     "target": _number("MSE", finite_number),
     "times": _texts("TIMES", _sets),
-    "wait_for_cores": _number("N"),
     "watch": _SWITCH,
     "window": _number("K"),
     "within": _number("GAP", finite_number),

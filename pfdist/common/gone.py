@@ -14,10 +14,17 @@ GONE = {
     "doctor": "the line of an error says what a machine lacks, see docs/install.md",
     ".tex": "pandas writes LaTeX, as pfdist.table(RUN).to_latex()",
     "dtype": "all states are float64",
+    "parallel": "each point of a sweep with values that belong together is a [[point]]",
+    "wait_for_cores": "a run begins with the cores there are, and uses those of nodes that join",
+    "until": "where intervals are too wide, the same run goes on with more draws",
     "estimator": "each search estimates errors as docs/searches.md says",
 }
 """The replacement of each word. A key has its last parts, as many as identify it."""
-_FORMER_DEFAULTS = {"estimator": ("squared_error", "auto"), "dtype": ("float64",)}
+_FORMER_DEFAULTS = {
+    "estimator": ("squared_error", "auto"),
+    "dtype": ("float64",),
+    "until": ({"half_width": 0.0},),
+}
 """Values of keys that are gone with which a job means what it means without the key."""
 
 

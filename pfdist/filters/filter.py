@@ -79,7 +79,7 @@ class Filter:
         Number of particles; the engine "kalman" has none.
     seed : int
         Seed of the filter's noise.
-    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
+    resampling : {"multinomial", "stratified", "systematic"}
     resample : str
         "always", or "below 0.5" to resample only if the effective sample size falls below this
         share of the particles.

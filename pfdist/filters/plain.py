@@ -18,7 +18,7 @@ from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite, noise_of
 from pfdist.filters.interface import checking, one_by_one, weighed
 from pfdist.filters.work import Estimation
-from pfdist.kernels.ancestors import LEVELS, ancestors_of, weights_of
+from pfdist.kernels.ancestors import ancestors_of, weights_of
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import ALL_SCHEMES
@@ -272,10 +272,6 @@ def _weighed(
         weighs = np.any(new > 0.0, axis=1)
         if ESTIMATORS[settings.estimator].weights.evidence:
             told += _told(log_likelihood, new)
-        if ALL_SCHEMES[settings.resampling].sorts:
-            order = np.where(weighs[:, None], _order_by_state(x[0], new), np.arange(particles))
-            x = _taken(x, past, order)
-            new = np.take_along_axis(new, order, axis=1)
         weight = np.where(weighs[:, None], new, weight)
         degenerate |= ~weighs
     return x, weight, degenerate, weighs
@@ -333,16 +329,6 @@ def _effective_sizes(weight: Array) -> Array:
     """Effective sample size of each draw (Kong, Liu, Wong 1994)."""
     sizes: Array = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
     return sizes
-
-
-def _order_by_state(state: Array, weight: Array) -> NDArray[np.intp]:
-    """Plain twin of `pfdist.kernels.ancestors.sort_by_state`: the order along the last axis."""
-    counted = (weight > 0.0) & np.isfinite(state)
-    low = np.where(counted, state, np.inf).min(axis=-1, keepdims=True)
-    high = np.where(counted, state, -np.inf).max(axis=-1, keepdims=True)
-    level = (state - low) * ((LEVELS - 1) / (high - low))
-    level = np.where(level > 0.0, np.minimum(level, LEVELS - 1.0), 0.0)
-    return np.argsort(level.astype(np.int64), axis=-1, kind="stable")
 
 
 def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]:

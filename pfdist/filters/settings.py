@@ -47,14 +47,8 @@ def check_filter_settings(
     Raises ArgumentError for a value that is not allowed, and ModelError for a setting or model that
     does not fit.
     """
-    resampling = settings.resampling
     check_fits(model, truth)
     _CHECKED(**vars(settings))
-    if SCHEMES[resampling].sorts and model.components[0] != 1:
-        raise ModelError(
-            f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
-            f"{model.components[0]} components of x"
-        )
     if model.sensors and settings.carries:
         raise ModelError(
             "resample must be 'always' for a model with sensors, got "

@@ -11,18 +11,13 @@ scheme instead computes the number of points below each weight by a formula.
 multinomial       independent points in ascending order
 stratified        one point in each of P equal intervals, independent
 systematic        one point in each of P equal intervals, all at the same position in them
-residual          particle j has floor(P w_j) children; the others are multinomial, with the
-                  remaining weights
-sorted_systematic systematic, after the particles were sorted by their states, which are scalar
 conditional       particle 0 has itself as ancestor, and the others are multinomial
 ================= ===========================================================================
 
 References
 ----------
 Douc, Cappe, Moulines, "Comparison of resampling schemes for particle filtering", 2005. Devroye,
-"Non-uniform random variate generation", 1986, section V.3 (ascending uniforms). Malik, Pitt,
-"Particle filters for continuous likelihood evaluation and maximisation", Journal of Econometrics
-165, 2011 (sorting).
+"Non-uniform random variate generation", 1986, section V.3 (ascending uniforms).
 """
 
 import math
@@ -76,7 +71,6 @@ class Resampling(NamedTuple):
     noise: NDArray[np.float32]  # (span,)
     words: NDArray[np.uint32]  # see `pfdist.kernels.variates.number_of_words`
     chosen: NDArray[np.int64]  # (draws,): the draws that are resampled
-    counts: NDArray[np.int64]  # (2 * digits,): of the sort
     fill: int  # address of `pfdist.kernels.variates.fill`
 
 
@@ -103,7 +97,6 @@ def resampling_scratch(draws: int, width: int) -> Resampling:
         noise=np.zeros(span, np.float32),
         words=np.zeros(number_of_words(1, span), np.uint32),
         chosen=np.zeros(draws, np.int64),
-        counts=np.zeros(2 * _DIGITS, np.int64),
         fill=fill.address,
     )
 
@@ -363,18 +356,18 @@ def _mark(starts: VectorArray, j: Vector, marks: VectorArray) -> None:
 
 
 @compiled
-def _expand(starts, particles, count, marks, ancestor, origin):
-    """Find the ancestors of `count` particles from the position of each particle's first child.
+def _expand(starts, particles, marks, ancestor, origin):
+    """Find the ancestors of particles from the position of each particle's first child.
 
     Each first child is marked with its parent; a later particle overwrites the mark of a childless
     one. A running maximum carries the marks to the other children.
     """
-    for i in range(np.int64(0), count + 1, np.int64(LANES)):
+    for i in range(np.int64(0), particles + 1, np.int64(LANES)):
         _store_same(marks, i, np.int64(0))
     for j in range(np.int64(0), particles, np.int64(_MARKS)):
         _mark(starts, j, marks)
     carry = _integers(np.int64(0))
-    for i in range(np.int64(0), count, np.int64(LANES)):
+    for i in range(np.int64(0), particles, np.int64(LANES)):
         carry = _spread(carry, marks, i, ancestor, origin + i)
 
 
@@ -469,20 +462,19 @@ def _prepare_merge(scratch, number, cumulative, total, particles, count):
 
 
 @compiled
-def _merge(scratch, number, count, to):
+def _merge(scratch, count, to):
     """Find the ancestors of ascending points, by merging the points with the shares.
 
     In a merge of single numbers each step waits for the step before it. So here a step compares all
     pairs of `LANES` shares and `LANES` points, and continues with the next shares or points.
     """
     shares, points, ancestor = scratch.shares, scratch.points, scratch.ancestor
-    first = base = number * scratch.span
-    begin, lanes = np.int64(0), np.int64(LANES)
+    first, begin, lanes = np.int64(0), np.int64(0), np.int64(LANES)
     _store_same(ancestor, to, np.int64(0))
     while begin < count:
-        _store_same(ancestor, to + begin + lanes, first - base)
-        _add_ranks(shares, first, points, base + begin, ancestor, to + begin)
-        passed = _passes(shares, first, points, base + begin)
+        _store_same(ancestor, to + begin + lanes, first)
+        _add_ranks(shares, first, points, begin, ancestor, to + begin)
+        passed = _passes(shares, first, points, begin)
         first += lanes * passed
         begin += lanes - lanes * passed
 
@@ -541,20 +533,19 @@ def _chosen(search):
 def systematic(search):
     """Find systematic ancestors; see `ENTRIES`."""
     cumulative, _, _, drawn, scratch = read(search)
+    particles, starts = drawn.particles, scratch.points
     for number in range(_chosen(read(search))):
         d = scratch.chosen[number]
         weights = ahead(cumulative, d * drawn.width)
-        _systematic(weights, drawn, drawn.first + d, scratch, d * scratch.span)
-
-
-@entry(Search)
-def residual(search):
-    """Find ancestors by the residual scheme; see `ENTRIES`."""
-    cumulative, _, _, drawn, scratch = read(search)
-    for number in range(_chosen(read(search))):
-        d = scratch.chosen[number]
-        weights = ahead(cumulative, d * drawn.width)
-        _residual(weights, drawn, drawn.first + d, scratch, d * scratch.span)
+        _fill_noise(scratch, np.int64(LANES), UNIFORM, drawn, drawn.first + d)
+        shift = np.float64(scratch.noise[0])
+        scale = particles / max(weights[drawn.width - 1], _LEAST_TOTAL)
+        starts[0] = 0
+        for i in range(np.int64(0), particles, np.int64(LANES)):
+            _store_starts(weights, i, scale, shift, float(particles), starts, i + 1)
+        for j in range(particles, particles + _MARKS):
+            starts[j] = particles  # behind all children
+        _expand(starts, particles, scratch.shares, scratch.ancestor, d * scratch.span)
 
 
 @entry(Search)
@@ -589,8 +580,6 @@ ENTRIES = {
     schemes.MULTINOMIAL.name: multinomial,
     schemes.STRATIFIED.name: stratified,
     schemes.SYSTEMATIC.name: systematic,
-    schemes.RESIDUAL.name: residual,
-    schemes.SORTED_SYSTEMATIC.name: systematic,
     schemes.CONDITIONAL.name: multinomial,
 }
 """The function of each scheme.
@@ -598,53 +587,6 @@ ENTRIES = {
 It finds the ancestors of the particles of consecutive draws. Those of draw d begin at ``d *
 scratch.span``, and are counted from the draw's first particle.
 """
-
-
-@compiled
-def _systematic(cumulative, drawn, draw, scratch, to):
-    particles, total = drawn.particles, cumulative[drawn.width - 1]
-    _fill_noise(scratch, np.int64(LANES), UNIFORM, drawn, draw)
-    shift, starts = np.float64(scratch.noise[0]), scratch.points
-    scale = particles / max(total, _LEAST_TOTAL)
-    starts[0] = 0
-    for i in range(np.int64(0), particles, np.int64(LANES)):
-        _store_starts(cumulative, i, scale, shift, float(particles), starts, i + 1)
-    _end_starts(starts, particles, particles)
-    _expand(starts, particles, particles, scratch.shares, scratch.ancestor, to)
-
-
-@compiled
-def _end_starts(starts, particles, count):
-    """Let the particles behind the last begin behind all children."""
-    for j in range(particles, particles + _MARKS):
-        starts[j] = count
-
-
-@compiled
-def _residual(cumulative, drawn, draw, scratch, to):
-    particles, total = drawn.particles, cumulative[drawn.width - 1]
-    starts, before, certain, rest = scratch.points, 0.0, 0, 0.0
-    starts[0] = 0
-    whole = max(total, _LEAST_TOTAL)
-    for j in range(particles):
-        # This order of operations does not round a whole number away. A sum may be a little less
-        # than the sum before.
-        expected = max(cumulative[j] - before, 0.0) * particles / whole
-        before = cumulative[j]
-        children = math.floor(expected)
-        certain += children
-        rest += expected - children
-        starts[j + 1] = min(certain, particles)
-        cumulative[j] = rest
-    certain = min(certain, particles)
-    if certain > 0:
-        _end_starts(starts, particles, certain)
-        _expand(starts, particles, certain, scratch.shares, scratch.ancestor, to)
-    count = particles - certain
-    if count > 0:
-        _ascending_points(scratch, np.int64(0), drawn, draw, count)
-        _prepare_merge(scratch, np.int64(0), cumulative, rest, particles, count)
-        _merge(scratch, np.int64(0), count, to + certain)
 
 
 @compiled
@@ -660,7 +602,7 @@ def _place(search, number, pair):
     if pair == 2:
         _merge_two(scratch, count, to, chosen[number + 1] * span + kept)
     else:
-        _merge(scratch, np.int64(0), count, to)
+        _merge(scratch, count, to)
     if kept:
         for k in range(pair):
             scratch.ancestor[chosen[number + k] * span] = 0
@@ -686,75 +628,6 @@ def take_ancestors(scratch, source, target, d, width):
     origin, ancestors = d * width, d * scratch.span
     for i in range(np.int64(0), width, np.int64(4)):
         _take_four(scratch.ancestor, ancestors + i, source, origin, target, origin + i)
-
-
-# --- sorting by states ----------------------------------------------------------------------------
-
-_BITS = 7
-_DIGITS = 2**_BITS
-LEVELS = 2 ** (2 * _BITS)
-"""Number of equal steps, between the extreme weighted states, by which states are sorted."""
-
-
-@compiled
-def sort_by_state(source, target, weight, cumulative, origin, width, particles, weighs, scratch):
-    """Sort a draw's particles and weights by the states, into another row.
-
-    Particles of one level keep their order, so a radix sort of two digits is enough. The cumulative
-    weights are computed again. Without the flag `weighs` the particles are copied as they are.
-    """
-    order, noise = scratch.shares, scratch.noise
-    _fill_levels(source, weight, origin, particles, weighs, scratch.points)
-    _radix_sorted(scratch.points, particles, scratch.counts, scratch.ancestor, order)
-    for i in range(particles):
-        target[origin + i], noise[i] = source[origin + order[i]], weight[origin + order[i]]
-    for i in range(particles, width):
-        target[origin + i] = target[origin]
-    if weighs:
-        for i in range(particles):
-            weight[origin + i] = noise[i]
-        cumulate(weight, origin, width, cumulative)
-
-
-@compiled
-def _fill_levels(source, weight, origin, particles, weighs, levels):
-    """The level of each particle's state; all are 0 without the flag."""
-    low, high = np.inf, -np.inf
-    if weighs:
-        for i in range(origin, origin + particles):
-            if weight[i] > 0.0 and abs(source[i]) < np.inf:
-                low, high = min(low, source[i]), max(high, source[i])
-    scale = (LEVELS - 1) / (high - low)
-    for i in range(particles):
-        level = (source[origin + i] - low) * scale
-        level = level if level > 0.0 else 0.0  # also what is not a number
-        levels[i] = np.int32(level if level < LEVELS - 1.0 else LEVELS - 1.0)
-
-
-@compiled
-def _radix_sorted(keys, particles, counts, half_sorted, order):
-    """Sort by the low digit, then by the high digit; equal keys keep their order."""
-    mask, bits, highs = np.int32(_DIGITS - 1), np.int32(_BITS), np.int64(_DIGITS)
-    for digit in range(2 * _DIGITS):
-        counts[digit] = 0
-    for i in range(particles):
-        counts[keys[i] & mask] += 1
-        counts[highs + (keys[i] >> bits)] += 1
-    low = high = np.int64(0)
-    for digit in range(_DIGITS):
-        count, counts[digit] = counts[digit], low
-        low += count
-        count, counts[highs + digit] = counts[highs + digit], high
-        high += count
-    for i in range(particles):
-        digit = keys[i] & mask
-        half_sorted[counts[digit]] = i
-        counts[digit] += 1
-    for place in range(particles):
-        i = half_sorted[place]
-        digit = highs + (keys[i] >> bits)
-        order[counts[digit]] = i
-        counts[digit] += 1
 
 
 # --- for engines that compute in NumPy ------------------------------------------------------------

@@ -232,7 +232,6 @@ class Steps(NamedTuple):
     leave_out: int
     set_out: int
     guide: int
-    sort: int
     resample: int
     scheme: int  # one of `pfdist.kernels.ancestors.ENTRIES`
     estimate: int
@@ -251,10 +250,9 @@ class Lines(NamedTuple):
     # of particles; a second half for guided filters: on the paths that are redrawn
     quantity: NDArray[np.float64]  # (T+1, means, stride): results of the block QUANTITY
     weight: NDArray[np.float32]  # (T+1, stride): at measured instants, before resampling
-    # (T+1, 2 sensors + 1, stride): ancestors by each resampling before a sensor, by each sorting
-    # after it, and by the last resampling
+    # (T+1, sensors + 1, stride): ancestors by each resampling before a sensor, and by the last
     ancestor: NDArray[np.int32]
-    moved: NDArray[np.uint8]  # (T+1, 2 sensors + 1): whether some draw was resampled, or sorted
+    moved: NDArray[np.uint8]  # (T+1, sensors + 1): whether some draw was resampled
     flow: NDArray[np.float64]  # (2, stride): weights of the lines through each particle, or zeros
     listed: NDArray[np.int32]  # (stride,): first in each draw, the particles with such a weight
     # of draws

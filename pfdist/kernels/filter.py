@@ -15,7 +15,6 @@ from pfdist.kernels.ancestors import (
     Drawn,
     Search,
     resampling_scratch,
-    sort_by_state,
     sum_of_deviations,
     sum_of_squares,
     sum_of_weights,
@@ -74,7 +73,6 @@ from pfdist.kernels.cached import Entry, compiled, entry
 from pfdist.kernels.memory import ahead, call, read, zeros
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.rules import ROUNDING
-from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, number_of_words
 from pfdist.kernels.vectors import LANES
 
@@ -168,8 +166,6 @@ def _measure(measurement):
     call(steps.weigh, measurement)
     if steps.leave_out != 0:
         call(steps.leave_out, measurement)
-    if steps.sort != 0:
-        call(steps.sort, measurement)
 
 
 # --- the first cloud, and steps -------------------------------------------------------------------
@@ -459,18 +455,6 @@ def _fill_log_weights(instant):
                     batch.log_weight[i] += batch.log_carried[i]
 
 
-@entry(Instant)
-def _sort(instant):
-    at = read(instant).at
-    request, batch, source, target = request_of(at.work), batch_of(at.work), present(at), other(at)
-    for d in range(at.draws):
-        sort_by_state(
-            source, target, batch.weight, batch.cumulative, d * batch.width, batch.width,
-            request.particles, batch.weighs[d] > 0, scratch_of(at.work),
-        )  # fmt: skip
-    batch.half[0] = 1 - batch.half[0]
-
-
 @compiled
 def _is_uneven(request, batch, d):
     """Whether the effective sample size of a draw lies below the threshold.
@@ -703,7 +687,6 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         leave_out=address(guided.leave_out, draws_again),
         set_out=address(_set_out, draws_again),
         guide=address(guided.guide, draws_again),
-        sort=address(_sort, ALL_SCHEMES[scheme].sorts),
         resample=address(_resample),
         scheme=ENTRIES[scheme].address,
         estimate=address(_estimate),
@@ -718,7 +701,6 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         estimate=lines.estimate.address,
         estimate_variance=0,
         resample=lines.resample.address,
-        sort=address(lines.sort, steps.sort != 0),
         leave_out=address(lines.restore, draws_again),
         finish=lines.finish.address,
     )
@@ -771,7 +753,7 @@ def _arrays(
         numbers=slots * 2 * row,
         flags=slots * 2 * row,
     )
-    instants, events = (request.instants if request.lag else 0), 2 * request.sensors + 1
+    instants, events = (request.instants if request.lag else 0), request.sensors + 1
     moments = request.means + quantities * has_variance
     of_lines, rows = zeros(
         Lines,

@@ -17,7 +17,7 @@ Journal of Computational and Graphical Statistics 5, 1996 (storing the state vec
 
 import numpy as np
 
-from pfdist.kernels.ancestors import sort_by_state, sum_of_weights, weighted_sum
+from pfdist.kernels.ancestors import sum_of_weights, weighted_sum
 from pfdist.kernels.batch import (
     ESTIMATE,
     QUANTITY,
@@ -32,14 +32,12 @@ from pfdist.kernels.batch import (
     measuring,
     of_draws,
     of_particles,
-    other,
     plan_of,
     present,
     record_sizes,
     request_of,
     results_of,
     scratch_of,
-    steps_of,
     wanted_of,
 )
 from pfdist.kernels.cached import compiled, entry
@@ -77,7 +75,7 @@ def estimate(instant):
 def resample(instant):
     """Resample, and keep the ancestors."""
     instant = read(instant)
-    at, event = instant.at, _event(instant.at, instant.t, 2 * instant.sensor)
+    at, event = instant.at, _event(instant.at, instant.t, instant.sensor)
     batch, lines, scratch = batch_of(at.work), lines_of(at.work), scratch_of(at.work)
     call(lines.resample, instant)
     lines.moved[event] = 0
@@ -87,27 +85,6 @@ def resample(instant):
         for d in range(at.draws):
             ancestors = ahead(lines.ancestor, event * batch.stride + d * batch.width)
             copy_numbers(ahead(scratch.ancestor, d * scratch.span), ancestors, batch.width)
-
-
-@entry(Instant)
-def sort(instant):
-    """Sort the particles, and keep their order."""
-    at, _, t, _, sensor = read(instant)
-    request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
-    source, target, scratch = present(at), other(at), scratch_of(at.work)
-    event = _event(at, t, 2 * sensor + 1)
-    lines.moved[event] = 1
-    for d in range(at.draws):
-        origin = d * batch.width
-        sort_by_state(
-            source, target, batch.weight, batch.cumulative, origin, batch.width, request.particles,
-            batch.weighs[d] > 0, scratch,
-        )  # fmt: skip
-        order = ahead(lines.ancestor, event * batch.stride + origin)
-        copy_numbers(scratch.shares, order, request.particles)
-        for i in range(request.particles, batch.width):
-            order[i] = i
-    batch.half[0] = 1 - batch.half[0]
 
 
 @entry(Instant)
@@ -186,7 +163,7 @@ def _values(at, z, means, row):
 
 @compiled
 def _event(at, t, number):
-    return t * (2 * request_of(at.work).sensors + 1) + number
+    return t * (request_of(at.work).sensors + 1) + number
 
 
 @compiled
@@ -200,7 +177,7 @@ def _quantity(at, row):
 def _trace(at, s, m, first, behind):
     """Estimate z at the instants from `first`, before `behind`, by the lines of a measurement."""
     request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
-    weight, sorts = ahead(lines.weight, m * batch.stride), steps_of(at.work).sort != 0
+    weight = ahead(lines.weight, m * batch.stride)
     for d in range(at.draws):
         lines.total[d] = sum_of_weights(weight, d * batch.width, batch.width)
     half = np.int64(-1)  # of `flow`, once lines have met; before, weights are those of particles
@@ -208,7 +185,7 @@ def _trace(at, s, m, first, behind):
     for t in range(m, first - 1, -1):
         sensors = measuring(at, s, t)
         if sensors != 0 and t < m:
-            half = _back(at, weight, _event(at, t, 2 * request.sensors), half)
+            half = _back(at, weight, _event(at, t, request.sensors), half)
         if t < behind:
             z = _quantity(at, request.instants + t if redrawn and sensors == 0 else t)
             means = ahead(lines.smoothed, t * lines.rows * batch.row)
@@ -219,9 +196,7 @@ def _trace(at, s, m, first, behind):
         for sensor in range(request.sensors - 1, -1, -1):
             if (sensors >> sensor) & 1:
                 redrawn = is_drawn_again(Instant(at, s, t, sensors, sensor))
-                if sorts:
-                    half = _back(at, weight, _event(at, t, 2 * sensor + 1), half)
-                half = _back(at, weight, _event(at, t, 2 * sensor), half)
+                half = _back(at, weight, _event(at, t, sensor), half)
     _clear(at, half)
 
 

@@ -14,17 +14,12 @@ class Scheme:
 
     name: str  # as job files name it
     description: str  # in one line, for help and manual
-    sorts: bool = False  # whether the particles are sorted by their states first
     holds_truth: bool = False  # whether particle 0 follows the true states of the draw
 
 
 MULTINOMIAL = Scheme("multinomial", "Independent ancestors, in proportion to the weights.")
 STRATIFIED = Scheme("stratified", "One point in each of as many strata as there are particles.")
 SYSTEMATIC = Scheme("systematic", "Equidistant points with one common random shift.")
-RESIDUAL = Scheme("residual", "The whole part of each expected number; the rest is multinomial.")
-SORTED_SYSTEMATIC = Scheme(
-    "sorted_systematic", "Systematic, with the particles sorted by their states.", sorts=True
-)
 CONDITIONAL = Scheme(
     "conditional", "Multinomial, with the true state among the particles.", holds_truth=True
 )
@@ -40,10 +35,7 @@ Source: Andrieu, Doucet, Holenstein, "Particle Markov chain Monte Carlo methods"
 Royal Statistical Society B 72, 2010 (conditional sequential Monte Carlo).
 """
 
-SCHEMES = {
-    scheme.name: scheme
-    for scheme in (MULTINOMIAL, STRATIFIED, SYSTEMATIC, RESIDUAL, SORTED_SYSTEMATIC)
-}
+SCHEMES = {scheme.name: scheme for scheme in (MULTINOMIAL, STRATIFIED, SYSTEMATIC)}
 """The schemes that a job can name."""
 if TYPE_CHECKING:
     Resampling = str

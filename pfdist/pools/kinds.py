@@ -19,8 +19,7 @@ class PoolKind:
     title: str  # begins a sentence about a pool: "Serial pool"
     description: str  # where the tasks are computed, as a phrase for help
     factory: str  # ``module:object``, which gives a `Pool` when it is called with its settings
-    # ``workers`` if a pool can have several workers, ``address`` and ``wait_for_cores`` if it can
-    # join a cluster
+    # ``workers`` if a pool can have several workers, ``address`` if it can join a cluster
     takes: tuple[str, ...] = ()
     # Whether a formula that crashes ends only a worker. If not, it ends the process of the driver.
     isolated: bool = False
@@ -41,7 +40,7 @@ POOLS = {
         "Ray",
         "on Ray workers",
         "pfdist.pools.ray_pool:RayPool",
-        takes=("workers", "address", "wait_for_cores"),
+        takes=("workers", "address"),
         isolated=True,
     ),
     "processes": PoolKind(

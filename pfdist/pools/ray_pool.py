@@ -5,7 +5,6 @@ import pickle
 import platform
 import threading
 import time
-import warnings
 from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache
 from importlib import metadata
@@ -14,7 +13,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from pfdist.common.stopping import check, sleep
-from pfdist.errors import EngineWarning, PoolError, SilenceError
+from pfdist.errors import PoolError, SilenceError
 from pfdist.pools.base import PAUSE_SECONDS, Function, Outcome, Silence, Task, patience, pause
 from pfdist.pools.ray_cluster import connected, load_ray, reason
 from pfdist.pools.workers import (
@@ -29,7 +28,6 @@ from pfdist.pools.workers import (
 
 RETRIES = 3  # of a task whose worker died
 LEAST_IN_FLIGHT = 16  # tasks, also on a cluster that has no cores yet, so that it gets some
-CORES_SECONDS = 300.0  # for the cores that a job demands
 LOST_SECONDS = 30.0  # Ray ends this process when its head has not answered for 60 s
 LOOK_SECONDS = 3.0  # between two looks at the number of cores
 _END = object()  # there are no more tasks
@@ -39,19 +37,19 @@ class RayPool:
     """A pool on a Ray cluster: one that this process has joined, an existing one, or a new one.
 
     `workers` tasks run at the same time; by default, one for each core, also of nodes that join.
-    `wait_for_cores` is the number of cores that a cluster must have before the first task.
     """
 
-    def __init__(self, workers: int = 0, address: str = "", wait_for_cores: int = 0) -> None:
-        self._demanded, self._address, self._least = workers, address, wait_for_cores
+    def __init__(self, workers: int = 0, address: str = "") -> None:
+        self._demanded, self._address = workers, address
         self.workers, self._stack, self._cores = workers, contextlib.ExitStack(), _Cores()
         self._stored = lru_cache(maxsize=FUNCTIONS)(_stored)
 
     def __enter__(self) -> Self:
-        """Raise `PoolError` if there is no cluster, and `SilenceError` if it lacks cores."""
+        """Raise `PoolError` if there is no cluster, and `SilenceError` if it does not answer."""
         with contextlib.ExitStack() as stack:
             stack.enter_context(connected(self._address, self._demanded))
-            self._wait_for_cores()
+            while self._cores.look() < 0:
+                sleep(PAUSE_SECONDS)
             self._count_workers()
             self._stack = stack.pop_all()
         return self
@@ -94,19 +92,6 @@ class RayPool:
                 silence.end()
                 yield _outcome(in_flight.pop(call), call)
             self._count_workers()
-
-    def _wait_for_cores(self) -> None:
-        deadline, told = time.monotonic() + CORES_SECONDS, False
-        while (cores := self._cores.look()) < self._least:
-            lacks = f"the Ray cluster has {cores} of {self._least} cores (execution.wait_for_cores)"
-            if time.monotonic() > deadline:
-                raise SilenceError(f"{lacks} after {CORES_SECONDS:.0f} s")
-            if cores >= 0 and not told:
-                warnings.warn(
-                    f"{lacks}; waiting at most {CORES_SECONDS:.0f} s", EngineWarning, stacklevel=4
-                )
-                told = True
-            sleep(PAUSE_SECONDS)
 
     def _count_workers(self) -> None:
         self.workers = self._demanded or max(1, self._cores.look())

@@ -335,7 +335,7 @@ class Job(JobSection):
     def _has_draws_to_compare(self) -> Self:
         if self.online is None:
             return self
-        draws, until = self.comparison.draws, self.comparison.until.half_width
+        draws = self.comparison.draws
         names = {*self.comparison.named, *(search.name for search in self.search)}
         _needs(
             "online",
@@ -344,8 +344,6 @@ class Job(JobSection):
             (ONLINE not in names, f"searches and sets of other names, got {ONLINE!r}"),
             (self.online.draws <= draws, f"online.draws of at most comparison.draws = {draws}, got "
                                          f"{self.online.draws}: the same draws are compared"),
-            (not until, f"comparison.until.half_width = 0, got {until:g}: the comparison must not "
-                        "end early"),
         )  # fmt: skip
         return self
 

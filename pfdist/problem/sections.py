@@ -190,19 +190,6 @@ class EvaluationSection(JobSection):
     degenerate_draws: Degenerate = "kill"
 
 
-class Until(JobSection):
-    """The precision at which a comparison ends before it has all draws.
-
-    Parameters
-    ----------
-    half_width : float, gain (0.01 is 1 %)
-        The comparison ends when the half width of every 95 % interval is at most this: of the mean
-        relative gains, or with ``control = true`` of the gains of means. 0 takes all draws.
-    """
-
-    half_width: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
-
-
 class Comparison(JobSection):
     """The comparison of sets of times with the reference, on the same fresh draws.
 
@@ -228,7 +215,6 @@ class Comparison(JobSection):
     """
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
-    until: Until = Until()
     reference: str | MomentsAndRanges = EVENLY_SPACED
     sets: Annotated[dict[_SetName, _SetTimes], Field(max_length=MOST_SETS)] | None = None
     control: bool | None = None
@@ -323,8 +309,6 @@ class Execution(JobSection):
         process may use.
     address : str
         Address of a Ray cluster, as HOST:PORT, ``auto`` or ``local``.
-    wait_for_cores : int
-        Number of cores that the Ray cluster must have before the command begins.
     failures : int
         Number of tasks that may fail; each runs once more.
     """
@@ -332,5 +316,4 @@ class Execution(JobSection):
     pool: PoolName = AUTO_POOL
     workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
     address: Text = ""
-    wait_for_cores: Annotated[int, Field(ge=0, lt=2**63)] = 0
     failures: Annotated[int, Field(ge=0, lt=2**63)] = 3

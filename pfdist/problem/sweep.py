@@ -36,16 +36,13 @@ class SweepFile(JobSection):
         Values of job keys that all points share.
     over : dict of str to list
         Values of each key; every combination is a point, and the last key changes fastest.
-    parallel : list of dict
-        Groups of keys whose values change together. Each group is combined with the other keys.
     point : list of dict
-        Further points.
+        Further points, for instance where values of two keys belong together.
     """
 
     job: str
     change: dict[str, Any] = Field(default_factory=dict)
     over: dict[str, Any] = Field(default_factory=dict)
-    parallel: list[dict[str, Any]] = Field(default_factory=list)
     point: list[dict[str, Any]] = Field(default_factory=list)
 
 
@@ -111,14 +108,13 @@ def parts_that_pay(seconds: Sequence[float]) -> int:
 def read_sweep(
     source: JobSource,
     over: Values,
-    parallel: Sequence[Values],
     points: Sequence[Values],
     changes: Iterable[str],
     settings: Mapping[str, Any],
 ) -> SweepJob:
     """The sweep of a sweep file, or of a job as for `pfdist.problem.problem.as_job`.
 
-    `over`, `parallel` and `points` are as for `points_of`; those of a sweep file come first.
+    `over` and `points` are as for `points_of`; those of a sweep file come first.
     Changes ``key=value`` and settings, as for `pfdist.load_job`, apply at all points. Raises
     `JobError` if a file cannot be read, if a key or a value is wrong, or if the job of a point is
     wrong; then it names the point.
@@ -131,9 +127,9 @@ def read_sweep(
         name, source = Path(str(source)).stem, Path(str(source)).parent / file.job
         changes = [*Point("", dotted(file.change)).changes, *changes]
         over = {**dotted(file.over), **dotted(over)}
-        parallel, points = [*file.parallel, *parallel], [*file.point, *points]
+        points = [*file.point, *points]
     job = as_job(source, changes, settings=settings)
-    sweep_points = points_of(over, parallel, points)
+    sweep_points = points_of(over, points)
     given = {change.partition("=")[0].strip() for change in changes}
     for key in dict.fromkeys(key for point in sweep_points for key in point.chosen):
         if key in given:

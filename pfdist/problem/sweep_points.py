@@ -35,9 +35,7 @@ class Point(NamedTuple):
         return [f"{key}={_text(key, value)}" for key, value in self.chosen.items()]
 
 
-def points_of(
-    over: Values, parallel: Sequence[Values] = (), points: Sequence[Values] = ()
-) -> tuple[Point, ...]:
+def points_of(over: Values, points: Sequence[Values] = ()) -> tuple[Point, ...]:
     """The points of a sweep, in the order in which they are computed.
 
     Parameters
@@ -45,44 +43,32 @@ def points_of(
     over : mapping of str to list
         The values of each key; a text such as ``"1:10"`` is a list of whole numbers. Every
         combination is a point, and the last key changes fastest.
-    parallel : sequence of mappings of str to list
-        Groups of keys whose values change together, so all lists of a group have the same length.
-        Each group is combined with all other keys.
     points : sequence of mappings of str to value
         Further points, each with one value for each of its keys.
 
     Raises
     ------
     JobError
-        Values are not a list, lists that change together differ in length, a point or a key is
-        given twice, or the number of points is not 1 to 10,000.
+        Values are not a list, a point or a key is given twice, or the number of points is not 1
+        to 10,000.
 
     Examples
     --------
     >>> [point.name for point in points_of({"seed": [1, 2], "filter.particles": [50]})]
     ['seed=1_particles=50', 'seed=2_particles=50']
     """
-    for name, each in (("parallel", parallel), ("points", points)):
-        if not isinstance(each, list | tuple):
-            raise JobError(f"{name} must be a list of mappings, got {shown(each)}")
-    groups = [{key: values} for key, values in dotted(over).items()]
-    groups += [dotted(group) for group in parallel]
-    _check_keys([key for group in groups for key in group])
-    groups = [{key: _values(key, values) for key, values in group.items()} for group in groups]
-    number = math.prod(map(_length, groups)) if groups else 0
+    if not isinstance(points, list | tuple):
+        raise JobError(f"points must be a list of mappings, got {shown(points)}")
+    choices = {key: _values(key, values) for key, values in dotted(over).items()}
+    number = math.prod(map(len, choices.values())) if choices else 0
     if not 1 <= number + len(points) <= MOST_POINTS:
         raise JobError(
             f"a sweep must have 1..{MOST_POINTS} points, got {number + len(points)}: give values "
             "of keys, for instance seed=1:10"
         )
-    # The choices for keys that change together: for each, the values of all keys.
-    choices = [[*zip(*group.values(), strict=True)] for group in groups]
-    keys = [key for group in groups for key in group]
-    products = itertools.product(*choices) if groups else ()
-    chosen = [
-        dict(zip(keys, itertools.chain.from_iterable(each), strict=True)) for each in products
-    ]
-    chosen += [dict(dotted(point)) for point in points]
+    products = itertools.product(*choices.values()) if choices else ()
+    chosen = [dict(zip(choices, each, strict=True)) for each in products]
+    chosen += [dotted(point) for point in points]
     return tuple(_named(chosen))
 
 
@@ -147,14 +133,6 @@ def dotted(values: Values, before: str = "") -> dict[str, Any]:
             raise JobError(f"each key of a sweep must be given once, got {shown(min(twice))} twice")
         joined |= added
     return joined
-
-
-def _length(group: Values) -> int:
-    lengths = {key: len(values) for key, values in group.items()}
-    if len(set(lengths.values())) != 1:
-        got = ", ".join(f"{count} of {key}" for key, count in lengths.items()) or "no key"
-        raise JobError(f"keys that change together must have equally many values, got {got}")
-    return next(iter(lengths.values()))
 
 
 def _values(key: str, values: Any) -> Sequence[Any]:

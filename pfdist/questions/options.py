@@ -81,9 +81,6 @@ class Options(TypedDict, total=False):
     address : str, optional
         The Ray cluster to join, as HOST:PORT; ``auto`` finds one, and ``local`` starts one on this
         machine. The default is execution.address of the job.
-    wait_for_cores : int, optional
-        Wait, at most 5 minutes, until the cluster has so many cores. The default is
-        execution.wait_for_cores of the job.
     figures : bool
         Whether to draw the figures that the folder lacks.
     report : bool, optional
@@ -102,7 +99,6 @@ class Options(TypedDict, total=False):
     pool: str | None
     workers: int | None
     address: str | None
-    wait_for_cores: int | None
     figures: bool
     report: bool | None
     progress: Show | bool | None
@@ -115,7 +111,6 @@ class Chosen(Arguments):
     pool: str | None = None
     workers: Whole | None = None
     address: str | None = None
-    wait_for_cores: Whole | None = None
     figures: bool = True
     report: bool | None = None
     progress: Show | bool | None = None
@@ -124,7 +119,7 @@ class Chosen(Arguments):
     @property
     def execution(self) -> dict[str, Any]:
         """Changes of the job's section [execution]."""
-        return {key: getattr(self, key) for key in ("pool", "workers", "address", "wait_for_cores")}
+        return {key: getattr(self, key) for key in ("pool", "workers", "address")}
 
     @property
     def has_report(self) -> bool:

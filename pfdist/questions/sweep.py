@@ -93,7 +93,6 @@ def sweep(
     job: JobSource,
     over: Values = _NOTHING,
     *,
-    parallel: Sequence[Values] = (),
     points: Sequence[Values] = (),
     results: str | Path | None = None,
     changes: Iterable[str] = (),
@@ -116,10 +115,8 @@ def sweep(
         A sweep file, or a problem, a job or the path of a job file.
     over : mapping of str to sequence
         Values of keys of the job, as ``{"seed": range(1, 11)}``; every combination is a point.
-    parallel : sequence of mappings of str to sequence
-        Groups of keys whose values change together.
     points : sequence of mappings of str to object
-        Further points, with a value for each key.
+        Further points, with a value for each key; so values of two keys may belong together.
     results : str or Path, optional
         The folder of the sweep; by default ``results/<the sweep file's stem>``, or
         ``results/<the job file's stem>-sweep``.
@@ -145,7 +142,7 @@ def sweep(
     """
     chosen = Chosen(**options)
     execution = {"execution": chosen.execution}
-    sweep_job = read_sweep(job, over, parallel, points, changes, execution)
+    sweep_job = read_sweep(job, over, points, changes, execution)
     path = _folder(sweep_job, results)
     check_pool(sweep_job.execution)
     bound = BoundSettings(draws=bound_draws) if bound_draws else None
@@ -222,7 +219,7 @@ def foreseen(
     PfdistError
         The sweep is wrong, or the model of a point.
     """
-    sweep_job = read_sweep(job, over, (), (), changes, {})
+    sweep_job = read_sweep(job, over, (), changes, {})
     path, rows = _folder(sweep_job, results), []
     with following(progress, say) as (show, _):
         for done, point in enumerate(sweep_job.points):

@@ -453,12 +453,3 @@ class ComparisonStatistics:
     def largest_share(self, name: str) -> float:
         """Share of the mean MSE of a set that is due to the largest draws; NaN if it is unknown."""
         return largest_share(self._largest[name], self.draws, self.mse[name].mean)
-
-    def half_width(self) -> float:
-        """Half width of the widest interval of a mean relative gain; of means with a control."""
-        intervals = (
-            gain.of_means_interval if self.has_control else gain.interval
-            for gain in self.gains.values()
-        )
-        widths = [(high - low) / 2 for low, high in intervals]
-        return math.inf if any(map(math.isnan, widths)) else max(widths)

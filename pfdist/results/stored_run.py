@@ -99,10 +99,7 @@ class StoredRun:
             return "searching"
         if self._store.has_parts(without=QUESTIONS):
             return "comparing"
-        half_width = self.job["comparison"]["until"]["half_width"]
-        enough = self.draws_compared == self.job["comparison"]["draws"] or (
-            half_width > 0 and statistics_of(self).half_width() <= half_width
-        )
+        enough = self.draws_compared == self.job["comparison"]["draws"]
         online = sum(map(len, self._store.draws("online")))
         wanted = self.job.get("online", {}).get("draws", 0)
         return "finished" if enough and online >= wanted else "comparing"

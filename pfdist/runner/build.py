@@ -510,21 +510,16 @@ MOST_WORKERS = 1000  # on one machine; each is a thread, or a process of Ray
 
 def check_pool(execution: Execution) -> None:
     """Raise a `JobError` if [execution] has settings that its pool does not take."""
-    pool, cores = execution.pool, execution.wait_for_cores
+    pool = execution.pool
     is_here = execution.address == "local" or not cluster_at_hand(execution.address)
     if execution.workers > MOST_WORKERS and (is_here or pool in ("threads", "processes")):
         raise JobError(
             f"execution.workers must be at most {MOST_WORKERS:,} on one machine, got "
             f"{execution.workers:,}: 0 is one for each core"
         )
-    if pool in (AUTO_POOL, "ray") and cores and not cluster_at_hand(execution.address):
-        raise JobError(
-            f"execution.wait_for_cores must be 0 without a Ray cluster that runs already, got "
-            f"{cores}: give its execution.address, or set RAY_ADDRESS"
-        )
     if pool == AUTO_POOL:
         return
-    for name, without in (("workers", (0, 1)), ("address", ("",)), ("wait_for_cores", (0,))):
+    for name, without in (("workers", (0, 1)), ("address", ("",))):
         got = getattr(execution, name)
         if got not in without and name not in POOLS[pool].takes:
             others = ", ".join(repr(other) for other, kind in POOLS.items() if name in kind.takes)

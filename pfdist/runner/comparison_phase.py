@@ -67,9 +67,9 @@ def run_comparison(
     built, reporter, job = session.built, session.reporter, session.built.job
     draws, study, control = job.comparison.draws, built.study, bool(job.comparison.control)
     work, start = _work(built, sets), reporter.progress.done
-    names, half_width = list(sets), job.comparison.until.half_width
+    names = list(sets)
     references, labels = references_of(names, job.identity()), labels_of_sets(names, job.identity())
-    interim = InterimGains(labels, references, draws, half_width)
+    interim = InterimGains(labels, references, draws)
     shows_gains = len(study.references) == 1 and built.job.criterion.is_mean
     reporter.begin(COMPARISON)
     details = (trajectories, first_draws_again) if built.study.has_details else ()
@@ -102,7 +102,7 @@ def run_comparison(
         columns += [] if scenarios is None else [pa.array(scenarios.astype(np.int16))]
         return pa.Table.from_arrays(columns, schema=schema)
 
-    def learn(piece: FilterWork, result: Result) -> bool:
+    def learn(piece: FilterWork, result: Result) -> None:
         errors = np.hstack([result.mse, result.control]) if control else result.mse
         interim.learn(range(*piece.draws), errors, result.degenerate)
         _check_filters(built, interim.statistics)
@@ -111,7 +111,6 @@ def run_comparison(
             evaluations=reporter.progress.evaluations + len(result.mse),
             found=interim.so_far if shows_gains else (),
         )
-        return interim.enough > 0
 
     most = longest_range(draws) if study.has_details else 0
     errors = evaluator.expected_errors(work.measurement_times) if most else None
@@ -127,7 +126,7 @@ def run_comparison(
     rows = RowsByDraw("comparison", rows_of, _result, beside=beside)
     yield WorkBatch(session, COMPARISON, works, rows, learn)
     reporter.reach(start + comparison_steps(built))
-    _publish(session.store, interim.enough or draws, most)
+    _publish(session.store, draws, most)
 
 
 def _check_filters(built: Built, statistics: ComparisonStatistics) -> None:
@@ -223,26 +222,19 @@ def _publish(store: Store, draws: int, most: int) -> None:
 
 
 class InterimGains:
-    """Sums of a comparison's gains, and the rule that ends it.
+    """Sums of a comparison's gains.
 
-    The comparison ends when no interval is wider than twice `half_width`; with 0 it never ends
-    early. The last block of `draws` may be shorter than the others. `labels` has all sets by
-    name, and `references` the reference of each other set.
+    The last block of `draws` may be shorter than the others. `labels` has all sets by name, and
+    `references` the reference of each other set.
     """
 
     def __init__(
-        self,
-        labels: Mapping[str, str],
-        references: Mapping[str, str],
-        draws: int,
-        half_width: float,
+        self, labels: Mapping[str, str], references: Mapping[str, str], draws: int
     ) -> None:
         self.statistics = ComparisonStatistics([*labels], references=references)
-        self._labels = labels
-        self._draws, self._half_width = draws, half_width
+        self._labels, self._draws = labels, draws
         # For each block of draws, their values, which come in any order; whether each is missing
         self._waiting: dict[int, tuple[NDArray[np.float64], NDArray[np.bool_]]] = {}
-        self.enough = 0  # number of draws that were enough; 0 as long as they are not
         self.so_far = tuple[SetGain, ...]()  # the gain of each set, from the whole blocks so far
 
     def learn(
@@ -262,7 +254,7 @@ class InterimGains:
             part = values[first - index.start : last - index.start]
             (mse, missing), places = self._waiting[number], slice(first - start, last - start)
             mse[places], missing[places] = part, False
-        while not self.enough and (following := self._next()) is not None:
+        while (following := self._next()) is not None:
             sets = len(self.statistics.names)
             self.statistics.add(following[:, :-sets], following[:, -sets:])
             self.so_far = tuple(  # after each block, because outcomes come more often
@@ -270,8 +262,6 @@ class InterimGains:
                 for name, gain in self.statistics.gains.items()
                 if gain.relative.count
             )
-            if self._half_width and self.statistics.half_width() <= self._half_width:
-                self.enough = self.statistics.draws
 
     def _next(self) -> NDArray[np.float64] | None:
         number = self.statistics.draws // BLOCK

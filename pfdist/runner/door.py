@@ -61,7 +61,7 @@ EVALUATIONS = "evaluations"
 """The table whose rows are committed last: an evaluation in it has all its draws in others."""
 
 StoredResults = Iterator[tuple[FilterWork, Result]]
-Learn = Callable[[FilterWork, Result], object]
+Learn = Callable[[FilterWork, Result], None]
 Say = Callable[[str], Any]
 
 
@@ -90,8 +90,7 @@ class WorkBatch:
     The rows belong to a phase of the session's run. Without a row format, neither results nor
     timings are stored, so they are never looked up.
 
-    `learn` receives each piece of a work with its result, in any order. If it returns True, no more
-    results are needed, and the driver resumes.
+    `learn` receives each piece of a work with its result, in any order.
 
     If `more_follows`, the last rows wait for the next batch. A commit takes a while, and the
     workers would be idle between two generations.
@@ -115,18 +114,17 @@ class WorkBatch:
         self._cuts: Iterator[_Cut] = iter(())
         self._next: _Cut | None = None
         self._again: deque[_Cut] = deque()  # failed tasks
-        self._in_flight, self._enough = 0, False
+        self._in_flight = 0
         # Results of the draws of unfinished blocks of sums, by the ids, the block and the draw
         self._open = defaultdict[Any, dict[int, Result]](dict)
 
     @property
     def is_computed(self) -> bool:
         """Whether no task is left."""
-        left = self._next is not None or self._again or self._in_flight
-        return self._enough or not left
+        return not (self._next is not None or self._again or self._in_flight)
 
     def learn(self, work: FilterWork, result: Result) -> None:
-        """Hand a result to the driver, and record whether it needs no more."""
+        """Hand a result to the driver; draws of a block of sums wait until the block is whole."""
         if work.is_part_of_block:
             draw, _ = work.draws
             block = whole_block(draw)
@@ -138,16 +136,15 @@ class WorkBatch:
             sums = sum_of_draws(draws[draw].sums for draw in range(*block))
             work, result = work.part(block), replace(result, sums=sums)
             self.keep(work, result)
-        self._enough = self._learn(work, result) is True or self._enough
+        self._learn(work, result)
 
     def add(self, works: list[FilterWork], workers: int, *, is_shared: bool) -> None:
         """Add works to be computed, which are cut into tasks."""
-        if not self._enough:
-            pace = self.session.pace(workers, is_shared=is_shared)
-            table = self.row_format.table if self.row_format is not None else self.phase
-            results = self.session.built.evaluator.results
-            self._cuts = chain(self._cuts, _cuts(table, results, works, pace))
-            self._next = self._next or next(self._cuts, None)
+        pace = self.session.pace(workers, is_shared=is_shared)
+        table = self.row_format.table if self.row_format is not None else self.phase
+        results = self.session.built.evaluator.results
+        self._cuts = chain(self._cuts, _cuts(table, results, works, pace))
+        self._next = self._next or next(self._cuts, None)
 
     def next_cut(self) -> "_Cut | None":
         """The next task, or None; failed tasks run again after all others."""
@@ -435,7 +432,7 @@ class Loop:
         """Let a batch learn from an outcome; its driver goes on if the batch lacks nothing more."""
         driver, batch, cut = self._sent.pop(outcome.task.key)
         if self._batches.get(driver) is not batch:
-            return  # the driver had enough results before this one came
+            return  # the driver ended with an error before this one came
         error = _error_of(partial(batch.take, cut, replace(outcome, task=cut.task)))
         if error is None and not batch.is_computed:
             return

@@ -42,7 +42,7 @@ from pfdist.store.folder import ABOUT, FILES, MODELS
 from pfdist.store.listing import read_listing
 
 _HASH = re.compile("[0-9a-f]{16,64}")
-_LENGTHS = ("comparison.draws", "comparison.until.half_width", "online.draws")
+_LENGTHS = ("comparison.draws", "online.draws")
 """Keys of a job that set the length of a run; see `_may_change`."""
 
 
@@ -281,11 +281,7 @@ def _too_few(path: Path, job: Job, committed: int) -> StoreError:
 
 
 def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
-    """Whether a run may resume with this change: more draws, or narrower intervals."""
-    if "nothing" in (was, is_now):
+    """Whether a run may resume with this change: more draws."""
+    if "nothing" in (was, is_now) or key.removeprefix("job.") not in _LENGTHS:
         return False
-    if key.removeprefix("job.") not in _LENGTHS:
-        return False
-    if key == "job.comparison.until.half_width":
-        return bool(is_now < was)
     return bool(is_now >= (was if key == "job.online.draws" else committed))

@@ -31,7 +31,8 @@ from pfdist.store.tables import REMEDY
 if TYPE_CHECKING:
     from pfdist.models import StateSpaceModel
 
-_GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}  # keys that may change
+# Keys that may change; only runs of earlier versions have "until".
+_GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}
 
 
 def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -20,7 +20,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
-from pfdist.errors import EngineWarning, PoolError, SilenceError
+from pfdist.errors import PoolError, SilenceError
 from pfdist.pools import base, ray_pool, workers
 from pfdist.pools.base import Function, Pool, Task
 from pfdist.pools.kinds import POOLS
@@ -463,25 +463,10 @@ def test_so_many_tasks_are_in_flight(
         assert pool._most_in_flight == most
 
 
-def test_a_pool_waits_for_cores(cores: Callable[..., None]) -> None:
-    cores(-1, 2, 2, 6)
-    said = r"^the Ray cluster has 2 of 6 cores \(execution\.wait_for_cores\); waiting at most 300 s"
-    with pytest.warns(EngineWarning, match=said), RayPool(wait_for_cores=6) as pool:
-        assert pool.workers == 6
-
-
-def test_cores_that_never_come_end_the_wait(
-    cores: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cores(2)
-    monkeypatch.setattr(ray_pool, "CORES_SECONDS", 0.1)
-    said = r"^the Ray cluster has 2 of 6 cores \(execution\.wait_for_cores\) after 0 s"
-    with (
-        pytest.warns(EngineWarning, match="waiting"),
-        pytest.raises(SilenceError, match=said),
-        RayPool(wait_for_cores=6),
-    ):
-        pass
+def test_a_pool_begins_when_the_cluster_has_told_its_cores(cores: Callable[..., None]) -> None:
+    cores(-1, -1, 2)
+    with RayPool() as pool:
+        assert pool.workers == 2
 
 
 def test_a_node_of_another_version_ends_the_run_in_a_line(

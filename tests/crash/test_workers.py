@@ -170,7 +170,7 @@ def test_a_run_whose_nodes_are_killed_added_and_frozen_ends_with_the_same_bytes(
     job = make_job(500_000)
     with nodes(tmp_path, 3) as cluster:
         _, first, second = cluster.all
-        address = ("--address", cluster.address, "--wait-for-cores", "3")
+        address = ("--address", cluster.address)
         with running(job, tmp_path / "run", *address, **cluster.environment) as driver:
             driver.wait_for(lambda: driver.parts("comparison"))
             kill(first)
@@ -193,7 +193,7 @@ def test_two_runs_share_a_cluster_and_end_with_the_same_bytes(
 ) -> None:
     job = make_job(100_000)
     with nodes(tmp_path, 3) as cluster:
-        options = ("--address", cluster.address, "--wait-for-cores", "3")
+        options = ("--address", cluster.address)
         with (
             running(job, tmp_path / "first", *options, **cluster.environment) as first,
             running(job, tmp_path / "second", *options, **cluster.environment) as second,
@@ -211,7 +211,7 @@ def test_a_run_whose_head_is_killed_says_so_keeps_what_is_committed_and_resumes(
 ) -> None:
     job = make_job(100_000)
     with nodes(tmp_path, 3) as cluster:
-        options = ("--address", cluster.address, "--wait-for-cores", "3")
+        options = ("--address", cluster.address)
         with running(job, tmp_path / "run", *options, **cluster.environment) as driver:
             driver.wait_for(lambda: driver.parts("comparison"))
             commits, start = driver.parts("comparison"), time.monotonic()

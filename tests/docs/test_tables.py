@@ -101,7 +101,7 @@ def test_the_reference_has_every_key_of_a_job_with_its_meaning(tables: ModuleTyp
     keys = {row[0].strip("| `") for row in rows}
     paper = tomllib.loads((DOCS.parent / "jobs" / "paper.toml").read_text())
     settings = {key for method in METHODS.values() for key in method.section().settings}
-    assert keys_of(paper) - settings <= keys | {"until", "filter"}
+    assert keys_of(paper) - settings <= keys | {"filter"}
     row = next(row for row in rows if row[0] == "| `particles`")
     assert row[1:3] == ["at least 1, at most 10,000,000 or `auto`", "500"]
 

@@ -30,7 +30,7 @@ HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
 UNGM = load_model("ungm")
 KINDS = [
     pytest.param(
-        UNGM, Estimation(100, "residual", threshold=0.5), id="carried", marks=pytest.mark.slow
+        UNGM, Estimation(100, "stratified", threshold=0.5), id="carried", marks=pytest.mark.slow
     ),
     pytest.param(UNGM, Estimation(100, estimator=FILTER_NOISE.name), id="two filters"),
     pytest.param(UNGM, with_truth(100), id="truth inside"),

@@ -40,7 +40,7 @@ growth = load_model("ungm")
     ("model", "resampling", "threshold"),
     [
         (growth, "multinomial", ALWAYS),
-        (growth, "sorted_systematic", 0.1),
+        (growth, "stratified", 0.1),
         (STEPS, "systematic", 0.1),
     ],
     ids=lambda each: getattr(each, "name", str(each)),
@@ -72,7 +72,7 @@ def test_sets_that_share_prefixes_have_the_bits_of_each_alone(threshold: float) 
 
 @pytest.mark.parametrize(
     ("model", "resampling", "threshold"),
-    [(growth, "sorted_systematic", 0.5), (growth, "multinomial", ALWAYS), (STEPS, "residual", 0.5)],
+    [(growth, "systematic", 0.5), (growth, "multinomial", ALWAYS), (STEPS, "stratified", 0.5)],
     ids=lambda each: getattr(each, "name", str(each)),
 )
 def test_a_measurement_that_no_particle_explains_is_left_out(

@@ -11,7 +11,6 @@ from oracles.kalman import TRACKING, riccati_cost
 from pfdist import load_model
 from pfdist.common.measurement_times import Times, regular
 from pfdist.common.scenario import Scenario
-from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
@@ -98,38 +97,11 @@ def test_only_instants_up_to_the_end_count(estimator: str) -> None:
     np.testing.assert_allclose(found, np.stack(expected, axis=1), rtol=1e-12)
 
 
-def test_in_line_by_state_the_difference_of_two_sets_has_less_variance() -> None:
-    # Two good sets on the paper's problem, one time moved by one. How far a ratio of variances of
-    # differences that are heavy in the tails is known, the bootstrap says.
-    good = (1, 2, 3, 7, 11, 12, 16, 19, 20, 23, 24, 32, 33, 37, 41, 44, 45, 49, 53, 54, 58)
-    sets = [good, tuple(15 if t == 16 else t for t in good)]
-    draws = simulate(UNGM, 60, range(6000), 1)
-    plain, in_line = (
-        np.diff(filter_checked_sets(UNGM, draws, sets, [60] * 2, 2, Estimation(100, scheme))[0])[
-            :, 0
-        ]
-        for scheme in ("systematic", "sorted_systematic")
-    )
-    rng = np.random.default_rng(1)
-    again = rng.integers(len(plain), size=(400, len(plain)))
-    ratios = in_line[again].var(axis=1) / plain[again].var(axis=1)
-    assert in_line.var() / plain.var() + 3 * ratios.std() < 1
-
-
 # --- what is refused, and what it costs ---
 
 
 WRONG = UNGM.with_parameters({"process_sd": 0.5})
 NORM = replace(UNGM, error=lambda z, estimate, t, p: abs(z[0] - estimate[0]))
-
-
-def test_sorted_resampling_needs_a_scalar_state() -> None:
-    evaluator = Evaluator(load_model("bearings_only"), 5)
-    message = "'sorted_systematic' needs a model with a scalar state, got bearings_only with 4"
-    work = FilterWork(((1,),), (5,), (1,), 1, (0, 2), Estimation(10, "sorted_systematic"))
-    for refuses, given in ((evaluator.check, work.estimation), (evaluator, work)):
-        with pytest.raises(ModelError, match=message):
-            refuses(given)
 
 
 # --- the variance of the particles ---
@@ -172,7 +144,7 @@ def test_the_variance_is_the_error_of_a_filter_that_has_the_true_model(
 
 def test_of_an_exact_engine_the_variance_is_exact() -> None:
     evaluator = Evaluator(load_model("random_walk"), HORIZON, engine="kalman")
-    estimation = Estimation(1, "sorted_systematic", "filter_variance")
+    estimation = Estimation(1, "systematic", "filter_variance")
     evaluator.check(estimation)
     sets: Sequence[Times] = ((0, 4, 8), (2, 9))
     mse = evaluator(FilterWork(tuple(sets), (12, 9), (1, 1), 1, (0, 3), estimation)).mse

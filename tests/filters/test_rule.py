@@ -81,7 +81,7 @@ def test_a_guided_filter_decides_as_filters_with_the_sets_that_it_chooses(
 @pytest.mark.parametrize(
     ("model", "level", "settings"),
     [
-        pytest.param(THREE.as_model(), 1.2, Estimation(70, "residual"), id="sums", marks=SLOW),
+        pytest.param(THREE.as_model(), 1.2, Estimation(70, "stratified"), id="sums", marks=SLOW),
         pytest.param(batched(load_model("ungm")), 5.0, Estimation(70), id="batched", marks=SLOW),
         pytest.param(load_model("ungm"), 5.0, Estimation(70, threshold=0.5), id="carried weights"),
         pytest.param(load_model("robot"), 0.05, Estimation(70), id="angle", marks=SLOW),

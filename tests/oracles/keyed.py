@@ -155,12 +155,10 @@ def ancestors(scheme, weight, stream, draw, key):
     """Ancestors of the particles of one draw, from weights as float32."""
     particles, sums = len(weight), cumulative(weight)
     total = sums[-1]
-    if scheme in ("systematic", "sorted_systematic"):
+    if scheme == "systematic":
         shift = np.float64(variates("uniform", 1, stream, draw, key, RESAMPLING, 0)[0])
         ends = np.minimum(np.ceil(sums * (particles / total) - shift), particles).astype(int)
         return _expanded(ends, particles)
-    if scheme == "residual":
-        return _residual(sums, stream, draw, key)
     count = particles - (scheme == "conditional")
     if scheme == "stratified":
         noise = variates("uniform", count, stream, draw, key, RESAMPLING, 0).astype(np.float64)
@@ -188,22 +186,3 @@ def _expanded(ends, count):
     for particle, start in enumerate([0, *ends[:-1]]):
         marks[start] = particle
     return np.maximum.accumulate(marks[:count])
-
-
-def _residual(sums, stream, draw, key):
-    particles, total = len(sums), sums[-1]
-    before, certain, rest = 0.0, 0, 0.0
-    ends, rests = np.zeros(particles, int), np.zeros(particles)
-    for j in range(particles):
-        expected = max(sums[j] - before, 0.0) * particles / total
-        before = sums[j]
-        children = int(np.floor(expected))
-        certain += children
-        rest += expected - children
-        ends[j], rests[j] = min(certain, particles), rest
-    certain = min(certain, particles)
-    first = _expanded(ends, certain) if certain else np.empty(0, int)
-    count = particles - certain
-    if not count:
-        return first
-    return np.concatenate([first, _merged(rests, rest, _ascending(count, stream, draw, key))])

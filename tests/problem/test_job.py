@@ -139,11 +139,6 @@ MISTAKES = [
     ("search.random.name=genetic", r"must differ from each other, got 'genetic' twice"),
     ("comparison.reference=even", r"reference must be .* got 'even' "),
     ("online.draws=100001", r"online\.draws of at most comparison\.draws = 100000, got 100001"),
-    (
-        "online={}",
-        "comparison.until.half_width=0.1",
-        r"needs comparison\.until\.half_width = 0, got 0",
-    ),
     ("online={}", RELAXATION, BUDGET, "a budget section"),
     (
         "online={}",

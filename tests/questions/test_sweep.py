@@ -30,7 +30,6 @@ comparison.draws = 60
 search.genetic.generations = 1
 [over]
 problem.measurement_budget = "4:5"
-[[parallel]]
 model.parameters.process_sd = [1.0]
 model.filter.parameters.process_sd = [2.0]
 [[point]]

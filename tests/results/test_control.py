@@ -50,14 +50,6 @@ def test_moments_and_gains_of_means_are_those_of_errors_less_their_controls() ->
     assert {name: columns[name] for name in others} == {name: single[name] for name in others}
 
 
-def test_a_comparison_with_controls_is_as_long_as_the_gain_of_means_needs() -> None:
-    found, plain = _statistics(BLOCK), _statistics(MSE)
-    low, high = found.gains["b"].of_means_interval
-    assert found.half_width() == pytest.approx((high - low) / 2)
-    low, high = plain.gains["b"].interval
-    assert plain.half_width() == pytest.approx((high - low) / 2)
-
-
 def test_blocks_change_nothing() -> None:
     whole, parts = _statistics(BLOCK), _statistics(BLOCK[:1000], BLOCK[1000:])
     for name in NAMES:

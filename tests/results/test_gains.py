@@ -200,7 +200,6 @@ def test_the_same_blocks_in_the_same_order_give_the_same_bits() -> None:
     assert first.mse == second.mse
     for name, gain in first.gains.items():
         assert gain.columns() == second.gains[name].columns()
-    assert first.half_width() == second.half_width()
 
 
 def test_each_set_of_a_comparison_gains_over_its_own_reference() -> None:

@@ -13,12 +13,12 @@ from oracles.every_set import every_set
 from oracles.in_turn import in_turn
 from pfdist import Job, load_job
 from pfdist.cli.main import main
-from pfdist.errors import JobError, ModelError, RunMismatchError
+from pfdist.errors import ModelError, RunMismatchError
 from pfdist.filters.work import Estimation
 from pfdist.kernels import cached
 from pfdist.problem.sections import Execution
 from pfdist.runner.block_sums import BlockSums, Counted
-from pfdist.runner.build import build, check_pool, chosen_pool
+from pfdist.runner.build import build, chosen_pool
 
 OTHER = """
 import numpy as np
@@ -101,8 +101,6 @@ REFUSED = [  # changes of the job, and what the error says
     (["model.filter.name=ungn"], r"^model\.filter\.name: the model: got 'ungn'; did you mean"),
     (["model.filter.parameters.sd=1"], "model.filter: .*unknown parameter 'sd'"),
     (["model.filter.name=other.py:model"], "as many components of z as .* 1, got 2"),
-    ([NO_SCALAR, "filter.resampling=sorted_systematic"], "a scalar state"),
-    ([NO_SCALAR, "search.random.evaluation.resampling=sorted_systematic"], "a scalar state"),
 ]
 
 
@@ -192,14 +190,3 @@ def test_auto_is_ray_where_a_cluster_is_at_hand_and_else_threads(
     assert (execution.pool, why) == (pool, reason)
     assert execution.address == ("auto" if environment else address)
     assert chosen_pool(execution, threaded=threaded) == (execution, "")
-
-
-@pytest.mark.parametrize("pool", ["auto", "ray"])
-def test_cores_are_waited_for_only_in_a_cluster_that_runs_already(
-    pool: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    monkeypatch.delitem(sys.modules, "ray", raising=False)  # another test may have joined one
-    with pytest.raises(JobError, match=r"wait_for_cores must be 0 .* got 64: give its .*address"):
-        check_pool(Execution(pool=pool, wait_for_cores=64))
-    check_pool(Execution(pool=pool, wait_for_cores=64, address="10.0.0.1:6379"))

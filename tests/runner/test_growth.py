@@ -1,4 +1,4 @@
-"""A run that grows, stops early or reuses another computes only the new, with the same bytes."""
+"""A run that grows or reuses another computes only the new, with the same bytes."""
 
 import random
 from collections.abc import Callable, Iterator
@@ -8,7 +8,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from scipy import stats
 
 import pfdist
 from oracles.bytes_of import hashes
@@ -16,7 +15,7 @@ from oracles.counted import A_DRAW, SETS, count_draws
 from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.errors import RunMismatchError, StoreError
+from pfdist.errors import StoreError
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner import comparison_phase
 from pfdist.runner.pace import Pace
@@ -40,54 +39,10 @@ def _small_blocks(
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS * A_DRAW)
 
 
-def _half_widths(run: pfdist.Run) -> dict[int, float]:
-    """The larger half width of the two gains after so many draws, as a textbook has it."""
-    gains = run.table("gains").drop(columns="draw")
-    return {
-        draws: max(stats.sem(gains[name][:draws]) * stats.t.ppf(0.975, draws - 1) for name in gains)
-        for draws in (*range(BLOCK, MOST, BLOCK), MOST)
-    }
-
-
-def _until(job: Job, half_width: float, draws: int = MOST) -> Job:
-    return job.with_changes(
-        [f"comparison.until.half_width={half_width}", f"comparison.draws={draws}"]
-    )
-
-
-def test_a_comparison_stops_at_the_first_block_after_which_it_is_narrow_enough(
-    small_job: Job, all_draws: pfdist.Run, tmp_path: Path
-) -> None:
-    widths = _half_widths(all_draws)
-    for wanted in (150, MOST):
-        half_width = widths[wanted] * (1 + 1e-9)
-        first = min(draws for draws, width in widths.items() if width <= half_width)
-        run = pfdist.run(_until(small_job, half_width), tmp_path / f"{wanted}", figures=False)
-        assert run.state == "finished"
-        assert run.table("comparison").equals(all_draws.table("comparison")[:first])
-    never = pfdist.run(_until(small_job, 1e-9), tmp_path / "never", figures=False)
-    assert never.draws_compared == MOST
-
-
-def test_where_every_gain_is_the_same_all_draws_are_compared_unless_it_is_said(
-    small_job: Job, tmp_path: Path
-) -> None:
-    # All instants are measured: every set is the regular one.
-    changes = ["model.name=random_walk", "filter.engine=kalman", "problem.measurement_budget=13"]
-    job = small_job.with_changes([*changes, "search.random.evaluations=1"])
-    run = pfdist.run(job, tmp_path / "run", figures=False)
-    assert (run.table("gains").drop(columns="draw") == 0).all(axis=None)
-    assert run.draws_compared == 250
-    until = job.with_changes(["comparison.until.half_width=0.001"])
-    assert pfdist.run(until, tmp_path / "until", figures=False).draws_compared == BLOCK
-
-
-def test_where_it_stops_does_not_depend_on_order_or_kills(
+def test_order_and_kills_change_no_byte(
     small_job: Job, all_draws: pfdist.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job = _until(small_job, _half_widths(all_draws)[200] * (1 + 1e-9))
-    whole = pfdist.run(job, tmp_path / "whole", figures=False)
-    assert whole.draws_compared <= 200
+    job = small_job.with_changes([f"comparison.draws={MOST}"])
     chance, do = random.Random(0), SerialPool.run
 
     def in_disorder(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
@@ -109,34 +64,12 @@ def test_where_it_stops_does_not_depend_on_order_or_kills(
         except KeyboardInterrupt:
             kills += 1
     assert kills > 0
-    assert hashes(tmp_path / "run") == hashes(whole.path)
-
-
-def test_narrower_or_more_draws_go_on_with_only_new_draws_and_wider_is_refused(
-    small_job: Job, all_draws: pfdist.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    widths = _half_widths(all_draws)
-    wide, narrow = widths[100] * (1 + 1e-9), widths[300] * (1 + 1e-9)
-    at_once = pfdist.run(_until(small_job, narrow), tmp_path / "at once", figures=False)
-    run = pfdist.run(_until(small_job, wide), tmp_path / "run", figures=False)
-    before, counted = run.draws_compared, count_draws(monkeypatch)
-    pfdist.run(_until(small_job, narrow), run.path, figures=False)
-    assert sum(counted) == (at_once.draws_compared - before) * SETS > 0
-    assert hashes(run.path) == hashes(at_once.path)
-    few = pfdist.run(_until(small_job, narrow, draws=130), tmp_path / "few", figures=False)
-    more = pfdist.run(_until(small_job, narrow), few.path, figures=False)
-    assert 130 < more.draws_compared <= 300
-    assert hashes(more.path) == hashes(at_once.path)
-    with pytest.raises(RunMismatchError, match=r"comparison\.until\.half_width: \S+ -> \S+$"):
-        pfdist.run(_until(small_job, wide), run.path, figures=False)
-    never = pfdist.run(_until(small_job, 0.0), run.path, figures=False)
-    assert never.table("comparison").equals(all_draws.table("comparison"))
+    assert hashes(tmp_path / "run") == hashes(all_draws.path)
 
 
 def test_what_is_shown_at_the_end_is_what_the_summary_says(small_job: Job, tmp_path: Path) -> None:
     seen: list[Progress] = []
-    job = _until(small_job, 0.1)
-    run = pfdist.run(job, tmp_path / "run", progress=seen.append, figures=False)
+    run = pfdist.run(small_job, tmp_path / "run", progress=seen.append, figures=False)
     results = results_of(run)
     assert [found.label for found in seen[-1].found] == ["genetic plan", "random plan"]
     for found in seen[-1].found:
