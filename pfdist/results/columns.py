@@ -295,7 +295,10 @@ _DECLARED = [
         name="bound_low",
         meaning="one-sided limit of bound; the limits of all numbers hold together with 95 %",
     ),
-    Column(name="bound_gap", is_percent=True, meaning="1 - bound / expected MSE of the set"),
+    Column(
+        name="bound_gap", is_percent=True,
+        meaning="1 - bound / expected MSE of the set, on the draws of the bound",
+    ),
     Column(name="bound_gap_at_most", is_percent=True, meaning="upper 95 % limit of bound_gap"),
     Column(name="description", dtype="object", meaning="a phrase about a set that the job gives"),
     Column(

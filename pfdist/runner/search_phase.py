@@ -27,7 +27,7 @@ from pfdist.search.exchange import FEWEST
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
 _REACH = 2.5  # mean gaps by which an exchange that polishes may move a time
-_EVEN_DRAWS = 8  # of the first round of a race between evenly spaced sets
+_EVEN_DRAWS = 24  # of the first round of a race between evenly spaced sets
 _MOST_STEPS = 2e11  # particle-steps of exchanges: minutes of a core. They grow as the horizon cubed
 
 
