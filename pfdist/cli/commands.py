@@ -189,7 +189,7 @@ COMMANDS = {
         "Filter real measurements of one system, with the filter of a job.",
         {
             "pfdist filter jobs/plan.toml patient.csv": "Filter the measurements of one system",
-            "pfdist filter jobs/plan.toml patient.csv --planned evenly_spaced --out filtered": (
+            "pfdist filter jobs/plan.toml patient.csv --planned evenly_spaced --out new": (
                 "Compare them with evenly spaced times, and write to another folder"
             ),
         },

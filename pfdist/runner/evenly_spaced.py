@@ -12,7 +12,7 @@ from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import FilterWork, Result
-from pfdist.problem.even_grids import even_grids
+from pfdist.problem.even_grids import MOST, even_grids
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Run
 from pfdist.results.evenly_spaced import sign_of
@@ -25,8 +25,12 @@ from pfdist.store import EVEN_PHASE, schema
 DRAWS = 1000  # at most: the first of the comparison
 _FEW = 250  # decide, if the difference is so clear
 _CLEAR = 0.999
-_LOOK = 24  # draws of their own that choose the times of each number
-_GRIDS = 45  # of a number
+_LOOKS = (
+    (24, 64),
+    (120, 12),
+    (600, 1),
+)  # draws of their own, and the sets of each number that stay
+_GRIDS = (MOST, 300, 100, 45)  # of a number, as many as `_MOST_STEPS` allows
 _MOST = 24  # numbers that are judged
 _NEAR, _FAR = 40, 12  # numbers after N that are looked at, one by one and then further apart
 _MOST_STEPS = 1e10  # particle-steps of the look: half a minute of a core
@@ -52,30 +56,20 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
     measured, feasible = measured_of(run), built.feasible
     plan = measured[name]
     session.reporter.begin("evenly spaced times")
-    grids = {number: _grids(built, number) for number in _numbers(feasible)}
+    given = dict[int, Times]()
     if run.references[name] == built.job.comparison.reference_name in (EVEN, REGULAR):
-        grids[feasible.measurements] = (measured[run.references[name]],)
+        given[feasible.measurements] = measured[run.references[name]]
     error = controlled_mse(run.table("comparison", DRAWS), name)
     exact = built.evaluator.expected_mse([plan])
     mean = float(np.nanmean(error) if exact is None else exact[0])
-    looked = dict[Times, Estimate]()
-    if exact is None and math.isfinite(mean):
-        looked = yield from _look(
-            session, plan, [times for each in grids.values() for times in each]
-        )
-    if not math.isfinite(mean) or (exact is None and not looked):
+    if not math.isfinite(mean):
         return
+    chosen = yield from _chosen(session, plan, mean, given)
     rows, is_found = [], False
-    for number, candidates in grids.items():
-        errors = built.evaluator.expected_mse(candidates)
-        if errors is not None:
-            looked = dict(zip(candidates, map(Estimate, (errors - mean).tolist()), strict=True))
-        times = min(
-            candidates, key=lambda each: (math.isnan(looked[each].value), looked[each].value)
-        )
-        difference = looked[times]
+    for number, (times, looked) in chosen.items():
+        difference = looked
         if exact is None:
-            if is_found and sign_of(difference, mean) <= 0:
+            if is_found and sign_of(looked, mean) <= 0:
                 continue
             difference = yield from _judged(session, times, error, mean)
         rows.append(
@@ -95,13 +89,6 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
     session.store.renew("evenly_spaced", EVEN_PHASE, table)
 
 
-def _grids(built: Built, number: int) -> tuple[Times, ...]:
-    feasible = built.job.feasible(number)
-    if not built.job.comparison.is_even:
-        return (feasible.regular(),)
-    return even_grids(feasible, _GRIDS)
-
-
 def _numbers(feasible: Feasible) -> list[int]:
     """Numbers from N up to all instants: the next ones, and some of those beyond."""
     first, last = feasible.measurements, feasible.horizon + 1
@@ -111,28 +98,54 @@ def _numbers(feasible: Feasible) -> list[int]:
     )
 
 
-def _look(
-    session: RunSession, plan: Times, sets: list[Times]
-) -> Generator[WorkBatch, None, dict[Times, Estimate]]:
-    """How far the error of each set lies above the plan's, on a few draws of their own."""
+def _chosen(
+    session: RunSession, plan: Times, mean: float, given: dict[int, Times]
+) -> Generator[WorkBatch, None, dict[int, tuple[Times, Estimate]]]:
+    """The best times of each number, and how far their error lies above the plan's."""
     built = session.built
-    errors = np.empty((_LOOK, 1 + len(sets)))
+    for most in _GRIDS:
+        grids = {number: _grids(built, number, most) for number in _numbers(built.feasible)}
+        grids |= {number: (times,) for number, times in given.items()}
+        steps = _LOOKS[0][0] * sum(map(len, grids.values())) * built.comparing.particles
+        if steps * (built.feasible.horizon + 1) <= _MOST_STEPS:
+            break
+    for draws, kept in _LOOKS:
+        sets = [times for each in grids.values() for times in each]
+        errors = built.evaluator.expected_mse(sets)
+        if errors is None:
+            differences = yield from _look(session, [plan, *sets], draws)
+        else:
+            differences = [*map(Estimate, (errors - mean).tolist())]
+        found = dict(zip(sets, differences, strict=False))
+        for number, each in grids.items():
+            ranked = sorted(each, key=lambda times: np.nan_to_num(found[times].value, nan=np.inf))
+            grids[number] = tuple(ranked[:kept])
+    return {number: (best, found[best]) for number, (best, *_) in grids.items()}
+
+
+def _grids(built: Built, number: int, most: int) -> tuple[Times, ...]:
+    feasible = built.job.feasible(number)
+    return even_grids(feasible, most) if built.job.comparison.is_even else (feasible.regular(),)
+
+
+def _look(
+    session: RunSession, sets: list[Times], draws: int
+) -> Generator[WorkBatch, None, list[Estimate]]:
+    """How far the error of each set lies above that of the first, on draws of their own."""
+    built, errors = session.built, np.empty((draws, len(sets)))
 
     def learn(piece: FilterWork, result: Result) -> None:
         errors[slice(*piece.draws)] = result.mse
 
     work = built.evaluator.work(
-        [plan, *sets],
+        sets,
         stream_of("shortlist", built.job.seed, "numbers", "filter"),
         stream_of("shortlist", built.job.seed, "numbers", "draws"),
-        (0, _LOOK),
+        (0, draws),
         built.comparing,
     )
-    if work.steps > _MOST_STEPS:
-        return {}
     yield WorkBatch(session, EVEN_PHASE, [work], None, learn)
-    differences = (errors[:, 1:] - errors[:, :1]).T
-    return dict(zip(sets, map(Estimate.of_mean, differences), strict=True))
+    return [*map(Estimate.of_mean, (errors[:, 1:] - errors[:, :1]).T)]
 
 
 def _judged(

@@ -57,7 +57,7 @@ def test_the_first_number_and_larger_ones_that_do_worse_are_named(
     numbers, evaluator = range(4, 22), build(job).evaluator
     is_even = reference == "evenly spaced"
     grids = [
-        even_grids(job.feasible(each), 45) if is_even else [job.feasible(each).regular()]
+        even_grids(job.feasible(each)) if is_even else [job.feasible(each).regular()]
         for each in numbers
     ]
     errors = [min(evaluator.expected_mse(each)) for each in grids]
