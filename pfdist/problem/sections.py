@@ -194,7 +194,7 @@ class Comparison(JobSection):
     """The comparison of sets of times with the reference, on the same fresh draws.
 
     The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
-    "evenly spaced", the best of all evenly spaced sets, chosen on draws of its own; "regular", the
+    "evenly spaced", the best of many evenly spaced sets, chosen on draws of its own; "regular", the
     feasible set nearest to the paper's regular times, from the first instant to the last; a set of
     times in 0..T or on the clock; or the name of a given set. A given set may break constraints.
 
