@@ -65,6 +65,8 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
     if not math.isfinite(mean):
         return
     chosen = yield from _chosen(session, plan, mean, given)
+    if not chosen:
+        return
     rows, is_found = [], False
     for number, (times, looked) in chosen.items():
         difference = looked
@@ -101,14 +103,19 @@ def _numbers(feasible: Feasible) -> list[int]:
 def _chosen(
     session: RunSession, plan: Times, mean: float, given: dict[int, Times]
 ) -> Generator[WorkBatch, None, dict[int, tuple[Times, Estimate]]]:
-    """The best times of each number, and how far their error lies above the plan's."""
+    """The best times of each number, and how far their error lies above the plan's.
+
+    Empty if a look at the fewest grids would take too long.
+    """
     built = session.built
     for most in _GRIDS:
         grids = {number: _grids(built, number, most) for number in _numbers(built.feasible)}
         grids |= {number: (times,) for number, times in given.items()}
         steps = _LOOKS[0][0] * sum(map(len, grids.values())) * built.comparing.particles
-        if steps * (built.feasible.horizon + 1) <= _MOST_STEPS:
+        if built.evaluator.exact or steps * (built.feasible.horizon + 1) <= _MOST_STEPS:
             break
+    else:
+        return {}
     for draws, kept in _LOOKS:
         sets = [times for each in grids.values() for times in each]
         errors = built.evaluator.expected_mse(sets)

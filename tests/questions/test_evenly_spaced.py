@@ -131,3 +131,17 @@ def test_a_table_of_an_earlier_version_says_nothing(small_job: Job, tmp_path: Pa
     assert "plan_mse" not in again.table("evenly_spaced")
     assert _plan(again).evenly_spaced is None
     assert str(answer_of(again))
+
+
+def test_nothing_is_said_where_a_look_would_take_too_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A slow simulator must not be run for a sentence beside the answer."""
+    problem = pfdist.Problem("random_walk", horizon=8, measurement_budget=3, particles=20)
+    changes = ["comparison.draws=50"]
+    said = list[bool]()
+    for limit in (1e10, 0.0):
+        monkeypatch.setattr("pfdist.runner.evenly_spaced._MOST_STEPS", limit)
+        run = pfdist.plan(problem, tmp_path / str(limit), changes=changes, figures=False)
+        said.append("evenly_spaced" in run.tables)
+    assert said == [True, False]
