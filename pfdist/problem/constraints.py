@@ -59,6 +59,7 @@ class Constraints:
     # Constraints on each sensor alone; none if no sensor has any
     limits: tuple[Limit, ...] = ()
     cheapest: int = 0  # number of the sensor that measures at regular times
+    sensors: tuple[Times, ...] = ()  # the ways of each sensor: several if it repeats
     visits: Visits | None = None
     # Price of the installation of some sensors, paid once if any of these measures
     installs: tuple[tuple[Money, Times], ...] = ()

@@ -7,7 +7,7 @@ its name, and this module puts ``problem.`` before it.
 import re
 from collections.abc import Iterable, Iterator
 from functools import cached_property
-from itertools import chain
+from itertools import accumulate, chain
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -321,6 +321,7 @@ class ProblemSection(JobSection):
             installs=installs,
             groups=groups,
             cheapest=prices.index(min(prices)),  # the first sensor if none has a price
+            sensors=tuple(self._ways.values()),
         )
 
     @property
@@ -378,9 +379,16 @@ class ProblemSection(JobSection):
     @property
     def _ways_of_sensors(self) -> Iterator[tuple[SensorSection, Times]]:
         """Each sensor with its ways: several if it repeats."""
-        way = 0
-        for name, each in (self.sensors or {}).items():
-            yield each, tuple(range(way, way := way + self.sensings[name].repeats))
+        return ((each, self._ways[name]) for name, each in (self.sensors or {}).items())
+
+    @property
+    def _ways(self) -> dict[str, Times]:
+        """The ways of each sensor; the only one has the name ""."""
+        ends = accumulate(each.repeats for each in self.sensings.values())
+        return {
+            name: tuple(range(end - each.repeats, end))
+            for (name, each), end in zip(self.sensings.items(), ends, strict=True)
+        }
 
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:

@@ -68,7 +68,7 @@ class Built:
     @property
     def phases(self) -> list[str]:
         """Names of all phases that choose sets."""
-        references = map(shortlist_of, self.study.even_grids)
+        references = map(shortlist_of, self.study.even)
         return [*references, *(phase for search in self.searches for phase in search.phases)]
 
     @property

@@ -231,6 +231,8 @@ class RunSession:
         self._later: list[Callable[[], None]] = []
         self._began = self._last_commit = time.monotonic()
         self._waiting = 0
+        # What a driver has computed and a later one needs: rows of this session are not looked up.
+        self.known = dict[str, Any]()
 
     def keep(self, phase: str, table: str, rows: pa.Table) -> None:
         """Keep rows for the next commit."""

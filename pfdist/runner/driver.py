@@ -22,15 +22,11 @@ from pfdist.runner.comparison_phase import (
     ways_out,
 )
 from pfdist.runner.door import RunSession, WorkBatch
+from pfdist.runner.evenly_spaced import best_evenly_spaced, most_steps
 from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.phase import unpublished
 from pfdist.runner.row_formats import RowsByDraw
-from pfdist.runner.search_phase import (
-    best_evenly_spaced,
-    even_steps,
-    run_search,
-    search_steps,
-)
+from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.searches import planning_of
 from pfdist.store import Store, schema
 
@@ -71,7 +67,7 @@ def foreseen_steps(built: Built) -> float:
 
 
 def _searching_steps(built: Built) -> float:
-    even = sum(even_steps(built, name) for name in built.study.even_grids)
+    even = most_steps(built) if built.study.even and not built.evaluator.exact else 0.0
     return even + sum(search_steps(built, search) for search in built.searches)
 
 
@@ -79,8 +75,9 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     """The sets that are compared, by name, after every search has ended."""
     built = session.built
     given = {**built.study.unsearched}
-    for name in built.study.even_grids:
-        given[name] = yield from best_evenly_spaced(session, name)
+    for name in built.study.even:
+        found = yield from best_evenly_spaced(session, name)
+        given[name] = found.times
     rows: list[dict[str, Any]] = [
         {"name": name, "measurement_times": times} for name, times in given.items()
     ]

@@ -1,8 +1,15 @@
-"""How many evenly spaced measurements do as well as the plan: a quick estimate."""
+"""The best evenly spaced sets: the opponent of a plan, and how many of them do as well.
+
+The first programme of the relaxation ranks all evenly spaced sets by the sums of their windows, for
+the work of some eighty evaluations. A race on fresh draws decides between the best of this ranking.
+Where no relaxation adds up the errors of instants, sets are evaluated from coarse to fine. With
+exact errors there is no race. Particle-steps are limited, at any horizon and number.
+"""
 
 import math
-from collections.abc import Generator
-from dataclasses import replace
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
@@ -11,29 +18,230 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.streams import stream_of
-from pfdist.filters.work import FilterWork, Result
-from pfdist.problem.even_grids import MOST, even_grids
+from pfdist.errors import JobError
+from pfdist.filters.work import BLOCK, FilterWork, Result
+from pfdist.kernels.estimators import FILTER_VARIANCE, TWO_CLOUDS
+from pfdist.problem.even_sets import EvenSets
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.search_section import CommonNoiseSettings
 from pfdist.results import Run
-from pfdist.results.evenly_spaced import sign_of
+from pfdist.results.evenly_spaced import AS_WELL, sign_of
 from pfdist.results.moments import controlled_mse
 from pfdist.results.stored_run import measured_of
+from pfdist.runner.block_sums import evaluated_by_errors
 from pfdist.runner.build import Built
+from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import RunSession, WorkBatch
+from pfdist.runner.phase import Phase, run_phase
+from pfdist.runner.progress import Detail
+from pfdist.runner.search_phase import search_steps
+from pfdist.runner.searches import Settings, shortlist_of
+from pfdist.search import Candidate, Race, Refine
+from pfdist.search.programme import Programme
+from pfdist.search.state_space_relaxation import first_relaxation
 from pfdist.store import EVEN_PHASE, schema
 
-DRAWS = 1000  # at most: the first of the comparison
-_FEW = 250  # decide, if the difference is so clear
+SHARE = 0.05
+"""Largest share of the particle-steps of search, comparison and proof, for each of two answers."""
+_PROVED = 2  # with a proof, all of them take about so many times the search and the comparison
+
+_RANKED = 100_000  # lines of a ranking; the paper's problem has 39,627 sets
+_IF_EXACT = 1000  # sets whose exact errors are compared
+_NEAR, _LEVELS = 16, 3  # lines near which others are ranked, and how often, if not all are
+_RANKING_DRAWS = 2 * BLOCK
+_RACING, _KEPT, _UNTIL, _FIRST = 20, 12, 600, 150  # sets of a race; those kept until so many draws
+_ROUNDS = 2.4  # the work of a whole race, over that of `_KEPT` sets on `_UNTIL` draws
+_COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
+
+
+# --- the opponent ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Opponent:
+    """The best evenly spaced set that was found, and how many sets were looked at."""
+
+    times: Times
+    tried: int  # 0: all that there are
+
+
+@dataclass(frozen=True)
+class EvenSearch:
+    """The search for the best of the evenly spaced sets of some feasible sets."""
+
+    built: Built
+    name: str  # of the opponent
+    feasible: Feasible
+    given: tuple[Times, ...] = ()  # other sets that take part in the race
+
+    @cached_property
+    def even(self) -> EvenSets:
+        """All candidates."""
+        return EvenSets(self.feasible)
+
+    @property
+    def steps(self) -> float:
+        """The most particle-steps that the search may take."""
+        return most_steps(self.built) / len(self.built.study.each)
+
+    @cached_property
+    def phase(self) -> Phase:
+        """The phase of the race, whose sets are still open."""
+        settings, built = settings_of(self.built), self.built
+        return Phase(
+            shortlist_of(self.name), Race((), _FIRST), "shortlist", settings, built,
+            built.job.criterion,
+        )  # fmt: skip
+
+    @property
+    def _a_draw(self) -> float:
+        """Particle-steps of a set in a draw."""
+        instants = self.feasible.horizon + 1
+        return self.phase.settings.estimation.steps_an_instant * instants * self.phase.criterion.apart
+
+    def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
+        """The best of the candidates and the given sets, by a race on draws of its own."""
+        regular = self.feasible.regular()
+        if self.feasible.counted and self.feasible.total <= 2 and not self.given:
+            return Opponent(regular, 0)  # every set is evenly spaced
+        if self.built.evaluator.exact:
+            sets, tried = yield from self._exactly(session)
+            return Opponent(sets[0] if sets else regular, tried)
+        ranked, tried = yield from self._ranked(session)
+        sets = [*dict.fromkeys((*self.given, *ranked[:_RACING]))] or [regular]
+        if len(sets) > 1:
+            steps = self.steps / 2
+            scale = min(1.0, steps / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
+            fewest = max(BLOCK, self.phase.criterion.fewest)
+            race = Race(
+                tuple(sets), max(fewest, math.ceil(scale * _FIRST)), _KEPT, math.ceil(scale * _UNTIL)
+            )
+            best, *_ = yield from run_phase(self._with(race, race.draws), session)
+            return Opponent(best.measurement_times, tried)
+        return Opponent(sets[0], tried)
+
+    def _exactly(self, session: RunSession) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
+        """The candidates by exact errors, the best first: all if they are few, else the best ranked."""
+        lines = self.even.lines(_RANKED)
+        sets = [*self.even.of(lines)] if len(lines) <= _RANKED // 10 else []
+        tried = 0
+        if not 0 < len(sets) <= _IF_EXACT:
+            sets, tried = yield from self._ranked(session)
+        sets = [*dict.fromkeys((*self.given, *sets[:_IF_EXACT]))]
+        errors = self.built.evaluator.expected_mse(sets, criterion=self.built.job.criterion)
+        order = [] if errors is None else np.argsort(errors, kind="stable").tolist()
+        return [sets[place] for place in order], tried
+
+    def _ranked(self, session: RunSession) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
+        """Candidates, the best first, and how many there were; 0 if these are all."""
+        programme = yield from self.programme(session)
+        if programme is not None:
+            return ranking(self.even, programme, _RANKED)
+        spread = int(self.steps / 2 / (_COARSE_DRAWS * self._a_draw * 2.5))
+        refine = Refine(self.even, max(8, min(spread, 60)))
+        draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
+        found = yield from run_phase(self._with(refine, draws), session)
+        return [each.measurement_times for each in found], len(found)
+
+    def programme(self, session: RunSession) -> Generator[WorkBatch, None, Programme | None]:
+        """The first programme of the relaxation; None if there is none, or it takes too long."""
+        built, phase, feasible = self.built, self.phase, self.feasible
+        if (known := session.known.get(phase.name)) is not None:
+            return known
+        if not built.job.criterion.additive or built.job.criterion.by_instant:
+            return None
+        blocks = _RANKING_DRAWS // BLOCK
+        most = int(self.steps / 2 / (_RANKING_DRAWS * self._a_draw) * (feasible.horizon + 1))
+        try:
+            relaxation = first_relaxation(feasible, feasible.measurements, built.evaluator.lag, most)
+        except JobError:
+            return None
+        if relaxation.offsets[-1] > most and not built.evaluator.exact:
+            return None
+        counted = np.flatnonzero(np.diff(relaxation.offsets)).tolist()
+        windows = [
+            Candidate(
+                relaxation.filtered(relaxation.windows[number]),
+                int(relaxation.ends[number]),
+                since=int(relaxation.first[number]),
+            )
+            for number in counted
+        ]
+        evaluations, _ = yield from evaluated_by_errors(
+            windows, session, phase.sums, blocks, phase.purpose
+        )
+        errors = np.concatenate([each.errors_of_instants for each in evaluations])
+        programme = Programme(relaxation, np.nan_to_num(errors, nan=np.inf), relaxation.total)
+        session.known[phase.name] = programme
+        return programme
+
+    def _with(self, optimiser: Race | Refine, draws: int) -> Phase:
+        return replace(
+            self.phase, optimiser=optimiser, settings=replace(self.phase.settings, draws=draws)
+        )
+
+
+def ranking(even: EvenSets, programme: Programme, most: int) -> tuple[list[Times], int]:
+    """The sets of all lines or of most lines near good ones, the best first, and their number."""
+    lines = even.lines(most)
+    found, errors = even.of(lines), dict[Times, float]()
+    for level in range(1 + _LEVELS):
+        new = [times for times in found if times not in errors]
+        errors.update(zip(new, programme.of_sets(new).tolist(), strict=True))
+        best = sorted(found, key=errors.__getitem__)[:_NEAR]
+        near = [each for times in best for each in even.near(found[times])]
+        if not near or level == _LEVELS:
+            break
+        found = {**even.of(near), **found}
+    ranked = sorted(errors, key=errors.__getitem__)
+    return ranked, len(ranked) if any(line.apart for line in lines) else 0
+
+
+def settings_of(built: Built) -> Settings:
+    """The settings of the race: those by which a search polishes its plan."""
+    job = built.job
+    by_variance = built.evaluator.variance_is_error and not job.criterion.needs_draws
+    settings = Settings.from_job(job, CommonNoiseSettings(draws=_FIRST), by_variance)
+    estimator = settings.estimation.estimator
+    if estimator == FILTER_VARIANCE.name:  # it does not see that a cloud collapses
+        estimator = TWO_CLOUDS.name
+    return replace(
+        settings,
+        common_noise=True,
+        degenerate_policy="continue",
+        estimation=replace(settings.estimation, estimator=estimator),
+    )
+
+
+def most_steps(built: Built) -> float:
+    """The most particle-steps of the opponents; the scan of numbers may take as many again."""
+    planned = sum(search_steps(built, search) for search in built.searches)
+    proved = _PROVED if built.job.criterion.bound != "none" else 1
+    return SHARE * proved * (planned + comparison_steps(built))
+
+
+def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Opponent]:
+    """The best evenly spaced set of this name."""
+    return (yield from _search_of(session.built, name).best(session))
+
+
+def _search_of(built: Built, name: str) -> EvenSearch:
+    return EvenSearch(built, name, built.study.even[name])
+
+
+# --- how many do as well --------------------------------------------------------------------------
+
+DRAWS, _WITH_CONTROL = 1000, 400  # at most: the first of the comparison
+_FEW = 250  # of a look; they also judge, if the difference is so clear
+_LEAST = 0.25  # of these numbers of draws, which a limit of work may reduce
 _CLEAR = 0.999
-_LOOKS = (
-    (24, 64),
-    (120, 12),
-    (600, 1),
-)  # draws of their own, and the sets of each number that stay
-_GRIDS = (MOST, 300, 100, 45)  # of a number, as many as `_MOST_STEPS` allows
-_MOST = 24  # numbers that are judged
-_NEAR, _FAR = 40, 12  # numbers after N that are looked at, one by one and then further apart
-_MOST_STEPS = 1e10  # particle-steps of the look: half a minute of a core
+_LOOKED = 3  # sets of a number that a look filters, on as few draws
+_LINES = 1000  # of a number
+_JUDGED = 4  # numbers on the draws of the comparison, at most
+_TOO_LONG = (
+    "How many evenly spaced measurements do as well is not estimated: it would take more than 5 % "
+    "of the work."
+)
 
 
 def is_known(built: Built) -> bool:
@@ -44,142 +252,164 @@ def is_known(built: Built) -> bool:
 
 
 def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch, None, None]:
-    """Judge evenly spaced times of N and more measurements, and write the table ``evenly_spaced``.
+    """Find how many evenly spaced measurements do as well, and write the table ``evenly_spaced``.
 
-    A look on draws of its own chooses the times of each number; regular times, if the job compares
-    with these, are not chosen. On the draws of the comparison, each number is judged from N upwards
-    until one does as well as the plan; of the larger ones, those that the look finds clearly worse.
-    Each set has independent filter noise. If errors are exact, all these numbers are judged.
-    Nothing is written if the plan's error is not finite, or the look would take too long.
+    Looks on separate draws bisect the numbers. On the draws of the comparison, the smallest number
+    that does as well and the one below it are judged, each with independent filter noise, then
+    larger numbers until one does as well. Nothing is written if the plan's error is not finite, or
+    if the looks would take too long.
     """
     built, name = session.built, session.built.searches[0].name
     measured, feasible = measured_of(run), built.feasible
-    plan = measured[name]
     session.reporter.begin("evenly spaced times")
-    given = dict[int, Times]()
-    if run.references[name] == built.job.comparison.reference_name in (EVEN, REGULAR):
-        given[feasible.measurements] = measured[run.references[name]]
-    error = controlled_mse(run.table("comparison", DRAWS), name)
-    exact = built.evaluator.expected_mse([plan])
+    scale = _scale_of(built)
+    if scale < _LEAST:
+        session.say(Detail(_TOO_LONG))
+        return
+    error = controlled_mse(run.table("comparison", _draws_of(built, scale)), name)
+    exact = built.evaluator.expected_mse([measured[name]])
     mean = float(np.nanmean(error) if exact is None else exact[0])
     if not math.isfinite(mean):
         return
-    chosen = yield from _chosen(session, plan, mean, given)
-    if not chosen:
-        return
-    rows, is_found = [], False
-    for number, (times, looked) in chosen.items():
-        difference = looked
-        if exact is None:
-            if is_found and sign_of(looked, mean) <= 0:
-                continue
-            difference = yield from _judged(session, times, error, mean)
-        rows.append(
-            {
-                "measurements": number,
-                "measurement_times": times,
-                "draws": 0 if exact is not None else int(difference.degrees) + 1,
-                "difference": difference.value,
-                "difference_error": difference.standard_error,
-                "plan_mse": mean,
-            }
-        )
-        is_found = is_found or sign_of(difference, mean) < 0
-        if len(rows) == _MOST and exact is None:
-            break
+    scan = _Scan(session, measured[name], error, mean, math.ceil(scale * _FEW))
+    if run.references[name] == built.job.comparison.reference_name in (EVEN, REGULAR):
+        scan.ranked[feasible.measurements] = [measured[run.references[name]]]
+    if built.job.comparison.is_even:
+        scan.programme = yield from _search_of(built, EVEN).programme(session)
+    yield from scan.judge()
+    rows = [
+        {
+            "measurements": number,
+            "measurement_times": scan.sets[number],
+            "draws": 0 if exact is not None else int(difference.degrees) + 1,
+            "difference": difference.value,
+            "difference_error": difference.standard_error,
+            "plan_mse": mean,
+        }
+        for number, difference in sorted(scan.judged.items())
+    ]
     table = pa.Table.from_pylist(rows, schema=schema("evenly_spaced", "plan_mse"))
     session.store.renew("evenly_spaced", EVEN_PHASE, table)
 
 
-def _numbers(feasible: Feasible) -> list[int]:
-    """Numbers from N up to all instants: the next ones, and some of those beyond."""
-    first, last = feasible.measurements, feasible.horizon + 1
-    near = min(last, first + _NEAR)
-    return sorted(
-        {*range(first, near + 1), *np.geomspace(near, last, _FAR).round().astype(int).tolist()}
-    )
+def _draws_of(built: Built, scale: float) -> int:
+    """The number of draws that judge a number: fewer with a control, whose variance is lower."""
+    return math.ceil(scale * (_WITH_CONTROL if built.job.comparison.control else DRAWS))
 
 
-def _chosen(
-    session: RunSession, plan: Times, mean: float, given: dict[int, Times]
-) -> Generator[WorkBatch, None, dict[int, tuple[Times, Estimate]]]:
-    """The best times of each number, and how far their error lies above the plan's.
+def _scale_of(built: Built) -> float:
+    """The share of the usual numbers of draws that the limit of work allows, at most 1."""
+    if built.evaluator.exact:
+        return 1.0
+    feasible, looking = built.feasible, settings_of(built).estimation
+    looks = math.log2(2 + feasible.horizon - feasible.measurements) * (1 + _LOOKED) * _FEW
+    judged = 2 * _draws_of(built, 1.0) * built.comparing.particles
+    judged *= 1 + bool(built.job.comparison.control)
+    steps = (looks * looking.steps_an_instant + judged) * (feasible.horizon + 1)
+    return min(1.0, most_steps(built) / steps)
 
-    Empty if a look at the fewest grids would take too long.
-    """
-    built = session.built
-    for most in _GRIDS:
-        grids = {number: _grids(built, number, most) for number in _numbers(built.feasible)}
-        grids |= {number: (times,) for number, times in given.items()}
-        steps = _LOOKS[0][0] * sum(map(len, grids.values())) * built.comparing.particles
-        if built.evaluator.exact or steps * (built.feasible.horizon + 1) <= _MOST_STEPS:
-            break
-    else:
-        return {}
-    for draws, kept in _LOOKS:
-        sets = [times for each in grids.values() for times in each]
-        errors = built.evaluator.expected_mse(sets)
-        if errors is None:
-            differences = yield from _look(session, [plan, *sets], draws)
+
+class _Scan:
+    """Looks at evenly spaced sets of several numbers, and what they have found so far."""
+
+    def __init__(
+        self,
+        session: RunSession,
+        plan: Times,
+        errors: NDArray[np.float64],
+        mean: float,
+        draws: int,
+    ) -> None:
+        self.session, self.built, self.plan = session, session.built, plan
+        self.errors, self.mean, self.draws = errors, mean, draws  # draws of a look
+        self.programme: Programme | None = None
+        self.ranked = dict[int, list[Times]]()  # the best sets of a number by the programme
+        self.sets = dict[int, Times]()  # the best set of a number that was looked at
+        self.looked, self.judged = dict[int, Estimate](), dict[int, Estimate]()
+        self.first, self.last = self.built.feasible.measurements, self.built.feasible.horizon + 1
+
+    def judge(self) -> Generator[WorkBatch, None, None]:
+        """Find the smallest number that does as well, and judge it and the number below."""
+        low, high = self.first - 1, self.last  # one does worse, and one as well
+        at = self.first
+        while high - low > 1:
+            looked = yield from self._look(at)
+            low, high = (low, at) if looked.value <= AS_WELL * self.mean else (at, high)
+            at = (low + high) // 2
+        numbers = [n for n in (high - 1, high, high + 1, high + 2) if self.first <= n <= self.last]
+        for number in numbers[:_JUDGED]:
+            difference = yield from self._judge(number)
+            if number >= high and sign_of(difference, self.mean) < 0:
+                break
+
+    def _best_of(self, number: int) -> list[Times]:
+        """The best evenly spaced sets of a number by the programme, or regular times."""
+        if number not in self.ranked:
+            feasible = self.built.job.feasible(number)
+            if self.programme is None:
+                self.ranked[number] = [feasible.regular()]
+            else:
+                self.ranked[number] = ranking(EvenSets(feasible), self.programme, _LINES)[0]
+        most = _IF_EXACT if self.built.evaluator.exact else _LOOKED
+        return self.ranked[number][:most]
+
+    def _look(self, number: int) -> Generator[WorkBatch, None, Estimate]:
+        """How far the error of the best set of a number lies above the plan's, on separate draws."""
+        built, sets = self.built, self._best_of(number)
+        exact = built.evaluator.expected_mse(sets)
+        if exact is not None:
+            differences = [*map(Estimate, (exact - self.mean).tolist())]
         else:
-            differences = [*map(Estimate, (errors - mean).tolist())]
-        found = dict(zip(sets, differences, strict=False))
-        for number, each in grids.items():
-            ranked = sorted(each, key=lambda times: np.nan_to_num(found[times].value, nan=np.inf))
-            grids[number] = tuple(ranked[:kept])
-    return {number: (best, found[best]) for number, (best, *_) in grids.items()}
+            errors = np.empty((self.draws, 1 + len(sets)))
 
+            def learn(piece: FilterWork, result: Result) -> None:
+                errors[slice(*piece.draws)] = result.mse
 
-def _grids(built: Built, number: int, most: int) -> tuple[Times, ...]:
-    feasible = built.job.feasible(number)
-    return even_grids(feasible, most) if built.job.comparison.is_even else (feasible.regular(),)
+            streams = (stream_of("shortlist", built.job.seed, "numbers", key) for key in ("filter", "draws"))
+            work = built.evaluator.work(
+                [self.plan, *sets], *streams, (0, self.draws), settings_of(built).estimation
+            )
+            yield WorkBatch(self.session, EVEN_PHASE, [work], None, learn)
+            differences = [*map(Estimate.of_mean, (errors[:, 1:] - errors[:, :1]).T)]
+        values = [np.nan_to_num(each.value, nan=np.inf) for each in differences]
+        best = int(np.argmin(values))
+        self.sets[number], self.looked[number] = sets[best], differences[best]
+        return differences[best]
 
+    def _judge(self, number: int) -> Generator[WorkBatch, None, Estimate]:
+        """How far the error of a number lies above the plan's, on the draws of the comparison."""
+        if number not in self.looked:
+            yield from self._look(number)
+        is_exact = self.built.evaluator.exact
+        self.judged[number] = (
+            self.looked[number] if is_exact else (yield from self._judged(self.sets[number]))
+        )
+        return self.judged[number]
 
-def _look(
-    session: RunSession, sets: list[Times], draws: int
-) -> Generator[WorkBatch, None, list[Estimate]]:
-    """How far the error of each set lies above that of the first, on draws of their own."""
-    built, errors = session.built, np.empty((draws, len(sets)))
+    def _judged(self, times: Times) -> Generator[WorkBatch, None, Estimate]:
+        built, draws = self.built, len(self.errors)
+        seed, purpose = built.job.seed, built.study.purpose
+        even = np.empty(draws)
 
-    def learn(piece: FilterWork, result: Result) -> None:
-        errors[slice(*piece.draws)] = result.mse
+        def learn(piece: FilterWork, result: Result) -> None:
+            errors = result.mse - result.control if piece.controlled else result.mse
+            even[slice(*piece.draws)] = errors[:, 0]
 
-    work = built.evaluator.work(
-        sets,
-        stream_of("shortlist", built.job.seed, "numbers", "filter"),
-        stream_of("shortlist", built.job.seed, "numbers", "draws"),
-        (0, draws),
-        built.comparing,
-    )
-    yield WorkBatch(session, EVEN_PHASE, [work], None, learn)
-    return [*map(Estimate.of_mean, (errors[:, 1:] - errors[:, :1]).T)]
-
-
-def _judged(
-    session: RunSession, times: Times, plan: NDArray[np.float64], mean: float
-) -> Generator[WorkBatch, None, Estimate]:
-    """How far the error of a set lies above the plan's, on the first draws of the comparison."""
-    built, draws = session.built, min(DRAWS, len(plan))
-    seed, purpose = built.job.seed, built.study.purpose
-    even = np.empty(draws)
-
-    def learn(piece: FilterWork, result: Result) -> None:
-        errors = result.mse - result.control if piece.controlled else result.mse
-        even[slice(*piece.draws)] = errors[:, 0]
-
-    work = built.evaluator.work(
-        [times],
-        stream_of(purpose, seed, "filter", f"evenly spaced {len(times)}"),
-        stream_of(purpose, seed, "draws"),
-        (0, draws),
-        built.comparing,
-    )
-    work = replace(work, controlled=bool(built.job.comparison.control))
-    first = 0
-    for last, confidence in ((min(_FEW, draws), _CLEAR), (draws, CONFIDENCE)):
-        yield WorkBatch(session, EVEN_PHASE, [replace(work, draws=(first, last))], None, learn)
-        apart = even[:last] - plan[:last]
-        difference, first = Estimate.of_mean(apart[~np.isnan(apart)]), last
-        if first == draws or sign_of(difference, mean, confidence):
-            break
-    return difference
+        work = built.evaluator.work(
+            [times],
+            stream_of(purpose, seed, "filter", f"evenly spaced {len(times)}"),
+            stream_of(purpose, seed, "draws"),
+            (0, draws),
+            built.comparing,
+        )
+        work = replace(work, controlled=bool(built.job.comparison.control))
+        first = 0
+        for last, confidence in ((min(self.draws, draws), _CLEAR), (draws, CONFIDENCE)):
+            yield WorkBatch(
+                self.session, EVEN_PHASE, [replace(work, draws=(first, last))], None, learn
+            )
+            apart = even[:last] - self.errors[:last]
+            difference, first = Estimate.of_mean(apart[~np.isnan(apart)]), last
+            if first == draws or sign_of(difference, self.mean, confidence):
+                break
+        return difference

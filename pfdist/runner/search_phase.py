@@ -20,14 +20,13 @@ from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.progress import heard
-from pfdist.runner.searches import NamedSearch, racing_of, shortlist_of
+from pfdist.runner.searches import NamedSearch
 from pfdist.search import Exchange, Race
 from pfdist.search.exchange import FEWEST
 
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
 _REACH = 2.5  # mean gaps by which an exchange that polishes may move a time
-_EVEN_DRAWS = 24  # of the first round of a race between evenly spaced sets
 _MOST_STEPS = 2e11  # particle-steps of exchanges: minutes of a core. They grow as the horizon cubed
 
 
@@ -125,26 +124,6 @@ def search_steps(built: Built, search: NamedSearch) -> float:
             phases += [_polishing(built, search, start, name) for name in search.polishes]
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED)))
     return sum(phase.steps() for phase in phases)
-
-
-def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Times]:
-    """The best of the evenly spaced sets of this name, by a race on draws of its own."""
-    sets = session.built.study.even_grids[name]
-    if len(sets) == 1:
-        return sets[0]
-    best, *_ = yield from run_phase(_evenly_spaced(session.built, name), session)
-    return best.measurement_times
-
-
-def even_steps(built: Built, name: str) -> float:
-    """Approximate number of particle-steps of `best_evenly_spaced`."""
-    return _evenly_spaced(built, name).steps() if len(built.study.even_grids[name]) > 1 else 0.0
-
-
-def _evenly_spaced(built: Built, name: str) -> Phase:
-    settings = racing_of(built.job, _EVEN_DRAWS)
-    race = Race(built.study.even_grids[name], settings.draws)
-    return Phase(shortlist_of(name), race, "shortlist", settings, built, built.job.criterion)
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase:

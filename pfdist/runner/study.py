@@ -7,7 +7,6 @@ from typing import ClassVar
 
 from pfdist.common.measurement_times import EVEN, Times
 from pfdist.errors import JobError
-from pfdist.problem.even_grids import even_grids
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
@@ -46,12 +45,11 @@ class Study:
         }
 
     @cached_property
-    def even_grids(self) -> dict[str, tuple[Times, ...]]:
-        """Evenly spaced sets, of which a race finds the best, by the name of a reference."""
+    def even(self) -> dict[str, Feasible]:
+        """The feasible sets whose best evenly spaced set is a reference, by its name."""
         if not self.job.comparison.is_even:
             return {}
-        grids = map(even_grids, self.each)
-        return dict(zip(self.names(EVEN), grids, strict=True))
+        return dict(zip(self.names(EVEN), self.each, strict=True))
 
     @property
     def each(self) -> Sequence[Feasible]:

@@ -13,5 +13,6 @@ from pfdist.search.exhaustive import Exhaustive
 from pfdist.search.genetic import GeneticAlgorithm
 from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials
+from pfdist.search.refine import Refine
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.search.survivors import Survivors

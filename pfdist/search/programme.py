@@ -18,7 +18,7 @@ shortest path problem", Networks 51, 2008 (decremental state-space relaxation). 
 "Lagrangean relaxation for integer programming", Mathematical Programming Study 2, 1974.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -74,9 +74,25 @@ class Programme:
 
     def of_set(self, times: Times) -> float:
         """The relaxed expected MSE of a set, without multipliers."""
-        following = np.array([*times, self.relaxation.end])
-        windows = np.array(self.relaxation.windows_of(times))[: following.size]
-        return float(self._between(windows, following).sum()) / (self.relaxation.horizon + 1)
+        return float(self.of_sets([times])[0])
+
+    def of_sets(self, sets: Sequence[Times]) -> Array:
+        """The relaxed expected MSE of each set, (S,), without multipliers; inf if it is no path."""
+        relaxation, sizes = self.relaxation, np.array([len(times) for times in sets])
+        errors = np.empty(len(sets))
+        for size in np.unique(sizes).tolist():
+            places = np.flatnonzero(sizes == size)
+            following = np.full((places.size, size + 1), relaxation.end)
+            following[:, :size] = [sets[place] for place in places.tolist()]
+            windows, is_path = np.full(following.shape, relaxation.index[START]), np.full(places.size, True)
+            for k in range(size):
+                after = relaxation.after[windows[:, k], following[:, k]]
+                is_path &= after >= 0
+                windows[:, k + 1] = np.maximum(after, 0)
+            sums = self._between(windows.ravel(), following.ravel()).reshape(following.shape)
+            errors[places] = np.where(is_path, sums.sum(axis=1), np.inf)
+        mean: Array = errors / (relaxation.horizon + 1)
+        return mean
 
     def through(self, spent: int) -> Array:
         """The least relaxed expected MSE of all sets of a sum through each window, (W,)."""

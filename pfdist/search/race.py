@@ -36,6 +36,8 @@ class Race:
 
     sets: tuple[Times, ...]
     draws: int  # of the first round
+    kept: int = 1  # so many sets stay at least
+    until: int = 0  # in rounds with fewer draws
 
     @property
     def generations(self) -> int:
@@ -66,7 +68,10 @@ class Race:
             for evaluation in order
             if not evaluation.difference(order[0]).is_positive(_WORSE)
         ]
-        running = [evaluation.measurement_times for evaluation in near[: (len(order) + 1) // 2]]
+        staying = near[: (len(order) + 1) // 2]
+        if 2 * state.draws <= self.until and len(staying) < self.kept:
+            staying = order[: self.kept]
+        running = [evaluation.measurement_times for evaluation in staying]
         dropped = tuple(
             evaluation
             for evaluation in state.evaluations

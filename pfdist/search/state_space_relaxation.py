@@ -305,8 +305,10 @@ def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation])
     return replace(updated, relaxation=relaxation.without(updated.infinite))
 
 
-def first_relaxation(feasible: Feasible, measurements: int, lag: Lag) -> Relaxation:
+def first_relaxation(
+    feasible: Feasible, measurements: int, lag: Lag, most_cells: int = MOST_CELLS
+) -> Relaxation:
     """The relaxation with which a search begins, for a usual number of measurements and a lag."""
     if lag:
-        return gaps_for(feasible, measurements, lag, MOST_CELLS, LOOKAHEAD)
-    return relaxation_within(feasible, measurements, MOST_CELLS)
+        return gaps_for(feasible, measurements, lag, most_cells, LOOKAHEAD)
+    return relaxation_within(feasible, measurements, most_cells)
