@@ -151,7 +151,7 @@ def _look(
         (0, draws),
         built.comparing,
     )
-    yield WorkBatch(session, EVEN_PHASE, [work], None, learn)
+    yield WorkBatch(session, EVEN_PHASE, [work], None, learn, part="scan")
     return [*map(Estimate.of_mean, (errors[:, 1:] - errors[:, :1]).T)]
 
 
@@ -177,7 +177,8 @@ def _judged(
     work = replace(work, controlled=bool(built.job.comparison.control))
     first = 0
     for last, confidence in ((min(_FEW, draws), _CLEAR), (draws, CONFIDENCE)):
-        yield WorkBatch(session, EVEN_PHASE, [replace(work, draws=(first, last))], None, learn)
+        some = replace(work, draws=(first, last))
+        yield WorkBatch(session, EVEN_PHASE, [some], None, learn, part="scan")
         apart = even[:last] - plan[:last]
         difference, first = Estimate.of_mean(apart[~np.isnan(apart)]), last
         if first == draws or sign_of(difference, mean, confidence):

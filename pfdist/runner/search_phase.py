@@ -144,7 +144,8 @@ def even_steps(built: Built, name: str) -> float:
 def _evenly_spaced(built: Built, name: str) -> Phase:
     settings = racing_of(built.job, _EVEN_DRAWS)
     race = Race(built.study.even_grids[name], settings.draws)
-    return Phase(shortlist_of(name), race, "shortlist", settings, built, built.job.criterion)
+    criterion = built.job.criterion
+    return Phase(shortlist_of(name), race, "shortlist", settings, built, criterion, part="opponent")
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase:
