@@ -50,7 +50,7 @@ COMMANDS = {
         resumes=True,
     ),
     "plan": Command(
-        "pfdist.questions.plan:plan",
+        "pfdist.cli.own:plan",
         "Find measurement times for a job's problem, and prove how good they are.",
         {
             "pfdist plan jobs/plan.toml": (
@@ -64,6 +64,9 @@ COMMANDS = {
             ),
             "pfdist plan jobs/plan.toml --set filter.particles=auto --results results/auto": (
                 "First find how many particles are enough"
+            ),
+            "pfdist plan jobs/plan.toml --dry-run": (
+                "Foresee the work of each part, and its minutes on this machine"
             ),
             "pfdist plan jobs/plan.toml --search exchange --results results/exchange": (
                 "Search by another method"

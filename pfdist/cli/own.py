@@ -73,6 +73,64 @@ def sweep(
     )  # fmt: skip
 
 
+@with_options
+def plan(
+    job: str,
+    *,
+    results: str | None = None,
+    search: str = "relaxation",
+    changes: Sequence[str] = (),
+    bound_draws: int | None = None,
+    reuse: Sequence[str] = (),
+    export: str | None = None,
+    dry_run: bool = False,
+    **options: Unpack[Options],
+) -> "Run | pd.DataFrame":
+    """Find measurement times for a job's problem, and prove how good they are.
+
+    One search finds them. They are compared with evenly spaced times on fresh draws. A lower bound
+    proves how much better any other times can be, and a quick estimate shows how many evenly spaced
+    measurements do as well. The answer also has the error of an analysis afterwards, with all
+    measurements. The same command resumes where it was stopped.
+
+    Parameters
+    ----------
+    job : str
+        A job file, as ``jobs/plan.toml``, or the folder of a run. Searches that the job names are
+        ignored.
+    results : str, optional
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if the job lists searches: the other folder belongs to their run.
+    search : str
+        Method of the search, with its default settings.
+    changes : sequence of str, optional
+        Other values of keys of the job, as ``seed=3``. The name of the search is its method, as in
+        ``search.relaxation.paths=16``.
+    bound_draws : int
+        Number of draws of the lower bound that is proved for the found times, by default 480; 0
+        for no bound. For several numbers of measurements, a bound is proved only if this number is
+        given. A bound that would take more than about four minutes of one core is left out, and a
+        line names the command that proves it.
+    reuse : sequence of str, optional
+        Folders of other runs, whose evaluations are taken, not computed again. Give the option once
+        for each run.
+    export : str, optional
+        Also write the plan into this file, for a spreadsheet (``.csv``) or a diary (``.ics``).
+    dry_run : bool
+        Print the particle-steps that are foreseen, by what they are for, and about how many minutes
+        a core of this machine takes for them; compute nothing.
+    options
+        See `Options`.
+    """
+    from pfdist.questions.plan import plan as planned
+
+    if dry_run:
+        from pfdist.questions.sweep import foreseen_work
+
+        return foreseen_work(job, search, changes, bound_draws)
+    return planned(job, results, search, changes, bound_draws, reuse, export, **options)
+
+
 def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:
     """Move the measurements by hand in a local page, and see the error at once.
 

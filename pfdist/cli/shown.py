@@ -15,6 +15,7 @@ from pfdist.pages.terminal import lines_of, wrapped
 from pfdist.questions.run_page import answer_of
 from pfdist.results import Run, finite, reaching
 from pfdist.results.columns import records_of
+from pfdist.results.stored_run import work_of
 from pfdist.store import listed_pages
 from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in
 
@@ -94,6 +95,9 @@ def _show_text(answer: Any, line: Line) -> None:
             print(one_line(str(answer)))
         case Run():
             _print_page(answer_of(answer, line.options.get("target"), details=line.verbose), line)
+            if line.name == "status" and (done := work_of(answer)):
+                parts = ", ".join(f"{part} {steps:.3g}" for part, steps in done.items())
+                print(one_line(f"particle-steps: {sum(done.values()):.3g} ({parts})"))
             for name, at in _places(answer).items():
                 print(one_line(f"{name}: {at}"))
         case pd.DataFrame() if (out := line.options.get("out")) is not None:
@@ -110,11 +114,12 @@ def _show_text(answer: Any, line: Line) -> None:
 
 
 def _page_of(frame: pd.DataFrame, line: Line) -> Page:
-    from pfdist.questions.runs import foreseen_page, list_page, table_page  # noqa: PLC0415
+    from pfdist.questions import runs  # noqa: PLC0415
 
     if line.name == "list":
-        return list_page(frame, *line.arguments)
-    return foreseen_page(frame) if line.name == "sweep" else table_page(frame)
+        return runs.list_page(frame, *line.arguments)
+    pages = {"sweep": runs.foreseen_page, "plan": runs.foreseen_work_page}
+    return pages.get(line.name, runs.table_page)(frame)
 
 
 def _places(run: Run) -> dict[str, Path]:

@@ -488,9 +488,9 @@ class Evaluator:
 
         Raises `ModelError` if a formula failed.
         """
-        return [work.result(self._for(work)).in_ranges(work) for work in works]
+        return [work.result(self.of_work(work)).in_ranges(work) for work in works]
 
-    def _for(self, work: FilterWork) -> "Evaluator":
+    def of_work(self, work: FilterWork) -> "Evaluator":
         """The evaluator with the filter's model of a work, and the estimate that it wants."""
         known = self.truth if work.knows_truth else self
         known = known.estimating(work.estimation)

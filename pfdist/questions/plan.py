@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Unpack
 
+from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.options import Options, with_options
@@ -71,9 +72,13 @@ def plan(
     if export is not None:
         checked_export(export, job.problem.clock)
     results = folder_of(job, results, PLANNED if job.origin.names_searches else "")
-    if bound_draws is None:
-        bound_draws = 0 if job.budget else LEAST_DRAWS
-    planned = run(job, results, bound_draws=bound_draws, reuse=reuse, **options)
+    draws = draws_of_bound(job, bound_draws)
+    planned = run(job, results, bound_draws=draws, reuse=reuse, **options)
     if export is not None:
         planned.export(export)
     return planned
+
+
+def draws_of_bound(job: Job, given: int | None) -> int:
+    """Number of draws of a plan's bound: the given one, or the default."""
+    return (0 if job.budget else LEAST_DRAWS) if given is None else given

@@ -32,7 +32,14 @@ from pfdist.runner.information_prover import prover_of
 from pfdist.runner.progress import Detail, Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
-from pfdist.store import add_to_provenance, forget_pages, listed_pages, read_run, record_pages
+from pfdist.store import (
+    EVEN_PHASE,
+    add_to_provenance,
+    forget_pages,
+    listed_pages,
+    read_run,
+    record_pages,
+)
 from pfdist.store.folder import REPORT
 
 _OF_FIGURES = ("pfdist.questions.pictures", "pfdist.pages.html", "scipy.special")
@@ -208,6 +215,7 @@ def compute(
         session.reporter.foresee(proof - foreseen, -foreseen)
         if (proves or is_alone) and not is_scanned:
             yield from compare_evenly_spaced(session, run)
+            session.store.settle("timings", EVEN_PHASE)
         if prover is not None and proves:
             publish_sets(run)
             if "budget" in run.job:

@@ -125,6 +125,17 @@ def _result(row: Mapping[Any, Any]) -> str:
     return ", ".join(texts)
 
 
+def foreseen_work_page(work: pd.DataFrame) -> Page:
+    """The work of a plan, from `pfdist.questions.plan.foreseen_work`."""
+    rows = [
+        [Cell(row["part"]), Cell(f"{row['steps']:.3g}", row["steps"]),
+         Cell(f"{row['minutes']:.2g}", row["minutes"])]
+        for row in [*work.to_dict("records"), {"part": "all", **work.sum(numeric_only=True)}]
+    ]  # fmt: skip
+    table = Table("", ("part", "particle-steps", "minutes of a core"), rows)
+    return Page("", "", [Section("", [table])])
+
+
 def foreseen_page(points: pd.DataFrame) -> Page:
     """The points of a sweep and their work, from `pfdist.questions.sweep.foreseen`."""
     billion = 1e9

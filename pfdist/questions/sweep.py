@@ -1,5 +1,6 @@
 """A job at many points: every point is a separate run, and all share the same workers."""
 
+import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,16 +11,18 @@ import pandas as pd
 from pfdist.common.arguments import path_argument
 from pfdist.common.parts import Page, Section, Text
 from pfdist.common.section import checked
-from pfdist.errors import ArgumentError, SweepError
+from pfdist.errors import ArgumentError, JobError, ModelError, SweepError
 from pfdist.problem.job import Job
-from pfdist.problem.problem import JobSource
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sweep import Part, SweepJob, read_sweep
 from pfdist.problem.sweep_points import Values
 from pfdist.questions.at_work import at_work
 from pfdist.questions.model_checks import seconds_a_step
 from pfdist.questions.options import Chosen, Options, following, with_options
+from pfdist.questions.plan import draws_of_bound
 from pfdist.questions.points_at_work import PointsAtWork
 from pfdist.questions.report import tried, try_report
+from pfdist.questions.run_of_job import folder_of, searched_by
 from pfdist.questions.runs import lowest_text, table_page
 from pfdist.questions.subject import Subject
 from pfdist.questions.table import table
@@ -28,7 +31,8 @@ from pfdist.results.columns import records_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.door import Loop
-from pfdist.runner.driver import foreseen_steps
+from pfdist.runner.driver import foreseen_by_part, foreseen_steps
+from pfdist.runner.information_prover import prover_of
 from pfdist.runner.progress import Progress, Say, Show, silent
 from pfdist.store import holds_run, listed_pages
 from pfdist.store.folder import REPORT, figures_in
@@ -230,6 +234,24 @@ def foreseen(
             steps = foreseen_steps(built)
             work = {"steps": steps, "seconds": steps * _seconds_a_step(built)}
             rows.append({"point": point.name, **point.chosen, "state": state, **work})
+    return pd.DataFrame(rows)
+
+
+def foreseen_work(
+    job: JobSource, search: str, changes: Iterable[str], bound_draws: int | None
+) -> pd.DataFrame:
+    """The particle-steps of a plan by what they are for, and minutes of a core of this machine.
+
+    The arguments are those of `pfdist.plan`, and the errors, too.
+    """
+    wanted = as_job(job, changes, sections=searched_by(search))
+    built, prover = build(wanted, folder_of(wanted, None)), None
+    with contextlib.suppress(JobError, ModelError):  # no bound is known
+        if draws := draws_of_bound(wanted, bound_draws):
+            prover = prover_of(built, BoundSettings(draws=draws))
+    minutes = _seconds_a_step(built) / 60
+    work = foreseen_by_part(built, prover).items()
+    rows = [{"part": part, "steps": steps, "minutes": steps * minutes} for part, steps in work]
     return pd.DataFrame(rows)
 
 

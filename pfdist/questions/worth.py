@@ -88,7 +88,8 @@ def _ranges(session: RunSession, work: FilterWork) -> Generator[WorkBatch, None,
         of_piece = ranges_of_draws(*piece.draws, piece.over_time)
         ranges.extend(map(Range, *zip(*of_piece, strict=True), result.errors))
 
-    yield WorkBatch(session, "why", evaluator.pieces(work, MOST_SECONDS), None, learn)
+    pieces = evaluator.pieces(work, MOST_SECONDS)
+    yield WorkBatch(session, "why", pieces, None, learn, part="why")
     return joined_ranges(sorted(ranges, key=lambda each: each.first), work.over_time)
 
 
@@ -171,7 +172,7 @@ def _mse(
         degenerate[here] = result.degenerate
         np.maximum(largest, result.mse.max(axis=0), out=largest)
 
-    yield WorkBatch(session, "why", [work], None, learn)
+    yield WorkBatch(session, "why", [work], None, learn, part="why")
     return mse, degenerate, largest
 
 

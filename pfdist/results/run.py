@@ -32,6 +32,7 @@ from pfdist.results.stored_run import (
     problem_of,
     scenarios_of,
     unproved,
+    work_of,
 )
 from pfdist.store.schema import KEYS
 
@@ -161,6 +162,7 @@ class Run(StoredRun, Shown):
             - evaluations: their number, copies counted.
             - time_unit: that of the job's clock; None without a clock.
             - instant_weights: the weight of each instant's error in the MSE, with mean 1, or None.
+            - particle_steps: those computed so far, by what they are for.
             - unproved: why found sets have no lower bound, although one was asked for, and which
               command proves one; otherwise empty.
             - sets: the rows of the table ``sets``; empty before the searches have ended.
@@ -178,6 +180,7 @@ class Run(StoredRun, Shown):
             "draws_compared": self.draws_compared,
             "time_unit": problem.clock.time_unit if problem.has_clock else None,
             "instant_weights": [*problem.weights] if problem.weights else None,
+            "particle_steps": work_of(self),
             "unproved": unproved(self),
             "sets": records_of(self.table("sets")) if "sets" in has else [],
             "pairs": records_of(self.table("pairs")) if named else None,

@@ -22,7 +22,7 @@ from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.runner.build import Built
-from pfdist.runner.door import RunSession, WorkBatch
+from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.row_formats import BLOCK_OF_SUMS
 from pfdist.search.base import Candidate
 from pfdist.search.relaxation import Relaxation
@@ -86,6 +86,7 @@ class BlockSums:
         knows_truth: bool = True,
         phase: str = "",
         kind: type[FilterWork] = FilterWork,
+        part: Part = "proof",
     ) -> None:
         sets = counted.sets
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
@@ -96,7 +97,8 @@ class BlockSums:
         # A hash of everything on which the sums depend but their draws.
         name = "sums" if kind is FilterWork else kind.__name__
         self.id = evaluator.id_of(estimation, sets, instants, noise, name)
-        self._phase = phase or f"{BOUND_PHASE}.{self.id}"
+        self._phase, self._part = phase or f"{BOUND_PHASE}.{self.id}", part
+        self._phase_of_all = phase or BOUND_PHASE
         self._evaluator, self._counted = evaluator, counted
         work = evaluator.work(
             sets,
@@ -133,8 +135,9 @@ class BlockSums:
             replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK)) for block in blocks
         ]
         yield WorkBatch(
-            session, self._phase, works, BLOCK_OF_SUMS, learn, more_follows=more_follows
-        )
+            session, self._phase, works, BLOCK_OF_SUMS, learn, more_follows=more_follows,
+            part=self._part,
+        )  # fmt: skip
 
     def total(self, blocks: int, session: RunSession) -> Generator[WorkBatch, None, Array]:
         """The sums over the first blocks, (E,)."""
@@ -152,6 +155,7 @@ class BlockSums:
         """
         exact = self._evaluator.expected_errors(self._counted.sets, weighted=True)
         if exact is not None:
+            session.count_exact(self._phase_of_all, self._part, exact.size)
             return self._counted.of_instants(exact)
         sums = np.zeros(self._counted.set_of.size)
 

@@ -41,7 +41,7 @@ from pfdist.results.over_time import (
     read_ranges,
 )
 from pfdist.runner.build import Built
-from pfdist.runner.door import RunSession, WorkBatch
+from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.progress import SetGain
 from pfdist.runner.row_formats import RowsByDraw
 from pfdist.store import (
@@ -72,12 +72,8 @@ def run_comparison(
     interim = InterimGains(labels, references, draws)
     shows_gains = len(study.references) == 1 and built.job.criterion.is_mean
     reporter.begin(COMPARISON)
-    details = (trajectories, first_draws_again) if built.study.has_details else ()
-    judged = (informations, information_gaps)
-    for table in (*details, other_estimates, *judged, distances, variances):
-        first_draws = table(built, work)
-        if first_draws is not None:
-            yield from first_draws.fill(COMPARISON, session)
+    for table in tables_of_first_draws(built, work):
+        yield from table.fill(COMPARISON, session)
     evaluator = built.evaluator
     kinds = {"with_control": control, "with_scenarios": bool(evaluator.scenarios)}
     schema = comparison_schema(list(sets), **kinds)
@@ -124,7 +120,7 @@ def run_comparison(
     # the files are written leaves the parts, and the next start publishes them again.
     beside = (RANGE_SUMS,) if most else ()
     rows = RowsByDraw("comparison", rows_of, _result, beside=beside)
-    yield WorkBatch(session, COMPARISON, works, rows, learn)
+    yield WorkBatch(session, COMPARISON, works, rows, learn, part="comparison")
     reporter.reach(start + comparison_steps(built))
     _publish(session.store, draws, most)
 
@@ -286,6 +282,14 @@ class FirstDraws:
     columns: Callable[
         [FilterWork, Result], dict[str, Any]
     ]  # of the table, from a work and its result
+    part: Part = "statistics"
+
+    @property
+    def steps(self) -> int:
+        """Particle-steps, if sets share no prefix."""
+        work, (first, last) = self.work, self.work.draws
+        instants = (sum(work.ends) + len(work.ends)) * (1 + work.controlled)
+        return (last - first) * instants * work.estimation.steps_an_instant
 
     def rows(self, piece: FilterWork, result: Result) -> pa.Table:
         """Rows of the table for the draws of a piece."""
@@ -294,7 +298,9 @@ class FirstDraws:
     def fill(self, phase: str, session: RunSession) -> Generator[WorkBatch, None, None]:
         """Compute the table, and publish it."""
         rows = RowsByDraw(self.table, self.rows)
-        yield WorkBatch(session, phase, [self.work], rows, more_follows=True)
+        # Before the first task, whose time is limited.
+        session.built.evaluator.of_work(self.work).compile(self.work.estimation)
+        yield WorkBatch(session, phase, [self.work], rows, more_follows=True, part=self.part)
         session.later(partial(self._publish, phase, session.store))
 
     def _publish(self, phase: str, store: Store) -> None:
@@ -303,6 +309,15 @@ class FirstDraws:
             own = store.own_schema(self.schema)
             rows = pa.Table.from_pandas(committed, schema=own, preserve_index=False)
             store.publish(self.table, phase, [rows])
+
+
+def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[FirstDraws]:
+    """All tables of first draws beside a comparison; by default that of sets still to be found."""
+    work = work or _work(built, dict.fromkeys(built.names, built.job.problem.feasible.regular()))
+    details = (trajectories, first_draws_again) if built.study.has_details else ()
+    judged = (informations, information_gaps)
+    tables = (*details, other_estimates, *judged, distances, variances)
+    return [made for table in tables if (made := table(built, work)) is not None]
 
 
 def trajectories(built: Built, work: FilterWork) -> FirstDraws:
@@ -334,10 +349,10 @@ def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
     draws = built.job.comparison.draws // OTHERS
     if built.evaluator.exact or not built.study.has_details or not draws:
         return None
-    built.evaluator.other_estimate.compile(work.estimation)  # before the first task
     rows = other_schema(built.job.problem.other_estimate, work.ids)
     of_sets = replace(work, draws=(0, draws), other_estimate=True)
-    return FirstDraws("other_estimate", rows, of_sets, partial(_columns_by_set, rows))
+    columns = partial(_columns_by_set, rows)
+    return FirstDraws("other_estimate", rows, of_sets, columns, part="other estimate")
 
 
 def distances(built: Built, work: FilterWork) -> FirstDraws | None:
@@ -401,12 +416,8 @@ def _of_draws(
     draws: int | None = None,
 ) -> FirstDraws:
     """A table of a set's errors by another estimation, on the first draws, by default a few."""
-    evaluator = built.evaluator.truth if knows_truth else built.evaluator
-    evaluator.compile(estimation)  # before the first task, whose time is limited
-    stream, sets = (
-        stream_of("comparison", built.job.seed, "filter", table),
-        len(work.measurement_times),
-    )
+    stream = stream_of("comparison", built.job.seed, "filter", table)
+    sets = len(work.measurement_times)
     of_sets = replace(
         work,
         ends=work.ends[:1] * sets,

@@ -35,12 +35,12 @@ a table is complete. Estimations that the evaluator does not name are compiled w
 import contextlib
 import time
 import uuid
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import pyarrow as pa
 
@@ -52,7 +52,7 @@ from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
 from pfdist.runner.progress import Reporter, Show
-from pfdist.store import Store, schema
+from pfdist.store import QUESTIONS, Store, schema
 
 # Between two commits. A kill loses about so much work, and the tasks in flight:
 COMMIT_SECONDS = 1.0  # between two commits; up to five times as long after minutes
@@ -63,6 +63,11 @@ EVALUATIONS = "evaluations"
 StoredResults = Iterator[tuple[FilterWork, Result]]
 Learn = Callable[[FilterWork, Result], None]
 Say = Callable[[str], Any]
+Part = Literal[
+    "search", "opponent", "comparison", "other estimate", "statistics", "scan", "proof",
+    "likelihood", "online", "rule", "why",
+]  # fmt: skip
+"""What work is for, as it is counted; a sentence of an answer has a share of the whole."""
 
 
 class RowFormat(Protocol):
@@ -87,8 +92,9 @@ class RowFormat(Protocol):
 class WorkBatch:
     """Works whose results a driver needs before it resumes.
 
-    The rows belong to a phase of the session's run. Without a row format, neither results nor
-    timings are stored, so they are never looked up.
+    The rows belong to a phase of the session's run, and the particle-steps count for a part.
+    Without a row format, results are not stored, so they are never looked up; timings are stored in
+    phases that have a table.
 
     `learn` receives each piece of a work with its result, in any order.
 
@@ -105,9 +111,10 @@ class WorkBatch:
         learn: Learn = lambda work, result: None,
         *,
         more_follows: bool = False,
+        part: Part = "search",
     ) -> None:
         self.session, self.phase, self.works = session, phase, list(works)
-        self.row_format = row_format
+        self.row_format, self._part = row_format, part
         self._learn, self._more_follows = learn, more_follows
         # Tasks are cut one at a time, so each is as long as the speed that was learnt so far
         # allows. One is cut ahead: so the batch knows whether a task is left.
@@ -161,8 +168,10 @@ class WorkBatch:
         """
         session = self.session
         self._in_flight -= 1
-        if self.row_format is not None:
-            session.note(self.phase, outcome)  # failed tasks have timings, too
+        steps = 0 if outcome.error is not None else session.counted(cut.task.work)
+        if self.row_format is not None or self.phase in QUESTIONS:  # failed tasks, too
+            session.note(self.phase, outcome, self._part, steps)
+        session.done[self._part] += steps
         if outcome.error is not None:
             if outcome.refused:
                 raise ModelError(outcome.error)
@@ -221,13 +230,17 @@ class RunSession:
     ) -> None:
         self.built, self.store, self.say, self.reporter = built, store, say, Reporter(show)
         self.failures = 0
+        # Particle-steps that this session has computed, by part; with an exact engine, instants.
+        # The table ``timings`` has those of all sessions.
+        self.done = Counter[Part]()
         self._pace: Pace | None = None
         self._held = dict[str, bool]()  # by table; see `held`
         # Names of sessions sort in the order in which they started.
         self._name = f"{int(time.time()):08x}{uuid.uuid4().hex[:4]}"
         # Rows that wait for the next commit, by phase and table
         self.rows: dict[tuple[str, str], list[pa.Table]] = {}
-        self._outcomes: dict[str, list[Outcome]] = {}
+        self._outcomes: dict[str, list[tuple[Outcome, Part, int]]] = {}
+        self._exact = Counter[tuple[str, Part]]()  # instants that wait for the next commit
         self._later: list[Callable[[], None]] = []
         self._began = self._last_commit = time.monotonic()
         self._waiting = 0
@@ -239,9 +252,22 @@ class RunSession:
         self.rows.setdefault((phase, table), []).append(rows)
         self._waiting += rows.num_rows
 
-    def note(self, phase: str, outcome: Outcome) -> None:
-        """Keep the timing of a task for the next commit."""
-        self._outcomes.setdefault(phase, []).append(outcome)
+    def note(self, phase: str, outcome: Outcome, part: Part, steps: int) -> None:
+        """Keep the timing of a task, and what it has computed, for the next commit."""
+        self._outcomes.setdefault(phase, []).append((outcome, part, steps))
+
+    def counted(self, works: Iterable[FilterWork]) -> int:
+        """The particle-steps of works; an exact filter has one particle."""
+        has_particles = self.built.evaluator.has_particles
+        return sum(
+            work.steps // (1 if has_particles else work.estimation.steps_an_instant)
+            for work in works
+        )
+
+    def count_exact(self, phase: str, part: Part, instants: int) -> None:
+        """Count instants of sets whose errors this process has computed without draws."""
+        self.done[part] += instants
+        self._exact[phase, part] += instants
 
     def held(self, table: str) -> bool:
         """Whether the store had rows of a table when this session first needed them.
@@ -296,6 +322,10 @@ class RunSession:
         # it.
         later, self._later = self._later, []
         rows, self.rows, self._waiting = self.rows, {}, 0
+        for (phase, part), instants in self._exact.items():
+            task = Task(f"exact:{part}:{self.done[part]}", len, ())
+            self.note(phase, Outcome(task, None, 0.0, "", ""), part, instants)
+        self._exact.clear()
         outcomes, self._outcomes = self._outcomes, {}
         for phase, table in sorted(rows, key=lambda each: each[1] == EVALUATIONS):
             self.store.commit(table, phase, pa.concat_tables(rows[phase, table]))
@@ -306,7 +336,7 @@ class RunSession:
                 write()
         self._last_commit = time.monotonic()
 
-    def _timings(self, phase: str, outcomes: list[Outcome]) -> pa.Table:
+    def _timings(self, phase: str, outcomes: list[tuple[Outcome, Part, int]]) -> pa.Table:
         rows = [
             {
                 "phase": phase,
@@ -317,10 +347,12 @@ class RunSession:
                 "node": outcome.node,
                 "failures": int(outcome.error is not None),
                 "error": outcome.error,
+                "part": part,
+                "particle_steps": steps,
             }
-            for outcome in outcomes
+            for outcome, part, steps in outcomes
         ]
-        return pa.Table.from_pylist(rows, schema=schema("timings"))
+        return pa.Table.from_pylist(rows, schema=schema("timings", "part", "particle_steps"))
 
 
 class Loop:

@@ -2,7 +2,7 @@
 
 from collections.abc import Generator, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -19,12 +19,18 @@ from pfdist.runner.comparison_phase import (
     TRAJECTORIES,
     comparison_steps,
     run_comparison,
+    tables_of_first_draws,
     ways_out,
 )
+<<<<<<< HEAD
 from pfdist.runner.door import RunSession, WorkBatch
-from pfdist.runner.evenly_spaced import best_evenly_spaced, most_steps
+from pfdist.runner.evenly_spaced import best_evenly_spaced, opponent_steps
+=======
+from pfdist.runner.door import Part, RunSession, WorkBatch
+>>>>>>> work
 from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.phase import unpublished
+from pfdist.runner.prover import Prover
 from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.searches import planning_of
@@ -66,9 +72,29 @@ def foreseen_steps(built: Built) -> float:
     return _searching_steps(built) + comparison_steps(built) + online_steps(built)
 
 
+def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, float]:
+    """Approximate number of particle-steps of a run and of a proof, by what they are for."""
+    foreseen: dict[Part, float] = dict.fromkeys(get_args(Part), 0.0)
+    foreseen["search"] = sum(search_steps(built, search) for search in built.searches)
+    foreseen["opponent"] = opponent_steps(built)
+    foreseen["comparison"] = comparison_steps(built)
+    for table in tables_of_first_draws(built):
+        foreseen[table.part] += table.steps
+    foreseen["online"] = online_steps(built)
+    if prover is not None:
+        foreseen["proof"], foreseen["likelihood"] = prover.steps, prover.rank_steps
+    return {part: steps for part, steps in foreseen.items() if steps}
+
+
+def core_steps(built: Built, prover: Prover | None = None) -> float:
+    """Particle-steps of search, comparison and proof, of which other parts have shares."""
+    core: tuple[Part, ...] = "search", "comparison", "proof"
+    foreseen = foreseen_by_part(built, prover)
+    return sum(foreseen.get(part, 0.0) for part in core)
+
+
 def _searching_steps(built: Built) -> float:
-    even = most_steps(built) if built.study.even and not built.evaluator.exact else 0.0
-    return even + sum(search_steps(built, search) for search in built.searches)
+    return opponent_steps(built) + sum(search_steps(built, search) for search in built.searches)
 
 
 def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]:
@@ -110,13 +136,15 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     informed = None
     if (judging := built.job.judging.get(INFORMATION.name)) is not None:
         informed = built.evaluator.expected_mse(times, criterion=judging)
-    columns = {
-        "exact_mse": exact,
-        "exact_other_mse": other,
-        "exact_information": None if informed is None else -informed,
+    columns: dict[str, tuple[Any, Part]] = {
+        "exact_mse": (exact, "comparison"),
+        "exact_other_mse": (other, "other estimate"),
+        "exact_information": (None if informed is None else -informed, "statistics"),
     }
-    for column, errors in columns.items():
+    for column, (errors, part) in columns.items():
         if errors is not None:
+            instants = len(times) * (built.evaluator.horizon + 1)
+            session.count_exact(COMPARISON, part, instants)
             optional.append(column)
             for row, mse in zip(rows, errors.tolist(), strict=True):
                 row[column] = mse
@@ -155,7 +183,8 @@ def run_online(session: RunSession, sets: Mapping[str, Times]) -> Generator[Work
         )
 
     works = [work.part(block) for block in cut(range(draws), _BLOCK)]
-    yield WorkBatch(session, ONLINE_TIMES, works, RowsByDraw("online", _rows, _result), learn)
+    rows = RowsByDraw("online", _rows, _result)
+    yield WorkBatch(session, ONLINE_TIMES, works, rows, learn, part="online")
     reporter.reach(start + draws * work.steps_a_draw)
     session.store.settle("online", ONLINE_TIMES)
 

@@ -90,7 +90,7 @@ class EvenSearch:
         settings, built = settings_of(self.built), self.built
         return Phase(
             shortlist_of(self.name), Race((), _FIRST), "shortlist", settings, built,
-            built.job.criterion,
+            built.job.criterion, part="opponent",
         )  # fmt: skip
 
     @property
@@ -129,6 +129,7 @@ class EvenSearch:
             sets, tried = yield from self._ranked(session)
         sets = [*dict.fromkeys((*self.given, *sets[:_IF_EXACT]))]
         errors = self.built.evaluator.expected_mse(sets, criterion=self.built.job.criterion)
+        session.count_exact(self.phase.name, "opponent", len(sets) * (self.feasible.horizon + 1))
         order = [] if errors is None else np.argsort(errors, kind="stable").tolist()
         return [sets[place] for place in order], tried
 
@@ -218,6 +219,11 @@ def most_steps(built: Built) -> float:
     planned = sum(search_steps(built, search) for search in built.searches)
     proved = _PROVED if built.job.criterion.bound != "none" else 1
     return SHARE * proved * (planned + comparison_steps(built))
+
+
+def opponent_steps(built: Built) -> float:
+    """Approximate number of particle-steps of all opponents."""
+    return most_steps(built) if built.study.even and built.evaluator.has_particles else 0.0
 
 
 def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Opponent]:
@@ -358,6 +364,8 @@ class _Scan:
         built, sets = self.built, self._best_of(number)
         exact = built.evaluator.expected_mse(sets)
         if exact is not None:
+            instants = len(sets) * (built.feasible.horizon + 1)
+            self.session.count_exact(EVEN_PHASE, "scan", instants)
             differences = [*map(Estimate, (exact - self.mean).tolist())]
         else:
             errors = np.empty((self.draws, 1 + len(sets)))
@@ -369,7 +377,7 @@ class _Scan:
             work = built.evaluator.work(
                 [self.plan, *sets], *streams, (0, self.draws), settings_of(built).estimation
             )
-            yield WorkBatch(self.session, EVEN_PHASE, [work], None, learn)
+            yield WorkBatch(self.session, EVEN_PHASE, [work], None, learn, part="scan")
             differences = [*map(Estimate.of_mean, (errors[:, 1:] - errors[:, :1]).T)]
         values = [np.nan_to_num(each.value, nan=np.inf) for each in differences]
         best = int(np.argmin(values))
@@ -405,9 +413,8 @@ class _Scan:
         work = replace(work, controlled=bool(built.job.comparison.control))
         first = 0
         for last, confidence in ((min(self.draws, draws), _CLEAR), (draws, CONFIDENCE)):
-            yield WorkBatch(
-                self.session, EVEN_PHASE, [replace(work, draws=(first, last))], None, learn
-            )
+            some = replace(work, draws=(first, last))
+            yield WorkBatch(self.session, EVEN_PHASE, [some], None, learn, part="scan")
             apart = even[:last] - self.errors[:last]
             difference, first = Estimate.of_mean(apart[~np.isnan(apart)]), last
             if first == draws or sign_of(difference, self.mean, confidence):

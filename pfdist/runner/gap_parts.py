@@ -150,7 +150,7 @@ def _per_draw(
         )
 
     phase = f"{BOUND_PHASE}.{stream_key(work.ids):016x}"
-    yield WorkBatch(session, phase, [work], PER_DRAW, learn)
+    yield WorkBatch(session, phase, [work], PER_DRAW, learn, part="proof")
     return {name: errors[id_] for name, id_ in ids.items()}
 
 

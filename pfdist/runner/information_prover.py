@@ -58,6 +58,11 @@ class InformationProver(Prover):
         return 0.0
 
     @property
+    def rank_steps(self) -> float:
+        """No likelihood is checked by ranks."""
+        return 0.0
+
+    @property
     def steps(self) -> float:
         """Particle-steps of the proof."""
         found = len(self._built.searches) or len(self._built.names)

@@ -26,7 +26,7 @@ from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.kernels.variates import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
-from pfdist.runner.door import EVALUATIONS, RunSession, WorkBatch
+from pfdist.runner.door import EVALUATIONS, Part, RunSession, WorkBatch
 from pfdist.runner.progress import Reporter
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.runner.searches import Settings
@@ -139,6 +139,7 @@ class Phase:
     settings: Settings
     built: Built
     criterion: Criterion  # the mean for searches that add errors of instants
+    part: Part = "search"
     # Requests by the evaluation's id, of this session, for sets that are requested again
     evaluated: dict[str, EvaluationRequest] = field(default_factory=dict)
 
@@ -187,10 +188,10 @@ class Phase:
     def sums(self, counted: Counted) -> BlockSums:
         """Sums of errors over blocks of draws, for candidates that need expected errors."""
         stream, estimation = self.stream(), self.settings.estimation
-        streams = stream, stream
         return BlockSums(
-            self.built, counted, streams, estimation, knows_truth=False, phase=self.name
-        )
+            self.built, counted, (stream, stream), estimation, knows_truth=False, phase=self.name,
+            part=self.part,
+        )  # fmt: skip
 
     def evaluation(self, request: EvaluationRequest, criterion: Criterion) -> Evaluation:
         """The evaluation that was requested."""
@@ -252,7 +253,7 @@ def run_phase(
             for candidate, evaluation in zip(windows, by_errors, strict=True):
                 record(candidate, evaluation)
             record.show()
-        if not (by_instant or _exactly(phase, requests, record)):
+        if not (by_instant or _exactly(phase, requests, session, record)):
             yield from _per_draw(phase, requests, session, record)
         evaluations = record.evaluations
         if requests and generation not in committed:
@@ -314,7 +315,9 @@ class _Generation:
         )
 
 
-def _exactly(phase: Phase, requests: list[EvaluationRequest], record: _Generation) -> bool:
+def _exactly(
+    phase: Phase, requests: list[EvaluationRequest], session: RunSession, record: _Generation
+) -> bool:
     """Record the exact evaluation of each request, and say whether the engine gives it.
 
     It takes no time, so neither pool nor store.
@@ -324,6 +327,7 @@ def _exactly(phase: Phase, requests: list[EvaluationRequest], record: _Generatio
     errors = phase.built.evaluator.expected_mse(sets, ends, phase.criterion)
     if errors is None:
         return False
+    session.count_exact(phase.name, phase.part, sum(ends) + len(ends))
     for request, error in zip(requests, errors.tolist(), strict=True):
         request.mse, request.degenerate = np.empty(0), np.empty(0, np.bool_)
         record(request.candidate, phase.evaluation(request, phase.criterion.exactly(error)))
@@ -368,7 +372,9 @@ def _per_draw(
     record.show()
     works = list(_works(phase, longest.values()))
     if works:
-        yield WorkBatch(session, phase.name, works, PER_DRAW, learn, more_follows=True)
+        yield WorkBatch(
+            session, phase.name, works, PER_DRAW, learn, more_follows=True, part=phase.part
+        )
 
 
 def _works(phase: Phase, requests: Iterable[EvaluationRequest]) -> Iterator[FilterWork]:

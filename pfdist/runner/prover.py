@@ -127,6 +127,12 @@ class Prover:
         return sets + self._steps_of_windows
 
     @property
+    def rank_steps(self) -> float:
+        """Particle-steps of the check of the likelihood by ranks."""
+        instants = len(self._built.names) * (self._built.evaluator.horizon + 1)
+        return float(self._blocks[-1] * BLOCK * instants * self.particles)
+
+    @property
     def _steps_of_windows(self) -> float:
         """Foreseen particle-steps of windows: first they grow, then the first ones are filtered."""
         growth = self.most_steps if self.particles else 0.0
@@ -244,7 +250,9 @@ class Prover:
             return ""
         first = np.zeros(len(measured), np.int64)
         whole = Counted(measured, first, first + self.relaxation.horizon)
-        ranks = BlockSums(self._built, whole, self._streams, self._estimation, kind=RankWork)
+        ranks = BlockSums(
+            self._built, whole, self._streams, self._estimation, kind=RankWork, part="likelihood"
+        )
         sums = yield from ranks.total(look.draws // BLOCK, session)
         return wrong_likelihood(sums, look.draws)
 

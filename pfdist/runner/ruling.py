@@ -143,7 +143,7 @@ def filtered_by(session: RunSession, work: RuleWork) -> Generator[WorkBatch, Non
         before, draws = reporter.progress, len(range(*piece.draws))
         reporter.reach(before.done + piece.steps, evaluations=before.evaluations + draws)
 
-    yield WorkBatch(session, RULE_PHASE, [work], PER_DRAW, learn, more_follows=True)
+    yield WorkBatch(session, RULE_PHASE, [work], PER_DRAW, learn, more_follows=True, part="rule")
     return found
 
 

@@ -277,6 +277,10 @@ _OPTIONAL = {
         "",
         "number of the draw's scenario, from 0, if the job has scenarios",
     ),
+    "part": _column("part", pa.string(), "", "what the work is for, as search or comparison"),
+    "particle_steps": _column(
+        "particle_steps", pa.int64(), "", "that were computed; instants of sets if exact"
+    ),
     "shares": _column(
         "shares", pa.list_(pa.float64()), "", "of the scenarios in the bound, if the worst decides"
     ),
