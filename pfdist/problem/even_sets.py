@@ -169,13 +169,17 @@ class EvenSets:
     def _sets(self, family: Family, lines: list[Line]) -> list[Times | None]:
         """The set of each line of a family; None if it is none."""
         feasible, points = self.feasible, self.feasible.points
-        first, step = (np.array([getattr(each, key) for each in lines]) for key in ("first", "step"))
+        first, step = (
+            np.array([getattr(each, key) for each in lines]) for key in ("first", "step")
+        )
         targets = first[:, None] + step[:, None] * np.arange(family.targets)
         if feasible.visits:
             return [feasible.visits_near(each, family.ways[0][0]) for each in targets.tolist()]
         instants = family.instants[np.searchsorted(family.edges[1:-1], targets)]
         ways = np.array(family.ways)  # (targets, repeats)
-        arrives = instants[:, :, None] + np.array([points.delay(w) for w in range(points.ways)])[ways]
+        arrives = (
+            instants[:, :, None] + np.array([points.delay(w) for w in range(points.ways)])[ways]
+        )
         chosen = (points.first(1) * arrives + ways).reshape(len(lines), -1)
         optional = np.zeros(points.number + 1, np.bool_)
         optional[[*self._optional]] = True
@@ -211,7 +215,7 @@ def _lines(family: Family, most: int) -> list[tuple[float, float, float]]:
         return [(a, 0.0, 0.0) for a in family.positions.tolist()]
     steps = targets - 1
     # Different instants need so long a step:
-    shortest = max(0.0, float((edges[targets - 1 : -1] - edges[1 : -steps]).min()) / steps)
+    shortest = max(0.0, float((edges[targets - 1 : -1] - edges[1:-steps]).min()) / steps)
     longest = (edges[-1] - edges[0]) / steps
     slopes, lines = _slopes(edges, targets, shortest, longest), list[tuple[float, float, float]]()
     for step in slopes.tolist():

@@ -52,6 +52,7 @@ from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
 from pfdist.runner.progress import Reporter, Show
+from pfdist.search.programme import Programme
 from pfdist.store import QUESTIONS, Store, schema
 
 # Between two commits. A kill loses about so much work, and the tasks in flight:
@@ -244,8 +245,8 @@ class RunSession:
         self._later: list[Callable[[], None]] = []
         self._began = self._last_commit = time.monotonic()
         self._waiting = 0
-        # What a driver has computed and a later one needs: rows of this session are not looked up.
-        self.known = dict[str, Any]()
+        # The first programmes of phases, for later drivers: rows of this session are not looked up.
+        self.known = dict[str, Programme]()
 
     def keep(self, phase: str, table: str, rows: pa.Table) -> None:
         """Keep rows for the next commit."""

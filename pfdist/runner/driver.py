@@ -22,12 +22,8 @@ from pfdist.runner.comparison_phase import (
     tables_of_first_draws,
     ways_out,
 )
-<<<<<<< HEAD
-from pfdist.runner.door import RunSession, WorkBatch
-from pfdist.runner.evenly_spaced import best_evenly_spaced, opponent_steps
-=======
 from pfdist.runner.door import Part, RunSession, WorkBatch
->>>>>>> work
+from pfdist.runner.evenly_spaced import best_evenly_spaced, opponent_steps
 from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover

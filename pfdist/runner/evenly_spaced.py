@@ -7,7 +7,7 @@ exact errors there is no race. Particle-steps are limited, at any horizon and nu
 """
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -97,7 +97,9 @@ class EvenSearch:
     def _a_draw(self) -> float:
         """Particle-steps of a set in a draw."""
         instants = self.feasible.horizon + 1
-        return self.phase.settings.estimation.steps_an_instant * instants * self.phase.criterion.apart
+        return (
+            self.phase.settings.estimation.steps_an_instant * instants * self.phase.criterion.apart
+        )
 
     def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
         """The best of the candidates and the given sets, by a race on draws of its own."""
@@ -114,14 +116,17 @@ class EvenSearch:
             scale = min(1.0, steps / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
             fewest = max(BLOCK, self.phase.criterion.fewest)
             race = Race(
-                tuple(sets), max(fewest, math.ceil(scale * _FIRST)), _KEPT, math.ceil(scale * _UNTIL)
+                tuple(sets),
+                max(fewest, math.ceil(scale * _FIRST)),
+                _KEPT,
+                math.ceil(scale * _UNTIL),
             )
             best, *_ = yield from run_phase(self._with(race, race.draws), session)
             return Opponent(best.measurement_times, tried)
         return Opponent(sets[0], tried)
 
     def _exactly(self, session: RunSession) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
-        """The candidates by exact errors, the best first: all if they are few, else the best ranked."""
+        """The candidates by exact errors, the best first: all, or the best of the ranking."""
         lines = self.even.lines(_RANKED)
         sets = [*self.even.of(lines)] if len(lines) <= _RANKED // 10 else []
         tried = 0
@@ -147,14 +152,16 @@ class EvenSearch:
     def programme(self, session: RunSession) -> Generator[WorkBatch, None, Programme | None]:
         """The first programme of the relaxation; None if there is none, or it takes too long."""
         built, phase, feasible = self.built, self.phase, self.feasible
-        if (known := session.known.get(phase.name)) is not None:
-            return known
+        if phase.name in session.known:
+            return session.known[phase.name]
         if not built.job.criterion.additive or built.job.criterion.by_instant:
             return None
         blocks = _RANKING_DRAWS // BLOCK
         most = int(self.steps / 2 / (_RANKING_DRAWS * self._a_draw) * (feasible.horizon + 1))
         try:
-            relaxation = first_relaxation(feasible, feasible.measurements, built.evaluator.lag, most)
+            relaxation = first_relaxation(
+                feasible, feasible.measurements, built.evaluator.lag, most
+            )
         except JobError:
             return None
         if relaxation.offsets[-1] > most and not built.evaluator.exact:
@@ -360,7 +367,7 @@ class _Scan:
         return self.ranked[number][:most]
 
     def _look(self, number: int) -> Generator[WorkBatch, None, Estimate]:
-        """How far the error of the best set of a number lies above the plan's, on separate draws."""
+        """How far the best set of a number lies above the plan's error, on separate draws."""
         built, sets = self.built, self._best_of(number)
         exact = built.evaluator.expected_mse(sets)
         if exact is not None:
@@ -373,9 +380,13 @@ class _Scan:
             def learn(piece: FilterWork, result: Result) -> None:
                 errors[slice(*piece.draws)] = result.mse
 
-            streams = (stream_of("shortlist", built.job.seed, "numbers", key) for key in ("filter", "draws"))
+            seed = built.job.seed
             work = built.evaluator.work(
-                [self.plan, *sets], *streams, (0, self.draws), settings_of(built).estimation
+                [self.plan, *sets],
+                stream_of("shortlist", seed, "numbers", "filter"),
+                stream_of("shortlist", seed, "numbers", "draws"),
+                (0, self.draws),
+                settings_of(built).estimation,
             )
             yield WorkBatch(self.session, EVEN_PHASE, [work], None, learn, part="scan")
             differences = [*map(Estimate.of_mean, (errors[:, 1:] - errors[:, :1]).T)]

@@ -84,7 +84,10 @@ class Programme:
             places = np.flatnonzero(sizes == size)
             following = np.full((places.size, size + 1), relaxation.end)
             following[:, :size] = [sets[place] for place in places.tolist()]
-            windows, is_path = np.full(following.shape, relaxation.index[START]), np.full(places.size, True)
+            windows, is_path = (
+                np.full(following.shape, relaxation.index[START]),
+                np.full(places.size, True),
+            )
             for k in range(size):
                 after = relaxation.after[windows[:, k], following[:, k]]
                 is_path &= after >= 0
