@@ -14,6 +14,7 @@ Lag = int | tuple[int, ...]
 """Instants after t whose measurements the estimate of z(t) uses: of all t, or (T+1,) of each."""
 REGULAR: Final = "regular"  # name of the regular times in jobs and tables
 EVEN: Final = "evenly_spaced"  # name of the best evenly spaced times in tables
+MOST_REGULAR: Final = 2  # so few times are always evenly spaced: their opponent is regular times
 
 
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:

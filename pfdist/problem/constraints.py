@@ -59,7 +59,7 @@ class Constraints:
     # Constraints on each sensor alone; none if no sensor has any
     limits: tuple[Limit, ...] = ()
     cheapest: int = 0  # number of the sensor that measures at regular times
-    sensors: tuple[Times, ...] = ()  # the ways of each sensor: several if it repeats
+    sensors: tuple[Times, ...] = ()  # the ways of each sensor; by default each way is one
     visits: Visits | None = None
     # Price of the installation of some sensors, paid once if any of these measures
     installs: tuple[tuple[Money, Times], ...] = ()
@@ -73,6 +73,8 @@ class Constraints:
     def __post_init__(self) -> None:
         if self.points is None:
             object.__setattr__(self, "points", Points(Clock.counting(self.horizon)))
+        if not self.sensors:
+            object.__setattr__(self, "sensors", tuple((way,) for way in range(self.points.ways)))
 
     @property
     def counted(self) -> bool:

@@ -140,7 +140,7 @@ class EvenSets:
     @property
     def _turns(self) -> Iterator[tuple[Times, ...]]:
         """The ways that measure at one target after another, again and again."""
-        sensors = self.feasible.sensors or ((0,),)
+        sensors = self.feasible.sensors
         for ways in sensors:
             yield from ((ways[:number],) for number in range(1, len(ways) + 1))
         if len(sensors) > 1 and not self.feasible.visits:

@@ -93,9 +93,12 @@ class Feasible(Constraints):
 
         Without sensors there are none. Sets that are not feasible are left out.
         """
-        names = self.points.sensors
-        turns: dict[str, Times] = {f"alone_{name}": (way,) for way, name in enumerate(names)}
-        turns |= {"rotation": tuple(range(len(names)))} if names else {}
+        firsts = [ways[0] for ways in self.sensors]
+        if len(firsts) < 2:
+            return {}
+        names = {way: self.points.sensors[way].removesuffix("_a") for way in firsts}
+        turns: dict[str, Times] = {f"alone_{name}": (way,) for way, name in names.items()}
+        turns |= {"rotation": tuple(firsts)}
         return {
             name.lower().replace("-", "_"): times
             for name, ways in turns.items()

@@ -194,9 +194,10 @@ class Comparison(JobSection):
     """The comparison of sets of times with the reference, on the same fresh draws.
 
     The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
-    "evenly spaced", the best of many evenly spaced sets, chosen on draws of its own; "regular", the
-    feasible set nearest to the paper's regular times, from the first instant to the last; a set of
-    times in 0..T or on the clock; or the name of a given set. A given set may break constraints.
+    "evenly spaced", the best of all evenly spaced sets and of the feasible given sets, chosen on
+    separate draws; "regular", the feasible set nearest to the paper's regular times, from the first
+    instant to the last; a set of times in 0..T or on the clock; or the name of a given set. A given
+    set may break constraints.
 
     Parameters
     ----------
@@ -206,6 +207,8 @@ class Comparison(JobSection):
         The set with which the others are compared.
     sets : dict of str to times, clock
         At most 100 sets by name; names are lower-case letters, digits and underscores.
+    labels : dict of str to str
+        What answers call these sets, as "30 min and 1 h after meals"; by default their names.
     control : bool
         Whether a second filter, with the truth among its particles, reduces the variance of means
         for twice the work. By default, `compare`, `budget` and `why` use it where the filter's
@@ -217,6 +220,7 @@ class Comparison(JobSection):
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     reference: str | MomentsAndRanges = EVENLY_SPACED
     sets: Annotated[dict[_SetName, _SetTimes], Field(max_length=MOST_SETS)] | None = None
+    labels: dict[_SetName, Annotated[str, Field(min_length=1, max_length=80)]] | None = None
     control: bool | None = None
     also: Listed[CriterionName] | None = None
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pfdist.common.measurement_times import EVEN, REGULAR
+from pfdist.common.measurement_times import EVEN, MOST_REGULAR, REGULAR
 from pfdist.problem.methods import METHODS
 from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED, REFERENCE
 
@@ -62,6 +62,10 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     ['plan', 'genetic plan']
     >>> labels_of_sets(["relaxation"], {}), labels_of_sets(["relaxation", "genetic"], {})
     ({'relaxation': 'plan'}, {'relaxation': 'relaxation', 'genetic': 'genetic'})
+    >>> labels_of_sets(["evenly_spaced"], {"problem": {"measurement_budget": 2}})
+    {'evenly_spaced': 'regular'}
+    >>> labels_of_sets(["hand"], {"comparison": {"labels": {"hand": "an hour after meals"}}})
+    {'hand': 'an hour after meals'}
     >>> labels_of_sets(["evenly_spaced_05", "genetic_05"], {**job, "budget": {}})
     {'evenly_spaced_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
     >>> labels_of_sets(["genetic_300"], {**job, "budget": {}, "problem": {"total_price": 500}})
@@ -74,7 +78,9 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     if not searches:  # a comparison has sets of runs, and several that were found are named alike
         found = [column for column in keys if column.endswith((*METHODS,))]
         searches = [DEFAULT_METHOD] * (found == [DEFAULT_METHOD])
-    labels = {EVEN: EVENLY_SPACED}
+    number = job.get("problem", {}).get("measurement_budget") or MOST_REGULAR + 1
+    labels = {EVEN: REGULAR if number <= MOST_REGULAR and "budget" not in job else EVENLY_SPACED}
+    labels |= job.get("comparison", {}).get("labels") or {}
     for sensor in job.get("problem", {}).get("sensors", ()):
         labels |= {f"alone_{sensor.lower().replace('-', '_')}": f"{sensor}{_ALONE}"}
         labels["rotation"] = _IN_TURN
@@ -95,6 +101,8 @@ def phrase_of(label: str) -> str:
     ('the plan', '5 evenly spaced times', 'the set mine')
     >>> phrase_of("evenly spaced for 300"), phrase_of("genetic plan of 5")
     ('evenly spaced times for 300', 'the genetic plan of 5')
+    >>> print(phrase_of("an hour after meals"))
+    "an hour after meals"
     """
     origin, _, price = label.partition(" for ")
     if price:
@@ -104,7 +112,9 @@ def phrase_of(label: str) -> str:
     if label.endswith((_ALONE, _IN_TURN)):
         return label
     is_title = label.partition(" of ")[0].split(" ")[-1] in (PLAN, REFERENCE)
-    return f"the {label}" if is_title else f"the set {label}"
+    if is_title:
+        return f"the {label}"
+    return f'"{label}"' if " " in label else f"the set {label}"
 
 
 def _label(origin: str, key: SetKey, is_money: bool) -> str:

@@ -47,6 +47,8 @@ def compared(subject: Subject) -> Section | None:
     if not (subject.is_compared and named_sets(run)):
         return None
     ranks, pairs = (rows_of(run.table(name)) for name in ("ranks", "pairs"))
+    ranks = [row for row in ranks if row.name in subject.distinct]
+    pairs = [pair for pair in pairs if {pair.first, pair.second} <= {*subject.distinct}]
     if not subject.criterion.is_mean:
         values = {name: row.criterion_value for name, row in subject.rows.items()}
         ranks.sort(key=lambda row: math.inf if (v := values[row.name]) is None else float(v))
@@ -124,7 +126,7 @@ def _lower(pairs: Iterable[Row], name: str, other: str) -> tuple[Any, Any, Any]:
 
 
 def _set_row(subject: Subject, row: Row, pairs: Sequence[Row], best: str) -> list[Cell]:
-    of_set = subject.rows[row.name]
+    of_set = subject.distinct[row.name]
     gain, low, high = _lower(pairs, row.name, best)
     above = (None if each is None else -each for each in (gain, high, low))
     return [

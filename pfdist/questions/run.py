@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Unpack
 
 from pfdist.common.arguments import paths_argument
+from pfdist.common.measurement_times import EVEN
 from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.engines import AUTO
@@ -32,6 +33,7 @@ from pfdist.runner.information_prover import prover_of
 from pfdist.runner.progress import Detail, Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
+from pfdist.runner.searches import shortlist_of
 from pfdist.store import (
     EVEN_PHASE,
     add_to_provenance,
@@ -215,7 +217,10 @@ def compute(
         session.reporter.foresee(proof - foreseen, -foreseen)
         if (proves or is_alone) and not is_scanned:
             yield from compare_evenly_spaced(session, run)
-            session.store.settle("timings", EVEN_PHASE)
+            session.commit()
+            for table in ("error_sums", "timings"):
+                for phase in (EVEN_PHASE, shortlist_of(EVEN)):
+                    session.store.settle(table, phase)
         if prover is not None and proves:
             publish_sets(run)
             if "budget" in run.job:

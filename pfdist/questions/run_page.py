@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import (
     Block,
     Cell,
@@ -203,9 +204,8 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
 def _gain(subject: Subject, row: Row) -> str:
     reference = subject.reference_row
     if row.measurement_times == reference.measurement_times:
-        times = subject.clock.listed(row.measurement_times)
-        phrase = phrase_of(reference.label)
-        return f"{phrase[0].upper()}{phrase[1:]} are as good: t = {times}."
+        are = "These are" if reference.name == EVEN else "This is"
+        return f"{are} {phrase_of(reference.label)}, so planning gains nothing here."
     if row.gain_of_means is None or math.isinf(row.gain_of_means) or not row.gain_draws:
         return "The gain is not known, because errors are 0, infinite or unknown."
     interval = row.gain_of_means_low, row.gain_of_means_high
@@ -241,7 +241,7 @@ def _as_good(subject: Subject, row: Row) -> str:
     if not row.evenly_spaced or row.evenly_spaced == row.measurements:
         return ""
     draws = int(subject.run.table("evenly_spaced")["draws"].max())
-    estimated = f" (quick estimate on {draws:,} of these draws)" if draws else " (exact)"
+    estimated = f" (quick estimate on {draws:,} of these draws)" * bool(draws)
     return f"{as_good_text(row)}{estimated}."
 
 
@@ -273,7 +273,7 @@ def gains(subject: Subject) -> Section | None:
     draws = number_of(subject.run.draws_compared, "draw")
     fresh = " that took no part in the search" if found_sets(subject.run) else ""
     caption = f"Expected MSE{subject.of_the_estimate} on {draws}{fresh}"
-    table = sets_table(caption, subject.rows.values(), _GAINS_SHOWN, heads=subject.heads)
+    table = sets_table(caption, subject.distinct.values(), _GAINS_SHOWN, heads=subject.heads)
     said: list[Block] = [table, *_papers_gains(subject), Text(_GAINS, detail=True)]
     blocks: list[Block] = [
         *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it

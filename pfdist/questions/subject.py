@@ -16,6 +16,7 @@ from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.clock import Clock
 from pfdist.problem.problem_section import FILTERED, SMOOTHED
+from pfdist.problem.sections import EVENLY_SPACED
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
@@ -68,6 +69,16 @@ class Subject:
     def rows(self) -> dict[str, Row]:
         """The rows of the table of sets by name, the reference first."""
         return {row.name: row for row in rows_of_sets(self.run)}
+
+    @cached_property
+    def distinct(self) -> dict[str, Row]:
+        """The rows of sets with different times, by name; sets with the same times are one row."""
+        first, rows = dict[tuple[Any, ...], str](), dict[str, Row]()
+        for name, row in self.rows.items():
+            known = first.setdefault((*row.measurement_times, row.budget), name)
+            label = row.label if known == name else f"{rows[known].label} = {row.label}"
+            rows[known] = Row(**vars(rows.get(known, row)) | {"label": label})
+        return rows
 
     @property
     def reference_row(self) -> Row:
@@ -157,11 +168,22 @@ class Subject:
         """The reference as sentences call it: ``regular times (t = 0, 3, 6, ..., 60)``."""
         row = self.reference_row
         if row.name not in (EVEN, REGULAR):
-            return phrase_of(row.label)
+            others = " (the best opponent)" * (EVEN in self.rows)
+            return f"{phrase_of(row.label)}{others}"
         written = [self.clock.text(each) for each in row.measurement_times]
         listed = [*written[:3], "...", written[-1]] if len(written) > _LISTED else written
-        best = "the best " * (row.name == EVEN)
-        return f"{best}{phrase_of(row.label)} (t = {', '.join(listed)})"
+        phrase = phrase_of(row.label)
+        if row.label == EVENLY_SPACED:
+            tried = self.evenly_spaced_tried
+            of = f"{number_of(tried, 'evenly spaced set')} that were tried" if tried else ""
+            phrase = f"the best of {of}" if tried else f"the best {phrase}"
+        return f"{phrase} (t = {', '.join(listed)})"
+
+    @property
+    def evenly_spaced_tried(self) -> int:
+        """The number of evenly spaced sets of which the reference is the best; 0: of all."""
+        compared = self.run.table("compared")
+        return int(compared["tried"].fillna(0).max()) if "tried" in compared else 0
 
     @cached_property
     def quantities(self) -> tuple[Component, ...]:
@@ -323,5 +345,5 @@ def number_of(count: int, what: str) -> str:
 def all_sets(subject: Subject) -> Table:
     """A table of all sets of times, folded away."""
     columns = ("label", "measurements", "price", "measurement_times")
-    rows = subject.rows.values()
+    rows = subject.distinct.values()
     return sets_table("All sets of times", rows, columns, listed=subject.clock.listed, detail=True)

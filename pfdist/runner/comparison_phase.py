@@ -176,11 +176,13 @@ def comparison_steps(built: Built) -> int:
 
 
 def _work(built: Built, sets: Mapping[str, Times]) -> FilterWork:
-    """All sets on the same draws, each with filter noise of its own; the draws are still open."""
+    """All sets on the same draws, each with separate filter noise; the draws are still open."""
     seed, purpose = built.job.seed, built.study.purpose
     last = built.job.problem.points.number - 1
     checked = [validated(times, last, name) for name, times in sets.items()]
-    streams = tuple(stream_of(purpose, seed, "filter", name) for name in sets)
+    # The same times have the same noise, so their errors are equal.
+    first = {times: name for name, times in reversed([*sets.items()])}
+    streams = tuple(stream_of(purpose, seed, "filter", first[times]) for times in sets.values())
     return built.evaluator.work(
         checked,
         0,

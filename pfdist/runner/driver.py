@@ -97,11 +97,14 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     """The sets that are compared, by name, after every search has ended."""
     built = session.built
     given = {**built.study.unsearched}
+    tried = dict[str, int]()
     for name in built.study.even:
         found = yield from best_evenly_spaced(session, name)
-        given[name] = found.times
+        given[name], tried[name] = found.times, found.tried
+        given = {found.best: given[found.best], **given}  # the best opponent is the reference
     rows: list[dict[str, Any]] = [
-        {"name": name, "measurement_times": times} for name, times in given.items()
+        {"name": name, "measurement_times": times, "tried": tried.get(name)}
+        for name, times in given.items()
     ]
     for search in built.searches:
         winners = yield from run_search(session, search)
@@ -124,7 +127,8 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
             )
     for position, row in enumerate(rows):
         row["position"] = position
-    optional, times = list[str](), [row["measurement_times"] for row in rows]
+    optional = ["tried"] if tried else []
+    times = [row["measurement_times"] for row in rows]
     exact = built.evaluator.expected_mse(times)
     other = built.evaluator.other_estimate.expected_mse(
         times, criterion=built.job.criterion.of_errors
@@ -168,7 +172,9 @@ def run_online(session: RunSession, sets: Mapping[str, Times]) -> Generator[Work
     The job must have a section [online]. The initial plan is the compared set of the first search.
     """
     built, reporter = session.built, session.reporter
-    work, start = online_work(built, sets[built.searches[0].name]), reporter.progress.done
+    plan = sets[built.searches[0].name]
+    first = next(name for name, times in sets.items() if times == plan)  # whose noise it has
+    work, start = online_work(built, plan, first), reporter.progress.done
     draws = work.draws[1]
     reporter.begin("online")
 
@@ -194,19 +200,17 @@ def online_steps(built: Built) -> int:
     """Approximate number of particle-steps of the phase; 0 without a section [online]."""
     if built.job.online is None:
         return 0
-    work = online_work(built, built.job.problem.feasible.regular())
+    work = online_work(built, built.job.problem.feasible.regular(), "")
     return work.draws[1] * work.steps_a_draw
 
 
-def online_work(built: Built, plan: Times) -> OnlineWork:
-    """The work for all draws of a job with a section [online]."""
+def online_work(built: Built, plan: Times, name: str) -> OnlineWork:
+    """The work for all draws of a job with a section [online]; `name` keys the filters' noise."""
     job, purpose, online = built.job, built.study.purpose, built.job.online or Online()
-    # With the noise of this set in the comparison: a draw that keeps the plan has the same error.
-    planner = built.searches[0].name
     return OnlineWork(
         measurement_times=(plan,),
         ends=(job.problem.feasible.horizon,),
-        filter_streams=(stream_of(purpose, job.seed, "filter", planner),),
+        filter_streams=(stream_of(purpose, job.seed, "filter", name),),
         draws_stream=stream_of(purpose, job.seed, "draws"),
         draws=(0, online.draws),
         estimation=built.comparing,

@@ -7,16 +7,16 @@ exact errors there is no race. Particle-steps are limited, at any horizon and nu
 """
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
-from pfdist.common.measurement_times import EVEN, REGULAR, Times
+from pfdist.common.measurement_times import EVEN, MOST_REGULAR, REGULAR, Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError
 from pfdist.filters.work import BLOCK, FilterWork, Result
@@ -59,10 +59,11 @@ _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
 
 @dataclass(frozen=True)
 class Opponent:
-    """The best evenly spaced set that was found, and how many sets were looked at."""
+    """The best evenly spaced set that was found, and the best of all opponents."""
 
     times: Times
-    tried: int  # 0: all that there are
+    tried: int  # number of evenly spaced sets that were looked at; 0: all that there are
+    best: str  # name of the best opponent
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class EvenSearch:
     built: Built
     name: str  # of the opponent
     feasible: Feasible
-    given: tuple[Times, ...] = ()  # other sets that take part in the race
+    given: Mapping[str, Times]  # the user's own opponents, by name; they take part in the race
 
     @cached_property
     def even(self) -> EvenSets:
@@ -103,40 +104,47 @@ class EvenSearch:
 
     def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
         """The best of the candidates and the given sets, by a race on draws of its own."""
-        regular = self.feasible.regular()
-        if self.feasible.counted and self.feasible.total <= 2 and not self.given:
-            return Opponent(regular, 0)  # every set is evenly spaced
-        if self.built.evaluator.exact:
-            sets, tried = yield from self._exactly(session)
-            return Opponent(sets[0] if sets else regular, tried)
-        ranked, tried = yield from self._ranked(session)
-        sets = [*dict.fromkeys((*self.given, *ranked[:_RACING]))] or [regular]
-        if len(sets) > 1:
-            steps = self.steps / 2
-            scale = min(1.0, steps / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
-            fewest = max(BLOCK, self.phase.criterion.fewest)
-            race = Race(
-                tuple(sets),
-                max(fewest, math.ceil(scale * _FIRST)),
-                _KEPT,
-                math.ceil(scale * _UNTIL),
-            )
-            best, *_ = yield from run_phase(self._with(race, race.draws), session)
-            return Opponent(best.measurement_times, tried)
-        return Opponent(sets[0], tried)
+        given, tried = dict.fromkeys(self.given.values()), 0
+        if self.feasible.counted and self.feasible.total <= MOST_REGULAR:
+            ranked = [self.feasible.regular()]  # every set is evenly spaced
+        elif self.built.evaluator.exact:
+            ranked, tried = yield from self._candidates(session)
+        else:
+            ranked, tried = yield from self._ranked(session)
+            ranked = ranked[:_RACING]
+        ranked = ranked or [self.feasible.regular()]
+        order = [*dict.fromkeys((*given, *ranked))]
+        if len(order) > 1:
+            order = yield from self._raced(session, order)
+        even = next(times for times in order if times in {*ranked})
+        names = (name for name, times in self.given.items() if times == order[0] != even)
+        return Opponent(even, tried, next(names, self.name))
 
-    def _exactly(self, session: RunSession) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
-        """The candidates by exact errors, the best first: all, or the best of the ranking."""
-        lines = self.even.lines(_RANKED)
-        sets = [*self.even.of(lines)] if len(lines) <= _RANKED // 10 else []
-        tried = 0
-        if not 0 < len(sets) <= _IF_EXACT:
-            sets, tried = yield from self._ranked(session)
-        sets = [*dict.fromkeys((*self.given, *sets[:_IF_EXACT]))]
+    def _raced(
+        self, session: RunSession, sets: list[Times]
+    ) -> Generator[WorkBatch, None, list[Times]]:
+        """The sets, the best first: by exact errors, or by a race."""
         errors = self.built.evaluator.expected_mse(sets, criterion=self.built.job.criterion)
-        session.count_exact(self.phase.name, "opponent", len(sets) * (self.feasible.horizon + 1))
-        order = [] if errors is None else np.argsort(errors, kind="stable").tolist()
-        return [sets[place] for place in order], tried
+        if errors is not None:
+            instants = len(sets) * (self.feasible.horizon + 1)
+            session.count_exact(self.phase.name, "opponent", instants)
+            return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
+        scale = min(1.0, self.steps / 2 / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
+        draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
+        race = Race(tuple(sets), draws, _KEPT, math.ceil(scale * _UNTIL))
+        raced = yield from run_phase(self._with(race, race.draws), session)
+        return [each.measurement_times for each in raced]
+
+    def _candidates(
+        self, session: RunSession
+    ) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
+        """The candidates for exact errors, and their number: all, or the best of the ranking."""
+        lines = self.even.lines(_IF_EXACT * 10)
+        sets = [] if any(line.apart for line in lines) else [*self.even.of(lines)]
+        if 0 < len(sets) <= _IF_EXACT:
+            return sets, 0
+        ranked, tried = yield from self._ranked(session)
+        return ranked[:_IF_EXACT], tried
 
     def _ranked(self, session: RunSession) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
         """Candidates, the best first, and how many there were; 0 if these are all."""
@@ -179,6 +187,7 @@ class EvenSearch:
             windows, session, phase.sums, blocks, phase.purpose
         )
         errors = np.concatenate([each.errors_of_instants for each in evaluations])
+        session.later(partial(session.store.settle, "error_sums", phase.name))
         programme = Programme(relaxation, np.nan_to_num(errors, nan=np.inf), relaxation.total)
         session.known[phase.name] = programme
         return programme
@@ -239,7 +248,12 @@ def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, N
 
 
 def _search_of(built: Built, name: str) -> EvenSearch:
-    return EvenSearch(built, name, built.study.even[name])
+    given = {
+        each: times
+        for each, times in built.job.given_sets.items()
+        if times is not None and built.study.even[name].allows(times)
+    }
+    return EvenSearch(built, name, built.study.even[name], {} if built.job.budget else given)
 
 
 # --- how many do as well --------------------------------------------------------------------------
@@ -285,8 +299,8 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
     if not math.isfinite(mean):
         return
     scan = _Scan(session, measured[name], error, mean, math.ceil(scale * _FEW))
-    if run.references[name] == built.job.comparison.reference_name in (EVEN, REGULAR):
-        scan.ranked[feasible.measurements] = [measured[run.references[name]]]
+    if (given := built.job.comparison.reference_name) in (EVEN, REGULAR):
+        scan.ranked[feasible.measurements] = [measured[given]]
     if built.job.comparison.is_even:
         scan.programme = yield from _search_of(built, EVEN).programme(session)
     yield from scan.judge()

@@ -277,6 +277,9 @@ _OPTIONAL = {
         "",
         "number of the draw's scenario, from 0, if the job has scenarios",
     ),
+    "tried": _column(
+        "tried", pa.int64(), "", "evenly spaced sets that were looked at; 0: all that there are"
+    ),
     "part": _column("part", pa.string(), "", "what the work is for, as search or comparison"),
     "particle_steps": _column(
         "particle_steps", pa.int64(), "", "that were computed; instants of sets if exact"
