@@ -44,6 +44,7 @@ from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
     NamedSearch,
     Settings,
+    coarse_of,
     comparing_of,
     named_search,
     planning_of,
@@ -68,7 +69,7 @@ class Built:
     @property
     def phases(self) -> list[str]:
         """Names of all phases that choose sets."""
-        references = map(shortlist_of, self.study.even)
+        references = (of(name) for name in self.study.even for of in (coarse_of, shortlist_of))
         return [*references, *(phase for search in self.searches for phase in search.phases)]
 
     @property

@@ -35,7 +35,7 @@ from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.progress import Detail
 from pfdist.runner.search_phase import search_steps
-from pfdist.runner.searches import Settings, shortlist_of
+from pfdist.runner.searches import Settings, coarse_of, shortlist_of
 from pfdist.search import Candidate, Race, Refine
 from pfdist.search.programme import Programme
 from pfdist.search.state_space_relaxation import first_relaxation
@@ -154,7 +154,8 @@ class EvenSearch:
         spread = int(self.steps / 2 / (_COARSE_DRAWS * self._a_draw * 2.5))
         refine = Refine(self.even, max(8, min(spread, 60)))
         draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
-        found = yield from run_phase(self._with(refine, draws), session)
+        coarse = replace(self._with(refine, draws), name=coarse_of(self.name))
+        found = yield from run_phase(coarse, session)
         return [each.measurement_times for each in found], len(found)
 
     def programme(self, session: RunSession) -> Generator[WorkBatch, None, Programme | None]:

@@ -74,6 +74,11 @@ def shortlist_of(name: str) -> str:
     return f"{name}.shortlist"
 
 
+def coarse_of(name: str) -> str:
+    """Name of the phase that evaluates evenly spaced sets from coarse to fine."""
+    return f"{name}.coarse"
+
+
 @dataclass(frozen=True)
 class NamedSearch:
     """An optimiser with its name in the tables and the settings of its evaluations."""

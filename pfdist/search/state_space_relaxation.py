@@ -306,9 +306,10 @@ def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation])
 
 
 def first_relaxation(
-    feasible: Feasible, measurements: int, lag: Lag, most_cells: int = MOST_CELLS
+    feasible: Feasible, measurements: int, lag: Lag, most_cells: int | None = None
 ) -> Relaxation:
     """The relaxation with which a search begins, for a usual number of measurements and a lag."""
+    most_cells = most_cells or MOST_CELLS
     if lag:
         return gaps_for(feasible, measurements, lag, most_cells, LOOKAHEAD)
     return relaxation_within(feasible, measurements, most_cells)

@@ -1,0 +1,152 @@
+"""The opponent of a plan: no evenly spaced set that a reader can find does better.
+
+Errors are exact (Kalman filter), systems are random, and the candidates are enumerated by a lattice
+of real first and last targets (`oracles.even`).
+"""
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.even import even_instants, spaced_around
+from oracles.in_turn import in_turn
+from pfdist import Sensor, StateSpaceModel
+from pfdist.problem.job import Job
+from pfdist.problem.sections import DEFAULT_METHOD
+from pfdist.questions.run_of_job import searched_by
+from pfdist.runner.build import Built, build
+from pfdist.runner.evenly_spaced import best_evenly_spaced
+
+SYSTEMS = 6
+CLOCK = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22)
+
+Sets = Iterator[tuple[int, ...]]
+
+
+def _model(seed: int, horizon: int, sensors: int = 1) -> StateSpaceModel:
+    """A scalar system whose noise, and that of its sensors, differs at each instant."""
+    rng = np.random.default_rng(seed)
+    sd = {
+        name: tuple(np.sqrt(rng.uniform(low, high, horizon + 1)).tolist())
+        for name, low, high in (("q", 0.05, 1.5), ("r", 0.2, 2.5), ("s", 0.2, 2.5))
+    }
+
+    def sensor(name: str) -> dict[str, Any]:
+        return {
+            "measurement": lambda x, t, v, p: (x[0] + getattr(p, name)[t] * v[0],),
+            "log_likelihood": lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / getattr(p, name)[t]) ** 2,
+            "measurement_noise": ("normal",),
+        }
+
+    several = {"sensors": {"a": Sensor(**sensor("r")), "b": Sensor(**sensor("s"))}}
+    return StateSpaceModel(
+        name="rough",
+        initial=lambda w, p: (2.0 * w[0],),
+        transition=lambda x, t, w, p: (0.95 * x[0] + p.q[t] * w[0],),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        parameters=sd,
+        linear_gaussian=True,
+        **(several if sensors > 1 else sensor("r")),
+    )
+
+
+def _built(seed: int, horizon: int, sensors: int = 1, **problem: Any) -> Built:
+    own = {} if "times" in problem else {"horizon": horizon}
+    model = _model(seed, horizon, sensors)
+    job = pfdist.Problem(model, engine="kalman", **own, **problem).job(seed=1)
+    return build(job.with_changes(sections=searched_by(DEFAULT_METHOD)))
+
+
+def _opponent(built: Built) -> tuple[int, ...]:
+    """The best evenly spaced set, by the driver of a run with an exact engine."""
+    session: Any = SimpleNamespace(
+        built=built, known={}, count_exact=lambda *_: None, later=lambda _: None,
+        store=SimpleNamespace(settle=None),
+    )  # fmt: skip
+    driver = best_evenly_spaced(session, "evenly_spaced")
+    with pytest.raises(StopIteration) as ended:
+        next(driver)
+    times: tuple[int, ...] = ended.value.value.times
+    return times
+
+
+def _free(job: Job, number: int) -> Sets:
+    yield from even_instants(job.problem.clock.times, number)
+
+
+def _of_two(job: Job, number: int) -> Sets:
+    for each in even_instants(job.problem.clock.times, number):
+        for ways in ((0,), (1,), (0, 1), (1, 0)):
+            yield tuple(2 * t + ways[k % len(ways)] for k, t in enumerate(each))
+
+
+def _repeated(job: Job, number: int) -> Sets:
+    for each in even_instants(job.problem.clock.times, number):
+        yield tuple(2 * t for t in each)
+    for each in even_instants(job.problem.clock.times, number // 2):
+        yield tuple(2 * t + way for t in each for way in (0, 1))
+
+
+def _paid(job: Job, number: int) -> Sets:
+    feasible = job.problem.feasible
+    for each in range(1, 9):
+        yield from (
+            times
+            for times in even_instants(job.problem.clock.times, each)
+            if feasible.price_of(times) <= feasible.total_price
+        )
+
+
+def _around(job: Job, number: int) -> Sets:
+    feasible = job.problem.feasible
+    allowed = {*range(feasible.horizon + 1)} - {*feasible.forbidden}
+    yield from spaced_around(job.problem.clock.times, number, allowed, feasible.required)
+
+
+def _apart(job: Job, number: int) -> Sets:
+    yield from (s for s in even_instants(job.problem.clock.times, number) if np.diff(s).min() >= 3)
+
+
+def _visiting(job: Job, number: int) -> Sets:
+    """Two visits of three instants, as spread as N measurements allow."""
+    for visits in (1, 2):
+        for targets in even_instants(range(4), visits):
+            each = -(-number // visits)
+            if each <= 3:
+                inside = np.linspace(0, 2, each).round().astype(int).tolist()
+                times = [3 * v + t for v in targets for t in inside]
+                yield from [tuple(times)] if len(times) == number else []
+
+
+KINDS: dict[str, tuple[dict[str, Any], Any]] = {
+    "free": ({}, _free),
+    "an uneven clock": ({"times": CLOCK}, _free),
+    "two sensors": ({"sensors": 2}, _of_two),
+    "repeats": ({"sensor": {"repeats": 2}, "measurement_budget": 4}, _repeated),
+    "prices": ({"price": [1] * 7 + [2] * 6, "total_price": 6, "measurement_budget": None}, _paid),
+    "required": ({"required": [2, 3, 11]}, _around),
+    "a forbidden gap": ({"forbidden": [4, 5, 6, 7]}, _around),
+    "spacing": ({"minimum_spacing": 3}, _apart),
+    "visits": ({"visits": {"allowed": ["0:2", "3:5", "6:8", "9:11"], "most": 2}}, _visiting),
+    "smoothed": ({"estimate": "smoothed"}, _free),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@in_turn("seed", range(SYSTEMS))
+def test_no_evenly_spaced_set_does_better(kind: str, seed: int) -> None:
+    keys, own_sets = KINDS[kind]
+    number = 4 if kind in ("repeats", "visits") else 4 + seed % 2
+    problem = {"measurement_budget": number + len(keys.get("required", ())), **keys}
+    built = _built(seed, 12, **{key: each for key, each in problem.items() if each is not None})
+    evaluator, feasible = built.evaluator, built.job.problem.feasible
+    own = [s for s in dict.fromkeys(own_sets(built.job, feasible.total)) if feasible.allows(s)]
+    least = min(evaluator.expected_mse(own))
+    (found,) = evaluator.expected_mse([_opponent(built)])
+    assert found <= least * (1 + 1e-9)
