@@ -112,7 +112,7 @@ class EvenSets:
     @cached_property
     def families(self) -> list[Family]:
         """All families that may have a set."""
-        return [*dict.fromkeys(self._families())] if self.feasible.visits else [*self._families()]
+        return [*self._families()]
 
     def _families(self) -> Iterator[Family]:
         feasible, points = self.feasible, self.feasible.points
@@ -126,6 +126,9 @@ class EvenSets:
             if 0 < made.size < times.size:
                 rulers.append((made, _cut(times, made)))
             for number in self._numbers:
+                if feasible.visits:
+                    yield Family(number, turn[:1] * number, every, times)
+                    continue
                 targets, rest = divmod(number, len(turn[0]))
                 if rest:
                     continue

@@ -241,6 +241,15 @@ class Comparison(JobSection):
                 )
         return sets or None
 
+    @model_validator(mode="after")
+    def _labels_name_sets(self) -> Self:
+        for name in {*(self.labels or {})} - {*(self.sets or {})}:
+            raise ValueError(
+                f"comparison.labels must name sets of comparison.sets, got {name!r}; sets: "
+                f"{', '.join(self.sets or {}) or 'none'}"
+            )
+        return self
+
     @property
     def named(self) -> dict[str, str | tuple[Time | str, ...]]:
         """The sets that the job gives by name, as written; "regular" means regular times."""

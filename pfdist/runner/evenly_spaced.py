@@ -46,7 +46,7 @@ SHARE = 0.05
 _PROVED = 2  # with a proof, all of them take about so many times the search and the comparison
 
 _RANKED = 100_000  # lines of a ranking; the paper's problem has 39,627 sets
-_IF_EXACT = 1000  # sets whose exact errors are compared
+_EXACTLY = 200_000, 20, 1000  # instants of the sets with exact errors; least and most sets
 _NEAR, _LEVELS = 16, 3  # lines near which others are ranked, and how often, if not all are
 _RANKING_DRAWS = 2 * BLOCK
 _RACING, _KEPT, _UNTIL, _FIRST = 20, 12, 600, 150  # sets of a race; those kept until so many draws
@@ -105,7 +105,8 @@ class EvenSearch:
     def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
         """The best of the candidates and the given sets, by a race on draws of its own."""
         given, tried = dict.fromkeys(self.given.values()), 0
-        if self.feasible.counted and self.feasible.total <= MOST_REGULAR:
+        is_single = self.built.job.budget is None and self.feasible.counted
+        if is_single and self.feasible.total <= MOST_REGULAR:
             ranked = [self.feasible.regular()]  # every set is evenly spaced
         elif self.built.evaluator.exact:
             ranked, tried = yield from self._candidates(session)
@@ -139,12 +140,13 @@ class EvenSearch:
         self, session: RunSession
     ) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
         """The candidates for exact errors, and their number: all, or the best of the ranking."""
-        lines = self.even.lines(_IF_EXACT * 10)
+        most = most_if_exact(self.feasible)
+        lines = self.even.lines(most * 10)
         sets = [] if any(line.apart for line in lines) else [*self.even.of(lines)]
-        if 0 < len(sets) <= _IF_EXACT:
+        if 0 < len(sets) <= most:
             return sets, 0
         ranked, tried = yield from self._ranked(session)
-        return ranked[:_IF_EXACT], tried
+        return ranked[:most], tried
 
     def _ranked(self, session: RunSession) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
         """Candidates, the best first, and how many there were; 0 if these are all."""
@@ -197,6 +199,12 @@ class EvenSearch:
         return replace(
             self.phase, optimiser=optimiser, settings=replace(self.phase.settings, draws=draws)
         )
+
+
+def most_if_exact(feasible: Feasible) -> int:
+    """The number of sets whose exact errors are compared."""
+    instants, least, most = _EXACTLY
+    return min(most, max(least, instants // (feasible.horizon + 1)))
 
 
 def ranking(even: EvenSets, programme: Programme, most: int) -> tuple[list[Times], int]:
@@ -264,7 +272,8 @@ _FEW = 250  # of a look; they also judge, if the difference is so clear
 _LEAST = 0.25  # of these numbers of draws, which a limit of work may reduce
 _CLEAR = 0.999
 _LOOKED = 3  # sets of a number that a look filters, on as few draws
-_LINES = 1000  # of a number
+_LINES, _FEW_LINES = 1000, 300  # of a number; fewer, if it is only looked up in the ranking
+_NEXT, _FAR = 40, 12  # numbers after N that are looked up, one by one and then further apart
 _JUDGED = 4  # numbers on the draws of the comparison, at most
 _TOO_LONG = (
     "How many evenly spaced measurements do as well is not estimated: it would take more than 5 % "
@@ -302,8 +311,7 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
     scan = _Scan(session, measured[name], error, mean, math.ceil(scale * _FEW))
     if (given := built.job.comparison.reference_name) in (EVEN, REGULAR):
         scan.ranked[feasible.measurements] = [measured[given]]
-    if built.job.comparison.is_even:
-        scan.programme = yield from _search_of(built, EVEN).programme(session)
+    scan.programme = yield from EvenSearch(built, EVEN, feasible, {}).programme(session)
     yield from scan.judge()
     rows = [
         {
@@ -356,30 +364,64 @@ class _Scan:
         self.looked, self.judged = dict[int, Estimate](), dict[int, Estimate]()
         self.first, self.last = self.built.feasible.measurements, self.built.feasible.horizon + 1
 
+    @property
+    def _numbers(self) -> list[int]:
+        """Numbers from N up to all instants: the next ones, and some of those beyond."""
+        near = min(self.last, self.first + _NEXT)
+        far = np.geomspace(near, self.last, _FAR).round().astype(int).tolist()
+        return sorted({*range(self.first, near + 1), *far})
+
     def judge(self) -> Generator[WorkBatch, None, None]:
-        """Find the smallest number that does as well, and judge it and the number below."""
+        """Judge the smallest number that does as well, those beside it, and suspicious others.
+
+        A bisection supposes that more measurements do better. The ranking has the numbers that
+        do not: smaller ones that look as good, and larger ones that look worse. With exact errors
+        all numbers are judged.
+        """
+        if self.built.evaluator.exact:
+            for number in self._numbers:
+                yield from self._judge(number)
+            return
         low, high = self.first - 1, self.last  # one does worse, and one as well
         at = self.first
         while high - low > 1:
             looked = yield from self._look(at)
             low, high = (low, at) if looked.value <= AS_WELL * self.mean else (at, high)
             at = (low + high) // 2
-        numbers = [n for n in (high - 1, high, high + 1, high + 2) if self.first <= n <= self.last]
-        for number in numbers[:_JUDGED]:
+        ranked = {number: self._relaxed(number) for number in self._numbers}
+        limit = self._relaxed(high)
+        smaller = [n for n, error in ranked.items() if n < high - 1 and error <= limit]
+        larger = [n for n, error in ranked.items() if n > high and error > limit * (1 + AS_WELL)]
+        for number in (*smaller[:1], *range(max(self.first, high - 1), self.last + 1)):
             difference = yield from self._judge(number)
-            if number >= high and sign_of(difference, self.mean) < 0:
+            if sign_of(difference, self.mean) < 0 or len(self.judged) == _JUDGED:
                 break
+        for number in larger[:1]:
+            yield from self._judge(number)
+
+    def _relaxed(self, number: int) -> float:
+        """The least relaxed error of a number."""
+        if self.programme is None:
+            return 0.0
+        return float(self.programme.of_sets(self._sets(number, _FEW_LINES)).min())
+
+    def _sets(self, number: int, lines: int) -> list[Times]:
+        feasible = self.built.job.feasible(number)
+        if not self.built.job.comparison.is_even:
+            return [feasible.regular()]
+        even = EvenSets(feasible)
+        return [*even.of(even.lines(lines))]
 
     def _best_of(self, number: int) -> list[Times]:
         """The best evenly spaced sets of a number by the programme, or regular times."""
+        most = most_if_exact(self.built.feasible) if self.built.evaluator.exact else _LOOKED
         if number not in self.ranked:
-            feasible = self.built.job.feasible(number)
-            if self.programme is None:
-                self.ranked[number] = [feasible.regular()]
-            else:
-                self.ranked[number] = ranking(EvenSets(feasible), self.programme, _LINES)[0]
-        most = _IF_EXACT if self.built.evaluator.exact else _LOOKED
-        return self.ranked[number][:most]
+            sets = self._sets(number, _LINES)
+            if self.programme is not None:
+                order = np.argsort(self.programme.of_sets(sets), kind="stable")
+                sets = [sets[place] for place in order.tolist()]
+            self.ranked[number] = sets[:most]
+        return self.ranked[number]
 
     def _look(self, number: int) -> Generator[WorkBatch, None, Estimate]:
         """How far the best set of a number lies above the plan's error, on separate draws."""

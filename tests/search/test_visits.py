@@ -23,7 +23,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.clock import Clock
-from pfdist.problem.even_grids import even_grids
+from pfdist.problem.even_sets import EvenSets
 from pfdist.problem.feasible import Feasible, rest_of
 from pfdist.problem.points import Points
 from pfdist.search import Exchange, Optimiser, StateSpaceRelaxation
@@ -395,8 +395,8 @@ def test_with_many_states_only_the_highest_prices_of_installations_count() -> No
 
 def test_many_visits_have_few_grids() -> None:
     keys = {"horizon": 299, "measurement_budget": 100, "visits": {"most": 50, "within": 3}}
-    grids = even_grids(Problem("linear_gaussian", **keys).job(seed=1).problem.feasible)
-    assert len(grids) < 700
+    even = EvenSets(Problem("linear_gaussian", **keys).job(seed=1).problem.feasible)
+    assert len(even.lines(700)) < 1500
 
 
 @pytest.mark.parametrize("fee", [0, 10.5])

@@ -1,0 +1,107 @@
+"""The gain over the best opponent: of situations in which a restricted list made it too large."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import Sensor, StateSpaceModel
+from pfdist.questions.run_page import answer_of
+
+T = 24
+
+
+def _systems() -> tuple[StateSpaceModel, StateSpaceModel]:
+    """A scalar system with random variances at each instant, with one sensor and with two."""
+    rng = np.random.default_rng(0)
+    variances = [rng.uniform(low, high, T + 1) for low, high in ((0.05, 1.5), *[(0.2, 2.5)] * 2)]
+    q, r, s = (tuple(np.sqrt(np.round(each**2, 3)).tolist()) for each in variances)
+    common: dict[str, Any] = {
+        "initial": lambda w, p: (2.0 * w[0],),
+        "transition": lambda x, t, w, p: (0.95 * x[0] + p.q[t] * w[0],),
+        "quantity_of_interest": lambda x, t, p: (x[0],),
+        "initial_noise": ("normal",),
+        "process_noise": ("normal",),
+        "parameters": {"q": q, "r": r, "s": s},
+        "linear_gaussian": True,
+    }
+    a = Sensor(
+        lambda x, t, v, p: (x[0] + p.r[t] * v[0],),
+        lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / p.r[t]) ** 2,
+        ("normal",),
+    )
+    b = Sensor(
+        lambda x, t, v, p: (x[0] + p.s[t] * v[0],),
+        lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / p.s[t]) ** 2,
+        ("normal",),
+    )
+    one = StateSpaceModel(
+        name="one", measurement=a.measurement, log_likelihood=a.log_likelihood,
+        measurement_noise=("normal",), **common,
+    )  # fmt: skip
+    return one, StateSpaceModel(name="two", sensors={"a": a, "b": b}, **common)
+
+
+ONE, TWO = _systems()
+WALK: dict[str, Any] = {"horizon": 10, "measurement_budget": 3}
+SITUATIONS: dict[str, tuple[Any, dict[str, Any], float]] = {
+    "two sensors": (TWO, {"horizon": T, "measurement_budget": 5}, 0.13595),
+    "prices": (ONE, {"horizon": T, "price": [1] * 12 + [2] * 13, "total_price": 8}, 0.038650),
+    "repeats": ("random_walk", {**WALK, "sensor": {"repeats": 2}}, 0.0),
+    "a model that ships": (
+        "two_compartments", {**WALK, "time_step": 1, "sensors": ["immunoassay", "chromatography"]}, 0.0,
+    ),
+    "required": (
+        "random_walk", {"horizon": 60, "measurement_budget": 24, "required": ["0:20"]}, 0.0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_the_gain_is_that_over_the_best_evenly_spaced_set(situation: str, tmp_path: Path) -> None:
+    """By two independent enumerations with exact errors."""
+    model, keys, gain = SITUATIONS[situation]
+    problem = pfdist.Problem(model, engine="kalman", **keys)
+    run = pfdist.plan(
+        problem, tmp_path / "run", changes=["comparison.draws=2"], bound_draws=0, figures=False
+    )
+    plan = run.table("sets").set_index("label").loc["plan"]
+    assert plan["gain_of_means"] == pytest.approx(gain, abs=1e-5)
+
+
+def test_the_headline_names_the_best_of_all_opponents(tmp_path: Path) -> None:
+    """The best of given sets and evenly spaced ones is chosen; it has its label."""
+    best, worse = [0, 1, 6, 11], [1, 2, 3, 4]
+    problem = pfdist.Problem("random_walk", engine="kalman", horizon=11, measurement_budget=4)
+    for given, is_best in ((worse, False), ([0, 3, 6, 9], False), (best, None)):
+        changes = [f"comparison.sets={{hand={given}}}", "comparison.labels={hand='as others do'}",
+                   "comparison.draws=2"]  # fmt: skip
+        path = tmp_path / "-".join(map(str, given))
+        run = pfdist.plan(problem, path, changes=changes, bound_draws=0, figures=False)
+        rows = run.table("sets").set_index("name")
+        least = rows.loc[["hand", "evenly_spaced"], "expected_mse"].idxmin()
+        assert run.names[0] == (least if is_best is None else "evenly_spaced")
+        assert rows.loc["hand", "label"] == "as others do"
+
+
+def test_a_given_set_that_is_better_than_evenly_spaced_ones_is_the_reference(
+    tmp_path: Path,
+) -> None:
+    problem = pfdist.Problem(TWO, engine="kalman", horizon=T, measurement_budget=5)
+    sets = "{hand=['1 b', '7 a', '11 b', '16 b', '20 b']}"
+    changes = [f"comparison.sets={sets}", "comparison.labels={hand='as others do'}",
+               "comparison.draws=2"]  # fmt: skip
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    assert run.names[:2] == ["hand", "evenly_spaced"]
+    assert {*run.references.values()} == {"hand"}
+    text = re.sub(r"\s+", " ", str(answer_of(run)))
+    assert 'with "as others do" (the best opponent)' in text
+
+
+def test_labels_name_given_sets() -> None:
+    problem = pfdist.Problem("random_walk", horizon=11, measurement_budget=4)
+    with pytest.raises(pfdist.PfdistError, match=r"comparison.labels must name sets .* 'mine'"):
+        problem.job().with_changes(["comparison.labels={mine='hers'}"])
