@@ -110,7 +110,12 @@ def repeated(model: "StateSpaceModel", repeats: int) -> "StateSpaceModel":
     """The model whose y may have several rows of each sensor: the components of all, in turn."""
     if repeats == 1:
         return model
-    plain = Sensor(model.measurement, model.log_likelihood, model.measurement_noise)
+    plain = Sensor(
+        model.measurement,
+        model.log_likelihood,
+        model.measurement_noise,
+        log_tails=model.log_tails,
+    )
     each = [*model.sensors.values()] or [plain]
     sensors = {f"row-{k}": each[k % len(each)] for k in range(repeats * len(each))}
     return dataclasses.replace(

@@ -7,7 +7,7 @@ the job then is the instant of arrival.
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,24 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
     fields = StateSpaceModel.__dataclass_fields__
     changes |= {name: fields[name].default for name in (*MEASURING, "measurement_noise")}
     return dataclasses.replace(model, sensors=sensors, y_names=(), **changes)
+
+
+def without_failures(model: StateSpaceModel, fails: Sequence[bool]) -> StateSpaceModel:
+    """The model of `sensed`, some of whose sensors may fail, if no measurement does."""
+
+    def made(measurement: Any) -> Any:
+        return lambda x, t, v, p: measurement(x, t, (*v[:-1], 1.0), p)  # the last is the chance
+
+    if not any(fails):
+        return model
+    if not model.sensors:
+        return dataclasses.replace(model, measurement=made(model.measurement))
+    each = zip(model.sensors.items(), fails, strict=True)
+    sensors = {
+        name: dataclasses.replace(sensor, measurement=made(sensor.measurement)) if may else sensor
+        for (name, sensor), may in each
+    }
+    return dataclasses.replace(model, sensors=sensors)
 
 
 def _remembering(model: StateSpaceModel, instants: int) -> dict[str, Any]:

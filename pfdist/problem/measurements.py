@@ -321,6 +321,16 @@ def covariate_at(
     return tuple(np.array(values)[at.clip(0)].tolist())
 
 
+def parameters_at(
+    parameters: Mapping[str, Parameter], clock: Clock, times: Sequence[float]
+) -> dict[str, Parameter]:
+    """Parameters, whose covariates have a value for each instant of a clock, at other times."""
+    return {
+        name: covariate_at(value, clock, times) if isinstance(value, tuple) else value
+        for name, value in parameters.items()
+    }
+
+
 def instants_of_table(
     times: Sequence[float], clock: Clock, reading: Reading, start: int = 0, *, alone: bool = False
 ) -> tuple[Clock, list[int], float]:

@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.section import JobSection, Listed
 from pfdist.common.sensing import Sensing, names_of_repeats
 from pfdist.errors import MeasurementTimesError, shown
@@ -419,14 +419,18 @@ class ProblemSection(JobSection):
         return tuple((weights / weights.mean()).tolist())
 
     @cached_property
-    def instants_of_lag(self) -> int | tuple[int, ...]:
-        """The estimate of z(t) uses measurements until so many instants after t.
+    def instants_of_lag(self) -> Lag:
+        """The estimate of z(t) uses measurements until so many instants after t; see `lag_on`."""
+        return self.lag_on(self.clock)
+
+    def lag_on(self, clock: Clock) -> Lag:
+        """The estimate of z(t) uses measurements until so many instants of a clock after t.
 
         It is T for the smoothed estimate, and 0 for the filtered one. With uneven steps each
         instant has its own number. Raises `MeasurementTimesError` if the lag is no number of
-        instants, or shorter than all steps.
+        instants, or shorter than all steps of the own clock; on another clock it then is 0.
         """
-        clock, lag = self.clock, self.lag
+        lag = self.lag
         if lag is None:
             return clock.horizon if self.estimate == SMOOTHED else 0
         if not self.has_clock:
@@ -434,6 +438,8 @@ class ProblemSection(JobSection):
         times = np.array(clock.times)
         step = np.diff(times).min()
         if not step - clock.slack <= lag < np.inf:
+            if clock is not self.clock:
+                return 0
             raise MeasurementTimesError(f"lag must be at least a step, {step:g}, got {lag:g}")
         if clock.is_even:
             return min(int((lag + clock.slack) / step), clock.horizon)
