@@ -12,7 +12,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from pfdist.errors import ArgumentError, shown
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
-from pfdist.filters.one_filter import log_likelihood
+from pfdist.filters.one_filter import circular_components, log_likelihood
 from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
@@ -114,8 +114,9 @@ def surprise_of_particles(
     """The p-value of a measurement among simulated measurements of predicted particles.
 
     Under the right model, the rank of each component among its simulated values is uniform. The
-    p-value of a component is two-sided, and ties are broken at random. The result is the smallest
-    p-value of the components, times the number of components measured (Bonferroni).
+    p-value of a component is two-sided, and ties are broken at random. Angles are compared on the
+    circle that is cut opposite to the mean direction of the simulated values. The result is the
+    smallest p-value of the components, times the number of components measured (Bonferroni).
 
     Parameters
     ----------
@@ -144,14 +145,17 @@ def surprise_of_particles(
         by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in twin.parts)
         simulated = tuple(chain.from_iterable(by_sensor))
     measured = np.flatnonzero(~np.isnan(y))
-    smallest = 1.0
+    smallest, angles = 1.0, circular_components(model, cloud, y)
     for component in measured:
         values = np.broadcast_to(np.asarray(simulated[component], np.float64), (number,))
-        values = values[np.isfinite(values)]
+        values, value = values[np.isfinite(values)], y[component]
+        if component in angles:
+            centre = np.angle(np.exp(1j * values).mean())
+            values, value = (np.angle(np.exp(1j * (each - centre))) for each in (values, value))
         (tie,) = variates(
             "uniform", 1, stream, draw, cloud.t, TRUTH_MEASUREMENT, len(kinds) + int(component)
         )
-        below, equal = np.sum(values < y[component]), np.sum(values == y[component])
+        below, equal = np.sum(values < value), np.sum(values == value)
         rank = float((below + tie * (equal + 1)) / (values.size + 1))
         smallest = min(smallest, 2 * rank, 2 * (1 - rank))
     return min(1.0, measured.size * smallest)

@@ -35,6 +35,8 @@ def formatted_instant(model: StateSpaceModel, t: int) -> str:
 
 
 Array = NDArray[np.float64]
+_PROBED = 64  # particles
+_SAME = 1e-6  # of the effect of half a turn
 _MOST_STEPS = 2**30  # particles times squared instants: some seconds, and megabytes
 
 
@@ -168,6 +170,25 @@ def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
             if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
                 total += sensor.log_likelihood(measured[of_sensor], x, cloud.t, model.p)
     return total
+
+
+def circular_components(model: StateSpaceModel, cloud: Cloud, y: Array) -> list[int]:
+    """The components of a measurement, (m,), that are angles.
+
+    A turn changes no particle's likelihood, but half a turn does. So an angle needs no declaration,
+    and whatever uses this list is the same for y + 2 pi k.
+    """
+    few = replace(cloud, x=cloud.x[:, :_PROBED], weight=None)
+    own, found = log_likelihood(model, few, y), list[int]()
+    for component in np.flatnonzero(~np.isnan(y)):
+        shift = np.where(np.arange(y.size) == component, np.pi, 0.0)
+        with np.errstate(invalid="ignore"):  # infinite ones differ by NaN
+            half, turn = (
+                np.abs(log_likelihood(model, few, y + k * shift) - own).max() for k in (1, 2)
+            )
+        if turn < _SAME * half:
+            found.append(int(component))
+    return found
 
 
 def filter_of_truths(first: OneFilter) -> OneFilter:

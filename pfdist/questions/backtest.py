@@ -25,6 +25,7 @@ from pfdist.errors import (
     PfdistWarning,
 )
 from pfdist.models import StateSpaceModel
+from pfdist.models.base import within_half_turn
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
@@ -406,22 +407,14 @@ def _result(
     plan, others = of_sets[PLAN], [*of_sets.items()][1:]
     order = np.argsort(of_sets[FROM_START].real - plan.real)
     places = [int(order[round(share * (len(order) - 1))]) for share in np.linspace(0.1, 0.9, SHOWN)]
-    shown = [
-        ShownReplicate(
-            matched[place].replicate.name,
-            np.array(matched[place].replicate.clock.times, np.float64),
-            (
-                when_made(
-                    matched[place].replicate.y[:, : model.components[1]], model, points.delays
-                )
-                if matched[place].is_predicted
-                else matched[place].judged
-            ),
-            points.made(matched[place].sets[0]),
-            errors[place],
-        )
-        for place in dict.fromkeys(places)
-    ]
+    shown = list[ShownReplicate]()
+    for place in dict.fromkeys(places):
+        (replicate, used, known_z), found = matched[place], errors[place]
+        if matched[place].is_predicted:
+            known_z = when_made(replicate.y[:, : model.components[1]], model, points.delays)
+        near = within_half_turn(known_z, found.estimates[0], found.is_angle)
+        times = np.array(replicate.clock.times, np.float64)
+        shown.append(ShownReplicate(replicate.name, times, near, points.made(used[0]), found))
     surprises = np.concatenate([each.surprises for each in errors])
     return Backtest(
         sets=sets,

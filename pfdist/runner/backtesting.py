@@ -17,7 +17,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FEW
-from pfdist.filters.predicted import predicted
+from pfdist.filters.predicted import circular_measurements, predicted
 from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
@@ -106,6 +106,8 @@ class ReplicateErrors:
         Number of sets with a measurement that no particle explains.
     collapsed : int
         Number of sets with which the effective sample size falls below `FEW`.
+    is_angle : tuple of bool
+        Whether each judged component is an angle.
     """
 
     real: Array
@@ -118,6 +120,7 @@ class ReplicateErrors:
     high: Array
     impossible: int
     collapsed: int
+    is_angle: tuple[bool, ...]
 
     @property
     def intervals(self) -> tuple[Array, Array, Array]:
@@ -159,6 +162,7 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
         high,
         impossible,
         collapsed,
+        is_angle,
     )
 
 
@@ -261,12 +265,15 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     problem = built.job.problem
     clock = replicate.clock if replicate.has_own_clock else None
     fails = [each.fails > 0.0 for _, each in problem.each_sensing]
-    last = (clock or problem.clock).horizon
+    on = clock or problem.clock
 
     def judged(model: StateSpaceModel) -> StateSpaceModel:
         """The model that simulates values where the replicate has some."""
         made = without_failures(model, fails)
-        return predicted(made, problem.points.delays, last) if is_predicted else made
+        if not is_predicted:
+            return made
+        angles = circular_measurements(made.on_clock(on.times) if problem.has_clock else made)
+        return predicted(made, problem.points.delays, on.horizon, angles)
 
     return evaluator_on(built, clock, replicate.parameters, judged)
 
