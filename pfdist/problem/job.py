@@ -461,6 +461,15 @@ class Job(JobSection):
         data = self.model_dump(mode="json", exclude_none=True, by_alias=True)
         return _validated(data, self._origin, overrides, sections, settings)
 
+    def without_delays(self) -> "Job":
+        """The job whose sensors give their values at once."""
+        if not self.problem.points.delays:
+            return self
+        problem = self.model_dump(mode="json", exclude_none=True, by_alias=True)["problem"]
+        for sensor in (problem.get("sensor", {}), *problem.get("sensors", {}).values()):
+            sensor.pop("delay", None)
+        return self.with_changes(sections={"problem": problem})
+
     def identity(self) -> dict[str, Any]:
         """Everything that identifies a run of this job: all sections but [execution]."""
         return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True, by_alias=True)

@@ -35,6 +35,7 @@ from pfdist.results.columns import records_of
 from pfdist.runner.backtesting import evaluator_for, outcomes
 from pfdist.runner.build import Built, build
 from pfdist.runner.progress import Progress, Show
+from pfdist.store import is_job_of_run
 
 Array = NDArray[np.float64]
 Loss = Callable[[Array], float]
@@ -226,7 +227,9 @@ def fit(
     """
     chosen, table = Chosen(**options), table_argument("data", data)
     settings = {"execution": chosen.execution, "filter": {"proposal": PLAIN}}  # no times are judged
-    built = build(as_job(job, changes, settings=settings))
+    own = as_job(job, changes, settings=settings)
+    is_of_run = is_job_of_run(own.path)  # its models remember states until values arrive
+    built = build(own if is_of_run else own.without_delays())  # when values arrive, tells nothing
     believed = built.evaluator.believed
     if built.evaluator.has_particles and not believed.normalised:
         raise ModelError(
@@ -244,9 +247,10 @@ def fit(
                 argument="parameters",
             )
     names = [*built.evaluator.model.parameters, *believed.parameters]
+    reading = reading_of(built, columns, within, chosen.say)._replace(all_count=True)
     replicates = read_replicates(
         table, replicate, built.evaluator.model, built.job.problem.clock, [*dict.fromkeys(names)],
-        reading_of(built, columns, within, chosen.say),
+        reading,
     )  # fmt: skip
     used = [each for each in replicates if each.is_training] or replicates
     if both := sorted({*start} & {name for each in used for name in each.parameters}):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ from scipy.optimize import minimize
 
 import pfdist
 from oracles.systems import one_state
+from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import recorded_evaluator
 from pfdist.filters.evidence import exact_log_evidence
 from pfdist.questions.fit import Fitted
@@ -290,3 +292,25 @@ def test_a_parameter_that_differs_between_systems_is_not_fitted(
     scenarios = {"parameters": [{"a": 0.5}, {"a": 0.6}], "filter": kind}
     with pytest.raises(pfdist.PfdistError, match=r"the same for all systems, got a.*a_factor"):
         pfdist.fit(problem(scenarios=scenarios, particles=100), data, ["a", "sd"])
+
+
+def test_a_likelihood_does_not_depend_on_when_values_arrive(
+    data: pd.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a delay, rows near the horizon arrive in time; the path has the same law."""
+    monkeypatch.chdir(tmp_path)
+    given = {"parameters": ["noise"], "evaluations": 1, "pool": "serial"}
+    for engine in ("kalman", "numpy"):
+        late = problem(engine=engine, particles=200, sensor={"delay": 3}, lag=2)
+        found = pfdist.fit(late, data, **given)
+        assert (
+            found.started_at
+            == pfdist.fit(problem(engine=engine, particles=200), data, **given).started_at
+        )
+    run = pfdist.run(problem(engine="kalman", sensor={"delay": 3}), "late", bound_draws=0)
+    early = pfdist.fit(run.path, data[data["t"] <= HORIZON - 3], **given)
+    assert early.started_at == pytest.approx(
+        pfdist.fit(problem(engine="kalman"), data[data["t"] <= HORIZON - 3], **given).started_at
+    )
+    with pytest.raises(MeasurementsError, match="give the job file, not the folder of its run"):
+        pfdist.fit(run.path, data, **given)
