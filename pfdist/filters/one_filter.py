@@ -161,8 +161,11 @@ class OneFilter:
 
 
 def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
-    """Log-likelihood of a measurement, (m,), by all sensors that measured, for particles, (P,)."""
-    x, measured = tuple(cloud.x), tuple(np.full(cloud.particles, value) for value in y)
+    """Log-likelihood of a measurement, (m,), by all sensors that measured, for particles, (P,).
+
+    A measurement (m, P) has other values for each particle.
+    """
+    x, measured = tuple(cloud.x), tuple(np.broadcast_to(value, cloud.particles) for value in y)
     total = np.zeros(cloud.particles)
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with np.errstate(all="ignore"):
@@ -292,7 +295,7 @@ def checked_measurement(
     # A sensor that lacks all of its components did not measure.
     idle = [part.y for part in model.parts if np.isnan(values[part.y]).all()]
     partly = [k for k in missing.tolist() if not any(y.start <= k < y.stop for y in idle)]
-    if partly and not model.missing_components:
+    if partly and model.missing_components is not True:
         raise MeasurementsError(
             f"all components of y must be measured or none, got {names[partly[0]]} missing at "
             f"t = {t}: the model {model.name} does not declare missing_components=True, that is, "

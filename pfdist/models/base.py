@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -181,9 +181,10 @@ class StateSpaceModel:
     normalised : bool
         Whether `log_likelihood` is the logarithm of a density or probability of y, with all
         constants. A filter of real measurements then gives their log evidence.
-    missing_components : bool
+    missing_components : bool or "together"
         Whether `log_likelihood` takes NaN for a component of y that was not measured, and then
-        gives the log-likelihood of the other components.
+        gives the log-likelihood of the other components. "together": only if all components of a
+        sensor are NaN, as of a measurement that failed.
     x_names, y_names, z_names : tuple of str
         A name for each component of x, y or z, with the unit in brackets at the end:
         ``("concentration [mg/l]",)``. Columns, figures and reports use them; without names the
@@ -220,7 +221,7 @@ class StateSpaceModel:
     error: Callable[..., Any] = squared_error
     linear_gaussian: bool = False
     normalised: bool = False
-    missing_components: bool = False
+    missing_components: bool | Literal["together"] = False
     x_names: tuple[str, ...] = ()
     y_names: tuple[str, ...] = ()
     z_names: tuple[str, ...] = ()

@@ -42,11 +42,14 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
         )
         for part in model.parts
     }
-    may_fail = any(each.fails for each in sensings.values())
+    missing: Any = model.missing_components
+    if any(each.fails for each in sensings.values()) and not missing:
+        is_one = all(part.model.components[1] == 1 for part in model.parts)
+        missing = is_one or "together"
     changes: dict[str, Any] = {
         "linear_gaussian": model.linear_gaussian
         and all(dataclasses.replace(s, repeats=1, delay=0) == PLAIN for s in sensings.values()),
-        "missing_components": model.missing_components or may_fail,
+        "missing_components": missing,
         "log_tails": None,
         **(_remembering(model, remembered) if remembered else {}),
     }
