@@ -95,12 +95,22 @@ class Feasible(Constraints):
         """
         names = self.points.sensors
         turns: dict[str, Times] = {f"alone_{name}": (way,) for way, name in enumerate(names)}
-        turns |= {"rotation": tuple(range(len(names)))} if names else {}
+        if self.points.repeats:  # alike ones alone are the same set
+            firsts = tuple(sorted({*self.points.repeats}))
+            turns = {name: ways for name, ways in turns.items() if ways[0] in firsts}
+            turns |= {"rotation": firsts}
+        elif names:
+            turns["rotation"] = tuple(range(len(names)))
         return {
             name.lower().replace("-", "_"): times
             for name, ways in turns.items()
             if (times := self._in_turn(ways)) is not None
         }
+
+    def canonical(self, times: Times) -> Times:
+        """The set with the first of alike repeats, unless limits of single repeats forbid it."""
+        alike = self.points.canonical(times)
+        return alike if self.accepts(alike) else times
 
     def is_regular(self, times: Times) -> bool:
         """Whether times are the regular times of their number, feasible or not."""

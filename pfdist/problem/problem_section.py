@@ -230,7 +230,13 @@ class ProblemSection(JobSection):
     def points(self) -> Points:
         """The table of all possible measurements; raises as `clock`."""
         delays = tuple(each.delay for _, each in self.each_sensing)
-        points = Points(self.clock, tuple(self.each_sensor), delays if any(delays) else ())
+        names = [name for name, _ in self.each_sensing]
+        points = Points(
+            self.clock,
+            tuple(self.each_sensor),
+            delays if any(delays) else (),
+            tuple(map(names.index, names)) if len({*names}) < len(names) else (),
+        )
         if points.number > _MOST_POSSIBLE:
             raise MeasurementTimesError(
                 f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {points.number:,}"

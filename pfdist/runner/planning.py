@@ -133,7 +133,7 @@ class Replanner:
             repaired = rest.repair(at_hand, generator(stream, "repair"))
             start = outlook.better([repaired, rest.regular()], keep=False)
         chosen = outlook.better([start, *outlook.search(rest, start)], keep=keep)
-        return tuple(first + time for time in chosen)
+        return tuple(first + time for time in rest.canonical(chosen))
 
     def expected(
         self,
