@@ -1,5 +1,6 @@
 """The state-space model: a handful of pure formulas (paper, equations 1 to 4)."""
 
+import copy
 import dataclasses
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -230,6 +231,14 @@ class StateSpaceModel:
     log_tails: Callable[..., Any] | None = None
 
     def __post_init__(self) -> None:
+        self._check_fields()
+        self.components  # noqa: B018  evaluated here, because it finds wrong formulas
+        for kind in _NAMES:
+            self.named(kind)
+        self.is_angle  # noqa: B018  evaluated here, because it refuses unknown components
+
+    def _check_fields(self) -> None:
+        """Check the fields that are plain data, and give the parameters to recorded formulas."""
         for name, value in checked_fields(self).items():
             object.__setattr__(self, name, value)
         fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
@@ -238,10 +247,6 @@ class StateSpaceModel:
             formula = getattr(self, name)
             if isinstance(formula, Programs):
                 object.__setattr__(self, name, formula.with_parameters(self.parameters))
-        self.components  # noqa: B018  evaluated here, because it finds wrong formulas
-        for kind in _NAMES:
-            self.named(kind)
-        self.is_angle  # noqa: B018  evaluated here, because it refuses unknown components
 
     def __repr__(self) -> str:
         values = vars(self) | {"sensors": [*self.sensors]}
@@ -459,8 +464,14 @@ class StateSpaceModel:
                 raise ModelError(
                     f"model {self.name}: unknown parameter {name!r}{allowed}", argument="parameters"
                 )
+        given = {**self.parameters, **overrides}
         try:
-            return dataclasses.replace(self, parameters={**self.parameters, **overrides})
+            if not all(isinstance(each, Programs) for each in self.formulas.values()):
+                return dataclasses.replace(self, parameters=given)
+            changed = copy.copy(self)  # programs have as many components with all values
+            changed.__dict__.update(parameters=given, components=self.components)
+            changed._check_fields()
+            return changed
         except ModelError as error:
             error.argument = "parameters"
             raise
