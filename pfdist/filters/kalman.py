@@ -142,7 +142,8 @@ def _points(inputs: int) -> Array:
 def _check_declared(model: StateSpaceModel) -> None:
     if not model.linear_gaussian:
         raise ModelError(
-            f"the Kalman filter needs a model with linear_gaussian=True, got {model.name}"
+            f"the Kalman filter needs a model with linear_gaussian=True, got {model.name}, which "
+            "does not declare it: other engines take every model"
         )
     for name in ("initial_noise", "process_noise", "measurement_noise"):
         kinds = set(getattr(model, name)) - {"normal"}

@@ -131,7 +131,7 @@ def _sensed(model: StateSpaceModel, name: str, sensing: Sensing, *, remembers: b
             raise ModelError(
                 f"a limit needs one component of y, and log_tails (y, x, t, p), the logarithms of "
                 f"the probabilities of values up to y and above it; {sensor}model {model.name} "
-                f"has {got}"
+                f"has {got}" + "; give the model a sensor for each component" * (tails is not None)
             )
         measurement, log_likelihood = _limited(measurement, log_likelihood, tails, sensing)
     if sensing.fails:

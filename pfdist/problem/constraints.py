@@ -418,7 +418,7 @@ def _check_limits(constraints: Constraints) -> None:
     if constraints.limits and constraints.counted and not constraints.spacing.is_free:
         raise MeasurementTimesError(
             "minimum_spacing must be left out if a sensor has most or minimum_spacing, unless "
-            f"total_price is given, got {constraints.minimum_spacing}"
+            f"total_price is given, got {constraints.minimum_spacing}: give each sensor its own"
         )
     if not constraints.is_within_limits(constraints.required):
         raise MeasurementTimesError("required must keep the limits of sensors and visits")

@@ -305,7 +305,10 @@ class ProblemSection(JobSection):
         points, limits = self.points, self._limits
         visits = None if self.visits is None else self.visits.on(points)
         if visits and points.delays:
-            raise MeasurementTimesError("visits must be left out with sensors that have a delay")
+            raise MeasurementTimesError(
+                "visits must be left out with sensors that have a delay, unless the estimate waits "
+                "for all values: estimate = 'smoothed'"
+            )
         installs, groups = self._installs, self._groups
         if self.total_price is None and (installs or (self.visits and self.visits.price)):
             name = "visits.price" if not installs else "install"

@@ -29,7 +29,7 @@ from pfdist.models.base import within_half_turn
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.replicates import Replicate, read_replicates
+from pfdist.problem.replicates import USED, Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.evaluate import OneSet, instants_evaluated
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -310,7 +310,7 @@ def backtest(
             matched, left_out = matched_of(built, replicates, plans, own, within)
             if not matched:
                 why = next((f"{name}: {each}" for name, each in left_out.items()), "no rows")
-                more = "; --within allows more" * (" within " in why)
+                more = "; --within allows more" * (" within " in why and USED not in why)
                 raise MeasurementsError(f"no replicate can be judged ({why}){more}")
             errors = judged_errors(built, matched, pool, show)
     first = f"evenly spaced times from t = {clock.formatted(0)}"
@@ -356,7 +356,8 @@ def _check_filter(built: Built) -> None:
         )
     if delays and scenarios is not None and scenarios.is_learned:
         raise JobError(
-            "scenarios.filter must be 'nominal' with sensors that have a delay, got 'learned'"
+            "scenarios.filter must be 'nominal' with sensors that have a delay, got 'learned': or "
+            "leave out the delay, and give the times at which values arrive"
         )
 
 

@@ -369,6 +369,11 @@ def _sensed(
     key = "problem.sensors" if model.sensors else "problem.sensor"
     try:
         truth = sensed(model, job.problem.sensings)
+        if is_exact(job.filter.engine) and model.linear_gaussian and not truth.linear_gaussian:
+            raise JobError(
+                f"filter.engine = {job.filter.engine!r} needs sensors without fails and limits, "
+                f"which are not linear, got some in {key}: 'compiled' takes them ({job.path})"
+            )
         return truth, truth if believed is model else sensed(believed, job.problem.sensings)
     except ModelError as error:
         raise ModelError(f"{key}: {error}") from error

@@ -173,7 +173,10 @@ def check_plannable(evaluator: Evaluator) -> None:
             "later measurements; docs/afterwards.md says what to do"
         )
     if evaluator.scenarios:
-        raise ModelError("online choice of times needs a job without scenarios, got some")
+        raise ModelError(
+            "online choice of times needs a job without scenarios, or scenarios.filter = "
+            "'learned', got scenarios of which the filter learns nothing"
+        )
     true, believed = evaluator.model.components[0], evaluator.believed.components[0]
     if true != believed:
         raise ModelError(
