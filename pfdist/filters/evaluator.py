@@ -22,7 +22,7 @@ from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.criterion import MEAN, Criterion, Information
 from pfdist.filters.draws import Draws, check_prior
-from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, NUMPY, Engine
+from pfdist.filters.engines import BATCHED, COMPILED, ENGINES, KALMAN, NUMPY, Engine
 from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
@@ -91,7 +91,8 @@ class Evaluator:
         if self.exact and not self.of_scenarios:
             if self.believed != self.model:
                 raise ModelError(
-                    f"filter.engine = {KALMAN.name!r} needs a filter with the true model"
+                    f"filter.engine = {KALMAN.name!r} needs a filter with the true model, got "
+                    f"another: {COMPILED.name!r} takes any (model.filter)"
                 )
             cached_matrices(self.model, self.horizon)
         for estimation in self.estimations:
@@ -419,6 +420,11 @@ class Evaluator:
         for each in self.of_scenarios:
             each.check(estimation)
         engine = self.computed_by.name
+        if estimation.proposal == GUIDED and engine == BATCHED.name:
+            raise ModelError(
+                f"filter.proposal = {GUIDED!r} needs formulas that can be traced, got the batched "
+                f"model {self.believed.name}: {PLAIN!r} is for every model"
+            )
         if estimation.proposal == GUIDED and engine != COMPILED.name:
             raise ModelError(
                 f"filter.proposal = {GUIDED!r} needs filter.engine = {COMPILED.name!r}, got "

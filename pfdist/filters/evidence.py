@@ -92,6 +92,8 @@ def exact_log_evidence(model: StateSpaceModel, y: Array) -> Array:
 
     Parameters are as of `log_evidence`. Raises `ModelError` if the model is not linear-Gaussian.
     """
+    if len(y) == 1:
+        return kalman.log_evidence(model, y)
     evidence = np.empty(len(y))
     patterns, which = np.unique(np.isnan(y), axis=0, return_inverse=True)
     for number in range(len(patterns)):  # replicates with the same gaps have the same covariances

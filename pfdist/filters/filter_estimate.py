@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from pfdist.errors import ArgumentError, shown
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
-from pfdist.filters.one_filter import log_likelihood
+from pfdist.filters.one_filter import circular_components, log_likelihood
 from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
@@ -23,6 +24,10 @@ Array = NDArray[np.float64]
 PREDICTIVE = 20_000
 """Least number of simulated measurements behind a p-value. The p-value of a component that lies
 beyond all of them is below 2 over their number."""
+_OF_DENSITY = 2_000  # particles whose likelihoods give the density of a component
+_GRID = 401  # values of the component
+_ENDS = 30.0  # so far below its maximum, in logarithms, the density ends
+_WIDENED = 20  # times
 FEW = 5.0
 """An effective sample size below which an estimate is that of a few particles, not the model's."""
 
@@ -114,8 +119,11 @@ def surprise_of_particles(
     """The p-value of a measurement among simulated measurements of predicted particles.
 
     Under the right model, the rank of each component among its simulated values is uniform. The
-    p-value of a component is two-sided, and ties are broken at random. The result is the smallest
-    p-value of the components, times the number of components measured (Bonferroni).
+    p-value of a component is two-sided, and ties are broken at random. Angles are compared on the
+    circle that is cut opposite to the mean direction of the simulated values. The result is the
+    smallest p-value of the components, times the number of components measured (Bonferroni).
+    Components that depend on neither x nor noise, as the standard error of a reading, are given and
+    not tested. If they differ from the model's, the ranks follow from the likelihood.
 
     Parameters
     ----------
@@ -144,17 +152,64 @@ def surprise_of_particles(
         by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in twin.parts)
         simulated = tuple(chain.from_iterable(by_sensor))
     measured = np.flatnonzero(~np.isnan(y))
-    smallest = 1.0
+    given = [k for k in measured if np.ndim(simulated[k]) == 0]
+    measured, is_other = np.setdiff1d(measured, given), any(y[k] != simulated[k] for k in given)
+    smallest, angles = 1.0, circular_components(model, cloud, y)
     for component in measured:
         values = np.broadcast_to(np.asarray(simulated[component], np.float64), (number,))
-        values = values[np.isfinite(values)]
+        values, value = values[np.isfinite(values)], y[component]
+        if component in angles:
+            centre = np.angle(np.exp(1j * values).mean())
+            values, value = (np.angle(np.exp(1j * (each - centre))) for each in (values, value))
+        if is_other:
+            rank = _rank_by_likelihood(
+                model, replace(cloud, x=states, weight=None), y, component, values
+            )
+            smallest = min(smallest, 2 * rank, 2 * (1 - rank))
+            continue
         (tie,) = variates(
             "uniform", 1, stream, draw, cloud.t, TRUTH_MEASUREMENT, len(kinds) + int(component)
         )
-        below, equal = np.sum(values < y[component]), np.sum(values == y[component])
+        below, equal = np.sum(values < value), np.sum(values == value)
         rank = float((below + tie * (equal + 1)) / (values.size + 1))
         smallest = min(smallest, 2 * rank, 2 * (1 - rank))
     return min(1.0, measured.size * smallest)
+
+
+def _rank_by_likelihood(
+    model: StateSpaceModel,
+    cloud: Cloud,
+    y: Array,
+    component: int | np.integer[Any],
+    simulated: Array,
+) -> float:
+    """The probability that a component is below y, given the other components of y.
+
+    The density of the component is the likelihood's mean over particles, normalised on a grid. The
+    grid is widened from the simulated values until the density ends inside it.
+    """
+    few = replace(cloud, x=np.repeat(cloud.x[:, :_OF_DENSITY], _GRID, axis=1))
+    count, centre = few.particles // _GRID, float(np.median(simulated))
+    reach = max(abs(y[component] - centre), float(np.ptp(simulated)), 1e-300)
+    low, high = centre - 2 * reach, centre + 2 * reach
+    for _ in range(_WIDENED):
+        grid = np.linspace(low, high, _GRID)
+        values = np.tile(y[:, None], few.particles)
+        values[component] = np.tile(grid, count)
+        log = log_likelihood(model, few, values).reshape(count, _GRID)
+        log = logsumexp(np.where(np.isfinite(log), log, -np.inf), axis=0)
+        if log.max() == -np.inf:
+            return 0.0
+        (inside,) = np.nonzero(log > log.max() - _ENDS)
+        is_inside = inside[0] > 0 and inside[-1] < _GRID - 1
+        if is_inside and inside.size > _GRID // 2:
+            break
+        first, last = grid[max(inside[0] - 1, 0)], grid[min(inside[-1] + 1, _GRID - 1)]
+        low, high = (first, last) if is_inside else (low - reach, high + reach)
+        reach *= 2
+    below = np.concatenate([[0.0], np.cumsum(np.exp(log - log.max()))])
+    edges = np.append(grid, 2 * grid[-1] - grid[-2]) - (grid[1] - grid[0]) / 2
+    return float(np.interp(y[component], edges, below / below[-1]))
 
 
 # --- normal distributions -----------------------------------------------------------------------

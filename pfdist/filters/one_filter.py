@@ -35,6 +35,8 @@ def formatted_instant(model: StateSpaceModel, t: int) -> str:
 
 
 Array = NDArray[np.float64]
+_PROBED = 64  # particles
+_SAME = 1e-6  # of the effect of half a turn
 _MOST_STEPS = 2**30  # particles times squared instants: some seconds, and megabytes
 
 
@@ -159,8 +161,11 @@ class OneFilter:
 
 
 def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
-    """Log-likelihood of a measurement, (m,), by all sensors that measured, for particles, (P,)."""
-    x, measured = tuple(cloud.x), tuple(np.full(cloud.particles, value) for value in y)
+    """Log-likelihood of a measurement, (m,), by all sensors that measured, for particles, (P,).
+
+    A measurement (m, P) has other values for each particle.
+    """
+    x, measured = tuple(cloud.x), tuple(np.broadcast_to(value, cloud.particles) for value in y)
     total = np.zeros(cloud.particles)
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with np.errstate(all="ignore"):
@@ -168,6 +173,25 @@ def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
             if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
                 total += sensor.log_likelihood(measured[of_sensor], x, cloud.t, model.p)
     return total
+
+
+def circular_components(model: StateSpaceModel, cloud: Cloud, y: Array) -> list[int]:
+    """The components of a measurement, (m,), that are angles.
+
+    A turn changes no particle's likelihood, but half a turn does. So an angle needs no declaration,
+    and whatever uses this list is the same for y + 2 pi k.
+    """
+    few = replace(cloud, x=cloud.x[:, :_PROBED], weight=None)
+    own, found = log_likelihood(model, few, y), list[int]()
+    for component in np.flatnonzero(~np.isnan(y)):
+        shift = np.where(np.arange(y.size) == component, np.pi, 0.0)
+        with np.errstate(invalid="ignore"):  # infinite ones differ by NaN
+            half, turn = (
+                np.abs(log_likelihood(model, few, y + k * shift) - own).max() for k in (1, 2)
+            )
+        if turn < _SAME * half:
+            found.append(int(component))
+    return found
 
 
 def filter_of_truths(first: OneFilter) -> OneFilter:
@@ -271,7 +295,7 @@ def checked_measurement(
     # A sensor that lacks all of its components did not measure.
     idle = [part.y for part in model.parts if np.isnan(values[part.y]).all()]
     partly = [k for k in missing.tolist() if not any(y.start <= k < y.stop for y in idle)]
-    if partly and not model.missing_components:
+    if partly and model.missing_components is not True:
         raise MeasurementsError(
             f"all components of y must be measured or none, got {names[partly[0]]} missing at "
             f"t = {t}: the model {model.name} does not declare missing_components=True, that is, "

@@ -1,25 +1,51 @@
 """Measurements as quantities of interest: a filter that predicts what would be measured."""
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
+from pfdist.common.streams import stream_of
+from pfdist.filters.cloud import Cloud
+from pfdist.filters.draws import noise_of
+from pfdist.filters.one_filter import circular_components
+from pfdist.kernels.variates import FILTER_INITIAL, TRUTH_MEASUREMENT
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.checks import ARGUMENTS
+from pfdist.models.twin import twin_of
 
+_FEW = 64
 _Formula = Callable[..., Any]
 
 
 def circular_measurements(model: StateSpaceModel) -> tuple[int, ...]:
-    """The components of y that are angles: those with the name of a circular component of z."""
+    """The components of y that are angles, of a model on its clock.
+
+    They have the name of a circular component of z, or a likelihood that is the same a turn later.
+    """
     quantities = zip(model.named("z"), model.is_angle, strict=True)
-    angles = {each.name for each, is_angle in quantities if is_angle and each.name}
-    return tuple(k for k, each in enumerate(model.named("y")) if each.name in angles)
+    named = {each.name for each, is_angle in quantities if is_angle and each.name}
+    found = {k for k, each in enumerate(model.named("y")) if each.name in named}
+    stream, draws, twin = stream_of("backtest", 0, "angles"), range(1), twin_of(model, range(1))
+    with np.errstate(all="ignore"):
+        w = noise_of(model.initial_noise, _FEW, stream, draws, 0, FILTER_INITIAL)
+        v = noise_of(model.noise_of_measurements, _FEW, stream, draws, 0, TRUTH_MEASUREMENT)
+        x = twin.initial(tuple(each.ravel() for each in w), model.p)
+        x = tuple(np.broadcast_to(each, _FEW) for each in x)
+        made = [
+            part.model.measurement(x, 0, tuple(each.ravel() for each in v[part.v]), model.p)
+            for part in twin.parts
+        ]
+    y = np.array([np.broadcast_to(each, _FEW)[0] for each in chain(*made)], np.float64)
+    return tuple(sorted(found.union(circular_components(model, Cloud(0, np.stack(x)), y))))
 
 
 def predicted(
-    model: StateSpaceModel, delays: tuple[int, ...] = (), horizon: int = 0
+    model: StateSpaceModel,
+    delays: tuple[int, ...] = (),
+    horizon: int = 0,
+    circular: tuple[int, ...] | None = None,
 ) -> StateSpaceModel:
     """The model whose quantity of interest is a measurement of its state, with noise.
 
@@ -35,11 +61,13 @@ def predicted(
         arrives. The quantity of interest is what it measures now, and would arrive later.
     horizon : int
         The last instant, if there are delays.
+    circular : tuple of int, optional
+        The components of y that are angles; by default those of `circular_measurements`.
 
     Returns
     -------
     StateSpaceModel
-        Its z has the components of y; `circular_measurements` says which are angles.
+        Its z has the components of y.
     """
     n, noise = model.components[0], model.noise_of_measurements
     initial, process = len(model.initial_noise), len(model.process_noise)
@@ -63,7 +91,7 @@ def predicted(
         process_noise=(*model.process_noise, *noise),
         x_names=(),
         z_names=() if model.sensors else model.y_names,
-        circular=circular_measurements(model),
+        circular=circular_measurements(model) if circular is None else circular,
     )
 
 

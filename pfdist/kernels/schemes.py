@@ -64,3 +64,12 @@ def threshold_of(resample: str) -> float:
             f"most 1, as in 'below 0.5', got {shown(resample)}"
         )
     return float(found[1])
+
+
+def resample_written(threshold: float) -> str:
+    """The text whose threshold this is.
+
+    >>> threshold_of(resample_written(0.01)), threshold_of(resample_written(ALWAYS))
+    (0.01, inf)
+    """
+    return "always" if threshold == ALWAYS else f"below {threshold:.20f}"

@@ -1,11 +1,12 @@
 """The state-space model: a handful of pure formulas (paper, equations 1 to 4)."""
 
+import copy
 import dataclasses
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -110,7 +111,12 @@ def repeated(model: "StateSpaceModel", repeats: int) -> "StateSpaceModel":
     """The model whose y may have several rows of each sensor: the components of all, in turn."""
     if repeats == 1:
         return model
-    plain = Sensor(model.measurement, model.log_likelihood, model.measurement_noise)
+    plain = Sensor(
+        model.measurement,
+        model.log_likelihood,
+        model.measurement_noise,
+        log_tails=model.log_tails,
+    )
     each = [*model.sensors.values()] or [plain]
     sensors = {f"row-{k}": each[k % len(each)] for k in range(repeats * len(each))}
     return dataclasses.replace(
@@ -176,9 +182,10 @@ class StateSpaceModel:
     normalised : bool
         Whether `log_likelihood` is the logarithm of a density or probability of y, with all
         constants. A filter of real measurements then gives their log evidence.
-    missing_components : bool
+    missing_components : bool or "together"
         Whether `log_likelihood` takes NaN for a component of y that was not measured, and then
-        gives the log-likelihood of the other components.
+        gives the log-likelihood of the other components. "together": only if all components of a
+        sensor are NaN, as of a measurement that failed.
     x_names, y_names, z_names : tuple of str
         A name for each component of x, y or z, with the unit in brackets at the end:
         ``("concentration [mg/l]",)``. Columns, figures and reports use them; without names the
@@ -215,7 +222,7 @@ class StateSpaceModel:
     error: Callable[..., Any] = squared_error
     linear_gaussian: bool = False
     normalised: bool = False
-    missing_components: bool = False
+    missing_components: bool | Literal["together"] = False
     x_names: tuple[str, ...] = ()
     y_names: tuple[str, ...] = ()
     z_names: tuple[str, ...] = ()
@@ -224,6 +231,14 @@ class StateSpaceModel:
     log_tails: Callable[..., Any] | None = None
 
     def __post_init__(self) -> None:
+        self._check_fields()
+        self.components  # noqa: B018  evaluated here, because it finds wrong formulas
+        for kind in _NAMES:
+            self.named(kind)
+        self.is_angle  # noqa: B018  evaluated here, because it refuses unknown components
+
+    def _check_fields(self) -> None:
+        """Check the fields that are plain data, and give the parameters to recorded formulas."""
         for name, value in checked_fields(self).items():
             object.__setattr__(self, name, value)
         fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
@@ -232,10 +247,6 @@ class StateSpaceModel:
             formula = getattr(self, name)
             if isinstance(formula, Programs):
                 object.__setattr__(self, name, formula.with_parameters(self.parameters))
-        self.components  # noqa: B018  evaluated here, because it finds wrong formulas
-        for kind in _NAMES:
-            self.named(kind)
-        self.is_angle  # noqa: B018  evaluated here, because it refuses unknown components
 
     def __repr__(self) -> str:
         values = vars(self) | {"sensors": [*self.sensors]}
@@ -453,8 +464,14 @@ class StateSpaceModel:
                 raise ModelError(
                     f"model {self.name}: unknown parameter {name!r}{allowed}", argument="parameters"
                 )
+        given = {**self.parameters, **overrides}
         try:
-            return dataclasses.replace(self, parameters={**self.parameters, **overrides})
+            if not all(isinstance(each, Programs) for each in self.formulas.values()):
+                return dataclasses.replace(self, parameters=given)
+            changed = copy.copy(self)  # programs have as many components with all values
+            changed.__dict__.update(parameters=given, components=self.components)
+            changed._check_fields()
+            return changed
         except ModelError as error:
             error.argument = "parameters"
             raise

@@ -74,7 +74,7 @@ class _Fields(Arguments):
     parameter_ranges: Mapping[str, Annotated[_Tuple[Number], Field(min_length=2, max_length=2)]]
     linear_gaussian: bool
     normalised: bool
-    missing_components: bool
+    missing_components: bool | Literal["together"]
     x_names: _Tuple[str]
     y_names: _Tuple[str]
     z_names: _Tuple[str]

@@ -22,6 +22,7 @@ from pfdist.models.mistakes import (
 from pfdist.models.parameters import Parameter
 from pfdist.models.program import (
     GROUPS,
+    LOOPS,
     MASKS,
     Array,
     Program,
@@ -83,6 +84,12 @@ class Programs:
         return self.traced.mode != MODES[0] or any(
             program.operations[number].name == "t" for number in used
         )
+
+    @cached_property
+    def takes_instants(self) -> bool:
+        """Whether t may be an array: one program, which repeats no steps, for all instants."""
+        (*_, last), mode = self.traced.programs, self.traced.mode
+        return mode == MODES[0] and not any(each.name in LOOPS for each in last.operations)
 
     def _program(self, t: Any) -> tuple[Program, int]:
         if isinstance(t, Symbol) and self.traced.mode != MODES[0]:
@@ -195,7 +202,7 @@ class Declared:
         Number of its components, if the function is missing.
     """
 
-    reads_time = True
+    reads_time, takes_instants = True, False
 
     def __init__(
         self,

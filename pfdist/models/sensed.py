@@ -7,7 +7,7 @@ the job then is the instant of arrival.
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,11 +42,14 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
         )
         for part in model.parts
     }
-    may_fail = any(each.fails for each in sensings.values())
+    missing: Any = model.missing_components
+    if any(each.fails for each in sensings.values()) and not missing:
+        is_one = all(part.model.components[1] == 1 for part in model.parts)
+        missing = is_one or "together"
     changes: dict[str, Any] = {
         "linear_gaussian": model.linear_gaussian
         and all(dataclasses.replace(s, repeats=1, delay=0) == PLAIN for s in sensings.values()),
-        "missing_components": model.missing_components or may_fail,
+        "missing_components": missing,
         "log_tails": None,
         **(_remembering(model, remembered) if remembered else {}),
     }
@@ -61,6 +64,24 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
     fields = StateSpaceModel.__dataclass_fields__
     changes |= {name: fields[name].default for name in (*MEASURING, "measurement_noise")}
     return dataclasses.replace(model, sensors=sensors, y_names=(), **changes)
+
+
+def without_failures(model: StateSpaceModel, fails: Sequence[bool]) -> StateSpaceModel:
+    """The model of `sensed`, some of whose sensors may fail, if no measurement does."""
+
+    def made(measurement: Any) -> Any:
+        return lambda x, t, v, p: measurement(x, t, (*v[:-1], 1.0), p)  # the last is the chance
+
+    if not any(fails):
+        return model
+    if not model.sensors:
+        return dataclasses.replace(model, measurement=made(model.measurement))
+    each = zip(model.sensors.items(), fails, strict=True)
+    sensors = {
+        name: dataclasses.replace(sensor, measurement=made(sensor.measurement)) if may else sensor
+        for (name, sensor), may in each
+    }
+    return dataclasses.replace(model, sensors=sensors)
 
 
 def _remembering(model: StateSpaceModel, instants: int) -> dict[str, Any]:
@@ -110,7 +131,7 @@ def _sensed(model: StateSpaceModel, name: str, sensing: Sensing, *, remembers: b
             raise ModelError(
                 f"a limit needs one component of y, and log_tails (y, x, t, p), the logarithms of "
                 f"the probabilities of values up to y and above it; {sensor}model {model.name} "
-                f"has {got}"
+                f"has {got}" + "; give the model a sensor for each component" * (tails is not None)
             )
         measurement, log_likelihood = _limited(measurement, log_likelihood, tails, sensing)
     if sensing.fails:

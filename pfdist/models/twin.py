@@ -119,5 +119,9 @@ class _Twin:
     def reads_time(self) -> bool:
         return self._computed.reads_time
 
+    @property
+    def takes_instants(self) -> bool:
+        return self._computed.takes_instants
+
     def __call__(self, *arguments: Any) -> Any:
         return self._computed(*arguments)

@@ -59,7 +59,6 @@ class Constraints:
     # Constraints on each sensor alone; none if no sensor has any
     limits: tuple[Limit, ...] = ()
     cheapest: int = 0  # number of the sensor that measures at regular times
-    sensors: tuple[Times, ...] = ()  # the ways of each sensor; by default each way is one
     visits: Visits | None = None
     # Price of the installation of some sensors, paid once if any of these measures
     installs: tuple[tuple[Money, Times], ...] = ()
@@ -73,8 +72,6 @@ class Constraints:
     def __post_init__(self) -> None:
         if self.points is None:
             object.__setattr__(self, "points", Points(Clock.counting(self.horizon)))
-        if not self.sensors:
-            object.__setattr__(self, "sensors", tuple((way,) for way in range(self.points.ways)))
 
     @property
     def counted(self) -> bool:
@@ -421,7 +418,7 @@ def _check_limits(constraints: Constraints) -> None:
     if constraints.limits and constraints.counted and not constraints.spacing.is_free:
         raise MeasurementTimesError(
             "minimum_spacing must be left out if a sensor has most or minimum_spacing, unless "
-            f"total_price is given, got {constraints.minimum_spacing}"
+            f"total_price is given, got {constraints.minimum_spacing}: give each sensor its own"
         )
     if not constraints.is_within_limits(constraints.required):
         raise MeasurementTimesError("required must keep the limits of sensors and visits")

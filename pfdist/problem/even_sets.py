@@ -143,7 +143,7 @@ class EvenSets:
     @property
     def _turns(self) -> Iterator[tuple[Times, ...]]:
         """The ways that measure at one target after another, again and again."""
-        sensors = self.feasible.sensors
+        sensors = self.feasible.points.sensor_ways
         for ways in sensors:
             yield from ((ways[:number],) for number in range(1, len(ways) + 1))
         if len(sensors) > 1 and not self.feasible.visits:

@@ -93,17 +93,22 @@ class Feasible(Constraints):
 
         Without sensors there are none. Sets that are not feasible are left out.
         """
-        firsts = [ways[0] for ways in self.sensors]
+        firsts = tuple(ways[0] for ways in self.points.sensor_ways)
         if len(firsts) < 2:
             return {}
         names = {way: self.points.sensors[way].removesuffix("_a") for way in firsts}
         turns: dict[str, Times] = {f"alone_{name}": (way,) for way, name in names.items()}
-        turns |= {"rotation": tuple(firsts)}
+        turns["rotation"] = firsts
         return {
             name.lower().replace("-", "_"): times
             for name, ways in turns.items()
             if (times := self._in_turn(ways)) is not None
         }
+
+    def canonical(self, times: Times) -> Times:
+        """The set with the first of alike repeats, unless limits of single repeats forbid it."""
+        alike = self.points.canonical(times)
+        return alike if self.accepts(alike) else times
 
     def is_regular(self, times: Times) -> bool:
         """Whether times are the regular times of their number, feasible or not."""

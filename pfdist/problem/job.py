@@ -43,6 +43,7 @@ from pfdist.problem.sections import (
     Execution,
     FilterSection,
     Model,
+    is_list_of,
 )
 
 if TYPE_CHECKING:  # a job is read without Numba
@@ -78,6 +79,10 @@ def override(data: dict[str, Any], change: str) -> None:
     if path[0] == "search" and len(path) > 1:
         section, path = _search_named(data, path[1], change), path[2:]
     for part in path[:-1]:
+        if section.get(part) and is_list_of(
+            section[part], str
+        ):  # names of sections without keys, as of sensors
+            section[part] = {name: {} for name in section[part]}
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
             raise _wrong(change, f"{shown_text(part)} is not a section and has no keys")
@@ -460,6 +465,15 @@ class Job(JobSection):
         """The job with some keys changed; parameters and errors as in `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True, by_alias=True)
         return _validated(data, self._origin, overrides, sections, settings)
+
+    def without_delays(self) -> "Job":
+        """The job whose sensors give their values at once."""
+        if not self.problem.points.delays:
+            return self
+        problem = self.model_dump(mode="json", exclude_none=True, by_alias=True)["problem"]
+        for sensor in (problem.get("sensor", {}), *problem.get("sensors", {}).values()):
+            sensor.pop("delay", None)
+        return self.with_changes(sections={"problem": problem})
 
     def identity(self) -> dict[str, Any]:
         """Everything that identifies a run of this job: all sections but [execution]."""

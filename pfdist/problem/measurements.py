@@ -51,6 +51,8 @@ class Reading(NamedTuple):
         and whether it may fail.
     sensors : tuple of str
         For each sensor of the model, that of the job, of which it may be one of the repeats.
+    all_count : bool
+        Whether a value that arrives after the horizon is an error.
     """
 
     columns: Mapping[str, str] = {}
@@ -59,6 +61,7 @@ class Reading(NamedTuple):
     note: Callable[[str], Any] = lambda line: None
     sensings: tuple[Sensing, ...] = ()
     sensors: tuple[str, ...] = ()
+    all_count: bool = False
 
     def readers(self, names: Iterable[str]) -> dict[str, Callable[[str], float]]:
         """A reader of the cells of each measured column: numbers, and readings beyond a limit."""
@@ -279,9 +282,10 @@ def _placed(
         values[arrival, way, count[t, way]] = y
         count[t, way] += 1
     if late:
-        reading.note(
-            f"values that arrive after {clock.formatted(clock.horizon)} do not count: {late}"
-        )
+        unused = f"values that arrive after {clock.formatted(clock.horizon)} do not count: {late}"
+        if reading.all_count:
+            raise MeasurementsError(f"{unused}; give the job file, not the folder of its run")
+        reading.note(unused)
     return values
 
 
@@ -319,6 +323,16 @@ def covariate_at(
     """The values of a covariate at times: from each instant of the clock on until the next."""
     at = np.searchsorted(np.array(clock.times) - clock.slack, [*times], side="right") - 1
     return tuple(np.array(values)[at.clip(0)].tolist())
+
+
+def parameters_at(
+    parameters: Mapping[str, Parameter], clock: Clock, times: Sequence[float]
+) -> dict[str, Parameter]:
+    """Parameters, whose covariates have a value for each instant of a clock, at other times."""
+    return {
+        name: covariate_at(value, clock, times) if isinstance(value, tuple) else value
+        for name, value in parameters.items()
+    }
 
 
 def instants_of_table(

@@ -4,6 +4,7 @@ Everything inside names a possible measurement by its number. This module alone 
 ``12 x-ray`` and writes it.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -35,6 +36,8 @@ class Points(PointNumbers):
     # (ways,): the number of instants after which a value arrives; then a point is that of the
     # arrival, and users read and write the time of the measurement
     delays: tuple[int, ...] = ()
+    # (ways,): the way of the first repeat of the same sensor; by default none repeats
+    repeats: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ways", max(1, len(self.sensors)))
@@ -55,6 +58,36 @@ class Points(PointNumbers):
     def made_at(self, point: int) -> int:
         """The instant at which a point is measured; below 0 if its value cannot have arrived."""
         return int(self.instant(point)) - self.delay(self.way(point))
+
+    @property
+    def sensor_ways(self) -> tuple[Times, ...]:
+        """The ways of each sensor: several if it repeats."""
+        of_first = dict[int, Times]()
+        for way, first in enumerate(self.repeats or range(self.ways)):
+            of_first[first] = (*of_first.get(first, ()), way)
+        return tuple(of_first.values())
+
+    def canonical(self, points: Iterable[int]) -> Times:
+        """The points, sorted, at which k repeats of a sensor are its first k.
+
+        Repeats are alike, so 3 b alone is 3 a. A point may be given as often as it repeats.
+
+        >>> points = Points(Clock.counting(3), ("a", "b", "c"), repeats=(0, 0, 0))
+        >>> points.written_of(points.canonical((3, 3, 8)))
+        ['1 a', '1 b', '2 a']
+        """
+        if not self.repeats:
+            return tuple(sorted(points))
+        count, found = Counter[int](), list[int]()
+        for point in sorted(points):
+            first = self.first(self.instant(point)) + self.repeats[self.way(point)]
+            place = first + count[first]
+            is_alike = place < self.first(self.instant(point) + 1) and (
+                self.repeats[self.way(place)] == self.repeats[self.way(first)]
+            )
+            found.append(place if is_alike else point)  # too many: the point comes twice
+            count[first] += 1
+        return tuple(sorted(found))
 
     def arriving(self, made: int) -> int:
         """The point whose measurement is made at the instant of a point, by the same sensor."""
@@ -134,9 +167,7 @@ class Points(PointNumbers):
             return tuple(
                 point for each in written for point in self.read(each, name, of_all=of_all)
             )
-        ways = {sensor: range(way, way + 1) for way, sensor in enumerate(self.sensors)}
-        if of_all:
-            ways[""] = range(self.ways)
+        ways = self._ways | ({"": range(self.ways)} if of_all else {})
         found, waiting = list[int](), list[str]()
         for word in [*self._words(str(as_text(written))), ""]:
             if word and word not in ways:
@@ -179,15 +210,24 @@ class Points(PointNumbers):
         points = range(self.number) if self.sensors else ()
         return {self.written(each): each for each in points if self.made_at(each) >= 0}
 
+    @cached_property
+    def _ways(self) -> dict[str, range]:
+        """The ways of each name; a sensor that repeats, and a bare time, mean the first repeat."""
+        ways = {sensor: range(way, way + 1) for way, sensor in enumerate(self.sensors)}
+        for way, sensor in enumerate(self.sensors):
+            if self.repeats.count(way) > 1:
+                ways.setdefault(sensor.rpartition("a")[0].removesuffix("_"), ways[sensor])
+        return ways
+
     def _words(self, text: str) -> list[str]:
         """Times and sensors; with dates, all words of an entry that are no sensors are one."""
         if not self.clock.has_dates:
             return SEPARATOR.split(text.strip(", "))
         words = list[str]()
         for entry in groups(text):
-            dates = " ".join(word for word in entry if word not in self.sensors)
+            dates = " ".join(word for word in entry if word not in self._ways)
             words += [dates] if dates else []
-            words += [word for word in entry if word in self.sensors]
+            words += [word for word in entry if word in self._ways]
         return words
 
     def checked(
@@ -208,7 +248,7 @@ class Points(PointNumbers):
         )
         counts = self.clock.counts and not self.sensors and not self.delays
         if not counts or any(isinstance(entry, str) for entry in entries):
-            entries = [*self.read(entries, name)]
+            entries = [*self.canonical(self.read(entries, name))]
         if not counts:
             twice = [t for t, following in pairwise(sorted(entries)) if t == following]
             if twice:

@@ -7,7 +7,7 @@ its name, and this module puts ``problem.`` before it.
 import re
 from collections.abc import Iterable, Iterator
 from functools import cached_property
-from itertools import accumulate, chain
+from itertools import chain
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.section import JobSection, Listed
 from pfdist.common.sensing import Sensing, names_of_repeats
 from pfdist.errors import MeasurementTimesError, shown
@@ -230,7 +230,13 @@ class ProblemSection(JobSection):
     def points(self) -> Points:
         """The table of all possible measurements; raises as `clock`."""
         delays = tuple(each.delay for _, each in self.each_sensing)
-        points = Points(self.clock, tuple(self.each_sensor), delays if any(delays) else ())
+        names = [name for name, _ in self.each_sensing]
+        points = Points(
+            self.clock,
+            tuple(self.each_sensor),
+            delays if any(delays) else (),
+            tuple(map(names.index, names)) if len({*names}) < len(names) else (),
+        )
         if points.number > _MOST_POSSIBLE:
             raise MeasurementTimesError(
                 f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {points.number:,}"
@@ -299,7 +305,10 @@ class ProblemSection(JobSection):
         points, limits = self.points, self._limits
         visits = None if self.visits is None else self.visits.on(points)
         if visits and points.delays:
-            raise MeasurementTimesError("visits must be left out with sensors that have a delay")
+            raise MeasurementTimesError(
+                "visits must be left out with sensors that have a delay, unless the estimate waits "
+                "for all values: estimate = 'smoothed'"
+            )
         installs, groups = self._installs, self._groups
         if self.total_price is None and (installs or (self.visits and self.visits.price)):
             name = "visits.price" if not installs else "install"
@@ -321,7 +330,6 @@ class ProblemSection(JobSection):
             installs=installs,
             groups=groups,
             cheapest=prices.index(min(prices)),  # the first sensor if none has a price
-            sensors=tuple(self._ways.values()),
         )
 
     @property
@@ -379,16 +387,9 @@ class ProblemSection(JobSection):
     @property
     def _ways_of_sensors(self) -> Iterator[tuple[SensorSection, Times]]:
         """Each sensor with its ways: several if it repeats."""
-        return ((each, self._ways[name]) for name, each in (self.sensors or {}).items())
-
-    @property
-    def _ways(self) -> dict[str, Times]:
-        """The ways of each sensor; the only one has the name ""."""
-        ends = accumulate(each.repeats for each in self.sensings.values())
-        return {
-            name: tuple(range(end - each.repeats, end))
-            for (name, each), end in zip(self.sensings.items(), ends, strict=True)
-        }
+        way = 0
+        for name, each in (self.sensors or {}).items():
+            yield each, tuple(range(way, way := way + self.sensings[name].repeats))
 
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:
@@ -427,14 +428,18 @@ class ProblemSection(JobSection):
         return tuple((weights / weights.mean()).tolist())
 
     @cached_property
-    def instants_of_lag(self) -> int | tuple[int, ...]:
-        """The estimate of z(t) uses measurements until so many instants after t.
+    def instants_of_lag(self) -> Lag:
+        """The estimate of z(t) uses measurements until so many instants after t; see `lag_on`."""
+        return self.lag_on(self.clock)
+
+    def lag_on(self, clock: Clock) -> Lag:
+        """The estimate of z(t) uses measurements until so many instants of a clock after t.
 
         It is T for the smoothed estimate, and 0 for the filtered one. With uneven steps each
         instant has its own number. Raises `MeasurementTimesError` if the lag is no number of
-        instants, or shorter than all steps.
+        instants, or shorter than all steps of the own clock; on another clock it then is 0.
         """
-        clock, lag = self.clock, self.lag
+        lag = self.lag
         if lag is None:
             return clock.horizon if self.estimate == SMOOTHED else 0
         if not self.has_clock:
@@ -442,6 +447,8 @@ class ProblemSection(JobSection):
         times = np.array(clock.times)
         step = np.diff(times).min()
         if not step - clock.slack <= lag < np.inf:
+            if clock is not self.clock:
+                return 0
             raise MeasurementTimesError(f"lag must be at least a step, {step:g}, got {lag:g}")
         if clock.is_even:
             return min(int((lag + clock.slack) / step), clock.horizon)

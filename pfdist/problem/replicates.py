@@ -29,6 +29,7 @@ from pfdist.problem.measurements import (
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
+USED = "an earlier time uses"
 TRAIN = "train"
 """Column that marks replicates to which the model was fitted."""
 
@@ -102,8 +103,12 @@ class Replicate:
             if not away or min(away) > within + self.clock.slack:
                 name = f" by {model.parts[way].name}" if model.sensors else ""
                 at = self.clock.text(time) if self.clock.has_dates else f"{time:.4g}"
+                used = [each for each in chosen if points.way(each) == way and (
+                    abs(self.clock.times[points.instant(each) - late] - time) <= within
+                )]  # fmt: skip
+                but = f", but one that {USED}" * bool(used)
                 raise MeasurementsError(
-                    f"no measurement{name} within {self.clock.duration(within)} of t = {at}"
+                    f"no measurement{name} within {self.clock.duration(within)} of t = {at}{but}"
                 )
             chosen.append(free[int(np.argmin(away))])
         return tuple(sorted(chosen))

@@ -25,10 +25,11 @@ from pfdist.errors import (
     PfdistWarning,
 )
 from pfdist.models import StateSpaceModel
+from pfdist.models.base import within_half_turn
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.replicates import Replicate, read_replicates
+from pfdist.problem.replicates import USED, Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.evaluate import OneSet, instants_evaluated
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -309,7 +310,7 @@ def backtest(
             matched, left_out = matched_of(built, replicates, plans, own, within)
             if not matched:
                 why = next((f"{name}: {each}" for name, each in left_out.items()), "no rows")
-                more = "; --within allows more" * (" within " in why)
+                more = "; --within allows more" * (" within " in why and USED not in why)
                 raise MeasurementsError(f"no replicate can be judged ({why}){more}")
             errors = judged_errors(built, matched, pool, show)
     first = f"evenly spaced times from t = {clock.formatted(0)}"
@@ -355,7 +356,8 @@ def _check_filter(built: Built) -> None:
         )
     if delays and scenarios is not None and scenarios.is_learned:
         raise JobError(
-            "scenarios.filter must be 'nominal' with sensors that have a delay, got 'learned'"
+            "scenarios.filter must be 'nominal' with sensors that have a delay, got 'learned': or "
+            "leave out the delay, and give the times at which values arrive"
         )
 
 
@@ -406,22 +408,14 @@ def _result(
     plan, others = of_sets[PLAN], [*of_sets.items()][1:]
     order = np.argsort(of_sets[FROM_START].real - plan.real)
     places = [int(order[round(share * (len(order) - 1))]) for share in np.linspace(0.1, 0.9, SHOWN)]
-    shown = [
-        ShownReplicate(
-            matched[place].replicate.name,
-            np.array(matched[place].replicate.clock.times, np.float64),
-            (
-                when_made(
-                    matched[place].replicate.y[:, : model.components[1]], model, points.delays
-                )
-                if matched[place].is_predicted
-                else matched[place].judged
-            ),
-            points.made(matched[place].sets[0]),
-            errors[place],
-        )
-        for place in dict.fromkeys(places)
-    ]
+    shown = list[ShownReplicate]()
+    for place in dict.fromkeys(places):
+        (replicate, used, known_z), found = matched[place], errors[place]
+        if matched[place].is_predicted:
+            known_z = when_made(replicate.y[:, : model.components[1]], model, points.delays)
+        near = within_half_turn(known_z, found.estimates[0], found.is_angle)
+        times = np.array(replicate.clock.times, np.float64)
+        shown.append(ShownReplicate(replicate.name, times, near, points.made(used[0]), found))
     surprises = np.concatenate([each.surprises for each in errors])
     return Backtest(
         sets=sets,

@@ -35,6 +35,7 @@ from pfdist.results.columns import records_of
 from pfdist.runner.backtesting import evaluator_for, outcomes
 from pfdist.runner.build import Built, build
 from pfdist.runner.progress import Progress, Show
+from pfdist.store import is_job_of_run
 
 Array = NDArray[np.float64]
 Loss = Callable[[Array], float]
@@ -82,6 +83,10 @@ class Fitted(Shown):
         Number of searches. The first starts at the values of the job.
     on_bound : tuple of str
         Parameters that lie on a bound.
+    mirrored : tuple of str
+        Parameters without a range whose other sign is as likely; they have that of the start.
+    turned : tuple of str
+        Other parameters without a range that do not have the sign of the start.
     profile : DataFrame, optional
         The largest log-likelihood at values of each parameter: columns ``parameter`` (which has a
         given value), one for each parameter, and ``below`` (how far below the maximum).
@@ -100,6 +105,8 @@ class Fitted(Shown):
     replicates: int
     starts: int
     on_bound: tuple[str, ...]
+    mirrored: tuple[str, ...] = ()
+    turned: tuple[str, ...] = ()
     profile: pd.DataFrame | None = None
     correlation: pd.DataFrame | None = None
 
@@ -126,6 +133,15 @@ class Fitted(Shown):
             f"{name} lies on its bound, {rounded(self.parameters[name])}: the likelihood may be "
             "larger beyond it."
             for name in self.on_bound
+        ]
+        warnings += [
+            f"{name} may have either sign, because both are equally likely; it has that of the "
+            "start: give it a range."
+            for name in self.mirrored
+        ]
+        warnings += [
+            f"{name} has another sign than at the start: give it a range if that is impossible."
+            for name in self.turned
         ]
         if self.correlation is not None:
             both = self.correlation.to_numpy()
@@ -158,6 +174,7 @@ class _Part(NamedTuple):
     first: int
     particles: int  # 0: the exact likelihood
     stream: int
+    is_trial: bool  # a model that fails then explains nothing
 
 
 @with_options
@@ -226,7 +243,9 @@ def fit(
     """
     chosen, table = Chosen(**options), table_argument("data", data)
     settings = {"execution": chosen.execution, "filter": {"proposal": PLAIN}}  # no times are judged
-    built = build(as_job(job, changes, settings=settings))
+    own = as_job(job, changes, settings=settings)
+    is_of_run = is_job_of_run(own.path)  # its models remember states until values arrive
+    built = build(own if is_of_run else own.without_delays())  # when values arrive, tells nothing
     believed = built.evaluator.believed
     if built.evaluator.has_particles and not believed.normalised:
         raise ModelError(
@@ -244,9 +263,10 @@ def fit(
                 argument="parameters",
             )
     names = [*built.evaluator.model.parameters, *believed.parameters]
+    reading = reading_of(built, columns, within, chosen.say)._replace(all_count=True)
     replicates = read_replicates(
         table, replicate, built.evaluator.model, built.job.problem.clock, [*dict.fromkeys(names)],
-        reading_of(built, columns, within, chosen.say),
+        reading,
     )  # fmt: skip
     used = [each for each in replicates if each.is_training] or replicates
     if both := sorted({*start} & {name for each in used for name in each.parameters}):
@@ -305,7 +325,7 @@ class _Fitting:
             doing = f"Fit: {tried:,} of at most {evaluations:,} likelihoods"
             show(Progress("fit", tried, evaluations, doing=doing))
             try:
-                return -self._likelihood(self._values(point), repeat)
+                return -self._likelihood(self._values(point), repeat, is_trial=True)
             except ModelError:  # a value that the model does not allow
                 return math.inf
 
@@ -342,9 +362,32 @@ class _Fitting:
         is_on_bound = (point == np.array(ends)).any(axis=0)
         on_bound = tuple(np.array([*self.start])[is_on_bound].tolist())
         replicates = sum(len(group.y) for group in self.groups)
+        point, mirrored, turned = self._with_signs(point, again, others)
         fitted = Fitted(self._values(point), likelihood, error, started_at, tried, _agree(found),
-                        replicates, len(found), on_bound)  # fmt: skip
+                        replicates, len(found), on_bound, mirrored, turned)  # fmt: skip
         return self._profiled(fitted, point, ends, partial(loss, repeat=0)) if profile else fitted
+
+    def _with_signs(
+        self, point: Array, own: Array, repeats: Iterable[int]
+    ) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
+        """A point with the signs of the start where both are as likely, these, and other signs.
+
+        `own` has the log-likelihoods of the point, under the noise of `repeats`.
+        """
+        mirrored, turned = list[str](), list[str]()
+        for k, name in enumerate(self.start):
+            if not -self.bounds[k, 0] == self.bounds[k, 1] == math.inf or not point[k]:
+                continue
+            other = np.where(np.arange(point.size) == k, -point, point)
+            values = self._values(other)
+            there = np.array([self._likelihood(values, each, is_trial=True) for each in repeats])
+            is_turned = self._begin[k] * point[k] < 0.0
+            if _are_alike(own, there):
+                mirrored.append(name)
+                point = other if is_turned else point
+            elif is_turned:
+                turned.append(name)
+        return point, tuple(mirrored), tuple(turned)
 
     def _profiled(self, fitted: Fitted, best: Array, ends: Sequence[Array], loss: Loss) -> Fitted:
         """A result with its profiles, and the correlation that follows from them.
@@ -393,14 +436,16 @@ class _Fitting:
         values = np.where(self._is_log, np.exp(np.where(self._is_log, at, 0.0)), at)
         return dict(zip(self.start, values.clip(*self.bounds.T).tolist(), strict=True))
 
-    def _likelihood(self, values: Mapping[str, float], repeat: int = 0) -> float:
+    def _likelihood(
+        self, values: Mapping[str, float], repeat: int = 0, *, is_trial: bool = False
+    ) -> float:
         """The log evidence of all replicates, which are shared out to the workers."""
         parts, stream = list[_Part](), stream_of("fit", self.seed, repeat)
         for model, y in self.groups:
             changed, size = model.with_parameters(values), -(-len(y) // self.pool.workers)
             for first in range(0, len(y), size):
                 some = y[first : first + size]
-                parts.append(_Part(changed, some, first, self.particles, stream))
+                parts.append(_Part(changed, some, first, self.particles, stream, is_trial))
         totals = dict(outcomes(self.pool, _evidence, parts, "the fit"))
         return math.fsum(totals.values())
 
@@ -451,8 +496,13 @@ def _agree(found: Sequence[_Found]) -> bool:
     """Whether the best two results, which are the first, are the same maximum up to the noise."""
     if len(found) < 2:
         return False
+    return _are_alike(found[0].judged, found[1].judged)
+
+
+def _are_alike(better: Array, other: Array) -> bool:
+    """Whether log-likelihoods under the same noise differ by no more than the noise."""
     with np.errstate(invalid="ignore"):  # other noise may make the measurements impossible
-        apart = found[0].judged - found[1].judged
+        apart = better - other
         return bool(apart.mean() <= max(_AGREE, apart.std()))
 
 
@@ -484,7 +534,12 @@ def _start(
 
 
 def _evidence(part: _Part) -> float:
-    if not part.particles:
-        return float(exact_log_evidence(part.model, part.y).sum())
-    found = log_evidence(part.model, part.y, part.particles, part.stream, part.first)
-    return float(found.sum())
+    try:
+        if not part.particles:
+            return float(exact_log_evidence(part.model, part.y).sum())
+        found = log_evidence(part.model, part.y, part.particles, part.stream, part.first)
+        return float(found.sum())
+    except ModelError:  # a formula is not finite at these values
+        if part.is_trial:
+            return -math.inf
+        raise

@@ -178,7 +178,7 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     for look, is_declared, patient in (
         ("log_likelihood", True, likelihood),
         ("normalised", model.normalised, normalised),
-        ("missing components", model.missing_components, missing_components),
+        ("missing components", model.missing_components is True, missing_components),
     ):
         if is_declared:
             within = Within(_LONGEST)

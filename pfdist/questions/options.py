@@ -58,7 +58,8 @@ def other_criterion(job: Job) -> JobError:
     """The error that a question cannot be answered for the criterion of a job."""
     return JobError(
         "this question needs the expected MSE as criterion (problem, scenarios), got the "
-        f"{job.criterion.label} ({job.path})"
+        f"{job.criterion.label} ({job.path}): set problem.criterion = 'expected_mse' and "
+        "scenarios.criterion = 'mean'"
     )
 
 

@@ -170,7 +170,8 @@ class Planner:
                 f"taken is for a value that arrives later, got {shown(given)}: give its value to "
                 "update"
             )
-        in_flight = tuple(sorted({*self._in_flight, point}))
+        in_flight = tuple(sorted({*points.canonical((*self._in_flight, point))}))
+        (point,) = {*in_flight} - {*self._in_flight} or {point}  # the next of alike repeats
         if point not in self._plan:
             planned = tuple(sorted({*self._plan, point}))
             self._plan = self._planned_anew(planned, in_flight)

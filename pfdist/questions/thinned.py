@@ -69,7 +69,10 @@ def plans_of(
     """
     feasible, job = built.feasible, built.job
     if feasible.measurement_budget is None:
-        raise JobError("plan_each needs problem.measurement_budget, got a total price")
+        raise JobError(
+            "plan_each needs problem.measurement_budget, got a total price: without plan_each, the "
+            "plan of the run is judged"
+        )
     if built.evaluator.scenarios:
         raise JobError("plan_each needs a job without scenarios, or scenarios.filter = 'learned'")
     planning = first_planning(planning_of(job, built.evaluator.variance_is_error))

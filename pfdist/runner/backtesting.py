@@ -6,7 +6,7 @@ Real and simulated measurements pass the same filters, and are judged at the sam
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +17,20 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FEW
-from pfdist.filters.predicted import predicted
+from pfdist.filters.predicted import circular_measurements, predicted
 from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
+from pfdist.kernels.schemes import resample_written
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import repeated, within_half_turn
 from pfdist.models.parameters import Parameter
 from pfdist.models.recorded import is_of_any_time
+from pfdist.models.sensed import without_failures
 from pfdist.pools.base import Pool, Task
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.measurements import covariate_at
+from pfdist.problem.measurements import parameters_at
 from pfdist.problem.replicates import Replicate
 from pfdist.runner.build import Built, evaluator_of, models_of_job
 from pfdist.runner.online_work import seen
@@ -104,6 +106,8 @@ class ReplicateErrors:
         Number of sets with a measurement that no particle explains.
     collapsed : int
         Number of sets with which the effective sample size falls below `FEW`.
+    is_angle : tuple of bool
+        Whether each judged component is an angle.
     """
 
     real: Array
@@ -116,6 +120,7 @@ class ReplicateErrors:
     high: Array
     impossible: int
     collapsed: int
+    is_angle: tuple[bool, ...]
 
     @property
     def intervals(self) -> tuple[Array, Array, Array]:
@@ -157,6 +162,7 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
         high,
         impossible,
         collapsed,
+        is_angle,
     )
 
 
@@ -214,6 +220,7 @@ def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:
     model, points, plan = evaluator.believed, evaluator.points, work.sets[0]
     following = Filter(
         model, work.estimation.particles, work.streams[1] - _SIGNED,
+        resampling=work.estimation.resampling, resample=resample_written(work.estimation.threshold),
         engine=evaluator.engine, horizon=evaluator.horizon,
     )  # fmt: skip
     surprises = list[float]()
@@ -255,49 +262,44 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     is_predicted : bool
         Whether its quantity of interest is a measurement; see `pfdist.filters.predicted`.
     """
+    problem = built.job.problem
     clock = replicate.clock if replicate.has_own_clock else None
-    return evaluator_on(built, clock, replicate.parameters, is_predicted=is_predicted)
+    fails = [each.fails > 0.0 for _, each in problem.each_sensing]
+    on = clock or problem.clock
+
+    def judged(model: StateSpaceModel) -> StateSpaceModel:
+        """The model that simulates values where the replicate has some."""
+        made = without_failures(model, fails)
+        if not is_predicted:
+            return made
+        angles = circular_measurements(made.on_clock(on.times) if problem.has_clock else made)
+        return predicted(made, problem.points.delays, on.horizon, angles)
+
+    return evaluator_on(built, clock, replicate.parameters, judged)
 
 
 def evaluator_on(
     built: Built,
     clock: Clock | None,
     parameters: Mapping[str, Parameter] = MappingProxyType({}),
-    *,
-    is_predicted: bool = False,
+    change: Callable[[StateSpaceModel], StateSpaceModel] = lambda model: model,
 ) -> Evaluator:
     """The evaluator of a job with another clock, if there is one, and with other parameters.
 
-    Covariates of the job are constant from each of its instants to the next.
+    Covariates of the job are constant from each of its instants to the next. `change` makes a model
+    of each model of the job.
     """
     job, own = built.job, built.job.problem.clock
-    if clock is not None:
-        problem = {"times": [*clock.times], "measurement_budget": 1}
-        problem |= {"time_unit": clock.unit or None}
-        problem |= {"sensors": [*job.problem.points.sensors] or None}
-        lag, steps = job.problem.lag, np.diff(clock.times)
-        # If all steps are longer, no later measurement is used.
-        is_a_step = lag is not None and (lag >= steps - clock.slack).any()
-        problem |= {"lag": lag if is_a_step else None, "estimate": job.problem.estimate}
-        given = {name: value for name, value in problem.items() if value is not None}
-        compared = {"sets": {"regular": "regular"}}  # a job without a search compares a set
-        others: dict[str, Any] = {"search": [], "budget": None, "online": None}
-        others["comparison"] = compared
-        job = job.with_changes(sections={"problem": given, **others})
     truth, believed = models_of_job(job)
 
     def changed(model: StateSpaceModel) -> StateSpaceModel:
         values = {name: each for name, each in parameters.items() if name in model.parameters}
-        for name, each in model.parameters.items():
-            if clock is not None and isinstance(each, tuple):
-                values.setdefault(name, covariate_at(each, own, clock.times))
-        return model.with_parameters(values)
+        if clock is not None:
+            values = parameters_at(model.parameters, own, clock.times) | values
+        return change(model.with_parameters(values))
 
     models = [*map(changed, [truth] if believed == truth else [truth, believed])]
-    if is_predicted:
-        delays, last = job.problem.points.delays, job.problem.clock.horizon
-        models = [predicted(each, delays, last) for each in models]
-    evaluator = evaluator_of(job, models[0], models[-1])
+    evaluator = evaluator_of(job, models[0], models[-1], clock)
     estimations = (built.comparing,) if built.evaluator.has_particles else ()
     return replace(evaluator, engine=built.evaluator.engine, weights=None, estimations=estimations)
 

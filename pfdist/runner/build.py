@@ -33,8 +33,10 @@ from pfdist.models.sensed import sensed
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
+from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import ONLINE, Job
+from pfdist.problem.measurements import parameters_at
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
 from pfdist.runner.budget_study import BudgetStudy
@@ -157,12 +159,24 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
     return built
 
 
-def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel) -> Evaluator:
-    """The evaluator of a job and its models, not yet compiled; raises as `build`."""
-    _check_sensors(job, model, job.problem.points.sensors)
+def evaluator_of(
+    job: Job, model: StateSpaceModel, filter_model: StateSpaceModel, clock: Clock | None = None
+) -> Evaluator:
+    """The evaluator of a job and its models, not yet compiled; raises as `build`.
+
+    Another clock replaces that of the job: covariates of scenarios are constant from each of the
+    job's instants to the next, and all instants have one weight.
+    """
+    problem, on = job.problem, clock or job.problem.clock
+    _check_sensors(job, model, problem.points.sensors)
     scenarios = () if job.scenarios is None else job.scenarios.of_draws
+    if clock is not None:
+        scenarios = tuple(
+            replace(each, parameters=parameters_at(each.parameters, problem.clock, clock.times))
+            for each in scenarios
+        )
     told = job.scenarios is not None and job.scenarios.filter == "told"
-    times = job.problem.clock.times if job.problem.has_clock else None
+    times = on.times if problem.has_clock else None
     for part, each in (("model", model), ("model.filter", filter_model)):
         if times is None and each.reads_clock:
             raise ModelError(
@@ -173,12 +187,12 @@ def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel
         evaluator = recorded_evaluator(
             model,
             filter_model,
-            horizon=job.problem.feasible.horizon,
+            horizon=on.horizon,
             engine=job.filter.engine,
             estimations=(comparing_of(job), Settings.from_job(job).estimation),
             times=times,
-            weights=job.problem.weights,
-            lag=job.problem.instants_of_lag,
+            weights=problem.weights if clock is None else None,
+            lag=problem.lag_on(on),
             others=[each.parameters for each in scenarios],
             told=told,
         )
@@ -356,6 +370,11 @@ def _sensed(
     key = "problem.sensors" if model.sensors else "problem.sensor"
     try:
         truth = sensed(model, job.problem.sensings)
+        if is_exact(job.filter.engine) and model.linear_gaussian and not truth.linear_gaussian:
+            raise JobError(
+                f"filter.engine = {job.filter.engine!r} needs sensors without fails and limits, "
+                f"which are not linear, got some in {key}: 'compiled' takes them ({job.path})"
+            )
         return truth, truth if believed is model else sensed(believed, job.problem.sensings)
     except ModelError as error:
         raise ModelError(f"{key}: {error}") from error

@@ -133,7 +133,7 @@ class Replanner:
             repaired = rest.repair(at_hand, generator(stream, "repair"))
             start = outlook.better([repaired, rest.regular()], keep=False)
         chosen = outlook.better([start, *outlook.search(rest, start)], keep=keep)
-        return tuple(first + time for time in chosen)
+        return tuple(first + time for time in rest.canonical(chosen))
 
     def expected(
         self,
@@ -173,7 +173,10 @@ def check_plannable(evaluator: Evaluator) -> None:
             "later measurements; docs/afterwards.md says what to do"
         )
     if evaluator.scenarios:
-        raise ModelError("online choice of times needs a job without scenarios, got some")
+        raise ModelError(
+            "online choice of times needs a job without scenarios, or scenarios.filter = "
+            "'learned', got scenarios of which the filter learns nothing"
+        )
     true, believed = evaluator.model.components[0], evaluator.believed.components[0]
     if true != believed:
         raise ModelError(

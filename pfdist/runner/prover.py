@@ -94,7 +94,7 @@ class Prover:
         if not truth.variance_is_error:
             raise ModelError(
                 "a bound needs an error that is the squared Euclidean norm, got model "
-                f"{truth.model.name}, which has its own error"
+                f"{truth.model.name}, which has its own error: 0 draws of the bound leave it out"
             )
         truth.compile(self._estimation)  # before the first task, whose time is limited
         self.begin(built, settings, count)

@@ -63,7 +63,14 @@ def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, Non
         finalists = [*ends, *finalists[:_UNPOLISHED]]
     # Whichever set wins, its error in the search is that of the job's criterion. Errors of draws do
     # not give that of instants; then the race gives it.
-    judged_alike = [each.judged_by(session.built.job.criterion) for each in finalists]
+    canonical = session.built.feasible.canonical
+    judged_alike = [
+        replace(
+            each.judged_by(session.built.job.criterion),
+            measurement_times=canonical(each.measurement_times),
+        )
+        for each in finalists
+    ]
     return _Found(judged_alike, polishes)
 
 

@@ -11,6 +11,7 @@ from itertools import takewhile
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
@@ -22,6 +23,7 @@ from pfdist import Filter, Problem, StateSpaceModel, densities, load_model
 from pfdist.errors import ModelError
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
+from pfdist.filters.predicted import circular_measurements
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
@@ -267,3 +269,81 @@ def test_angles_count_in_the_identity_of_a_model() -> None:
 def test_a_filters_model_takes_the_angles_of_the_truth() -> None:
     believed = replace(HEADING, circular=(), z_names=())
     assert believed.named_as(HEADING).is_angle == (True,)
+
+
+# --- a measured angle may have any number of turns ------------------------------------------------
+
+
+def _bearing(**changes: Any) -> StateSpaceModel:
+    """The bearing of a walker beside an observer: z is no angle, y has no name."""
+    return StateSpaceModel(
+        name="bearing",
+        initial=lambda w, p: (-5.0 + w[0], 0.3 * w[1]),
+        transition=lambda x, t, w, p: (x[0] + 0.1 * w[0], x[1] + 0.3 * w[1]),
+        measurement=lambda x, t, v, p: (_wrapped(np.arctan2(x[1], x[0]) + 0.05 * v[0]),),
+        log_likelihood=lambda y, x, t, p: (
+            -0.5 * (_wrapped(y[0] - np.arctan2(x[1], x[0])) / 0.05) ** 2
+        ),
+        quantity_of_interest=lambda x, t, p: x,
+        initial_noise=("normal", "normal"),
+        process_noise=("normal", "normal"),
+        measurement_noise=("normal",),
+        **changes,
+    )
+
+
+@pytest.mark.parametrize(
+    "model", [HEADING, _bearing(), _bearing(y_names=("b [rad]",))], ids=[*"abc"]
+)
+def test_a_surprise_is_the_same_a_turn_later(model: StateSpaceModel) -> None:
+    """Beside pi the cloud has values on both sides, and raw ranks call each of them extreme."""
+    heading = model is HEADING
+    filters = [Filter(model, 1000, seed=3, engine="numpy") for _ in range(3)]
+    for t, y in ((0, math.pi - 0.02), (1, math.pi + 0.03 + 2.0 * heading)):
+        found = [
+            each.update(t, y + 2 * math.pi * k) for each, k in zip(filters, (0, -1, 3), strict=True)
+        ]
+        first = found[0].surprise
+        assert first is not None
+        assert first > 0.05
+        for each in found[1:]:
+            assert each.surprise == pytest.approx(first, abs=1e-9)
+            assert each.mean == pytest.approx(found[0].mean, abs=1e-9)
+
+
+def test_p_values_of_angles_are_uniform() -> None:
+    """On 150 systems; the 1 % point of Kolmogorov's statistic is 1.63 / sqrt(n)."""
+    model, surprises = recorded(_bearing(), range(2)), list[float]()
+    for k, y in enumerate(simulate(model, 0, range(150), 5).y[:, 0]):
+        found = Filter(model, 500, seed=1, engine="numpy", draw=k).update(0, y).surprise
+        assert found is not None
+        surprises.append(found)
+    apart = np.abs(np.sort(surprises) - (np.arange(150) + 0.5) / 150)
+    assert apart.max() < 1.63 / math.sqrt(150)
+
+
+def test_a_component_that_is_no_angle_is_not_taken_for_one() -> None:
+    walk = load_model("random_walk")
+    assert circular_measurements(walk) == ()
+    assert circular_measurements(_bearing()) == (0,)
+    wide = replace(_bearing(), log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / 1e5) ** 2)
+    assert circular_measurements(wide) == ()
+
+
+def test_a_backtest_of_angles_is_the_same_a_turn_later() -> None:
+    problem = Problem(_bearing(), horizon=8, measurement_budget=2, particles=200)
+    rng = np.random.default_rng(2)
+    draws = simulate(_bearing(), 8, range(3), 4)
+    rows = [(f"s{k}", t, float(y[t, 0])) for k, y in enumerate(draws.y) for t in range(9)]
+    table = pd.DataFrame(rows, columns=["id", "t", "y0"])
+    turned = table.assign(y0=table.y0 + 2 * math.pi * rng.integers(-2, 3, len(table)))
+    found = [
+        pfdist.backtest(problem, each, plan_each=True, pool="serial", report=False, progress=False)
+        for each in (table, turned)
+    ]
+    first, second = (each.table for each in found)
+    for column in ("real", "foreseen", "covered"):
+        assert second[column].to_numpy() == pytest.approx(first[column].to_numpy(), rel=1e-9)
+    assert found[0].improbable == found[1].improbable == 0.0
+    for one, other in zip(found[0].shown, found[1].shown, strict=True):  # what the figure shows
+        assert other.measured == pytest.approx(one.measured, abs=1e-9, nan_ok=True)

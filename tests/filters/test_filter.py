@@ -10,7 +10,7 @@ from scipy import stats
 
 import oracles.kalman
 from oracles.in_turn import in_turn
-from pfdist import Cloud, Filter, StateSpaceModel, load_model
+from pfdist import Cloud, Filter, StateSpaceModel, densities, load_model
 from pfdist.errors import ArgumentError, MeasurementsError, ModelError, PfdistWarning, PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
@@ -490,3 +490,30 @@ def test_a_wrong_setting_is_named(
 def test_levels_of_quantiles_lie_between_0_and_1(ungm: StateSpaceModel, levels: Any) -> None:
     with pytest.raises(ValueError, match=r"^levels must lie between 0 and 1, got "):
         Filter(ungm, 20).now.quantiles(levels)
+
+
+def given_error(u: float) -> StateSpaceModel:
+    """A standard normal state; a reading comes with its own standard error."""
+    return StateSpaceModel(
+        name="given",
+        initial=lambda w, p: (w[0],),
+        transition=lambda x, t, w, p: x,
+        measurement=lambda x, t, v, p: (x[0] + u * v[0], u),
+        log_likelihood=lambda y, x, t, p: densities.normal_logpdf(y[0], x[0], y[1]),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=(),
+        measurement_noise=("normal",),
+        normalised=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("y", "u"), [(0.4, 0.05), (2.5, 0.05), (3.0, 2.0), (-40.0, 10.0), (1.5, 0.2)]
+)
+def test_a_given_error_is_not_tested_but_is_that_of_the_reading(y: float, u: float) -> None:
+    """y is N(0, 1 + u^2), whatever error the model simulates; 20,000 draws give 2 % of p."""
+    exact = 2 * stats.norm.cdf(-abs(y) / math.sqrt(1 + u**2))
+    for own in (0.05, 0.2):
+        found = Filter(given_error(own), 20_000, seed=2, engine="numpy").update(0, [y, u])
+        assert found.surprise == pytest.approx(exact, rel=0.15, abs=0.02)

@@ -22,7 +22,7 @@ from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
-from pfdist.models import installed_models
+from pfdist.models import installed_models, tracing
 
 DECLARED = sorted(
     name
@@ -195,3 +195,38 @@ def test_the_predicted_measurement_has_the_moments_of_simulated_measurements() -
     scale = np.sqrt(np.outer(np.diag(found.covariance), np.diag(found.covariance)))
     apart = np.abs(np.cov(y) - found.covariance)
     np.testing.assert_array_less(apart, 4 * scale * math.sqrt(2 / number))
+
+
+def test_matrices_of_all_instants_are_those_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A formula is called once for all instants, also if it reads t, p.dt and covariates."""
+    calls, values = list[str](), tracing.Traced.values
+    model = StateSpaceModel(
+        name="varied",
+        initial=lambda w, p: (w[0], 2.0 * w[1]),
+        transition=lambda x, t, w, p: (
+            np.exp(-p.dt[t]) * x[0] + np.sin(t) * x[1] + p.rain[t],
+            x[1] + p.dt[t] * w[0],
+        ),
+        measurement=lambda x, t, v, p: (x[0] + p.rain[t] * v[0], 3.0),
+        log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: (x[0] + x[1], p.time[t]),
+        initial_noise=("normal", "normal"),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        parameters={"rain": tuple(0.1 * k + 0.3 for k in range(30))},
+        linear_gaussian=True,
+    ).on_clock(np.sort(np.random.default_rng(1).uniform(0, 9, 30)))
+    alone = [kalman.matrices_of(model, t + 1, t) for t in range(29)]
+
+    def counted(*given: Any) -> Any:
+        calls.append("")
+        return values(*given)
+
+    monkeypatch.setattr(tracing.Traced, "values", counted)
+    together = kalman.matrices_of(model, 29)
+    assert len(calls) == 4
+    for t, each in enumerate(alone):
+        for name in ("transition", "measurement", "quantity_of_interest"):
+            one, other = getattr(each, name)[0], getattr(together, name)[t]
+            assert other.offset == pytest.approx(one.offset, rel=1e-14)
+            assert other.matrix == pytest.approx(one.matrix, rel=1e-14)

@@ -84,14 +84,15 @@ def test_particles_tend_to_the_exact_predictive_mean(guided: bool) -> None:
     assert np.all(np.abs(means.mean(axis=0) - exact) < 4.5 * error + bias)
 
 
-def test_angles_are_components_of_y_with_the_name_of_a_circular_z() -> None:
+def test_angles_have_the_name_of_a_circular_z_or_a_likelihood_with_a_period() -> None:
+    """The second component of y is a bearing; the first, a range, is only called a heading."""
     model = pfdist.load_model("constant_velocity")
     names = {"y_names": ("heading [rad]", "range"), "z_names": ("x", "heading [rad]")}
     circular = replace(model, **names, circular=(1,))
-    assert circular_measurements(circular) == predicted(circular).circular == (0,)
-    assert predicted(circular).is_angle == (True, False)
-    assert circular_measurements(replace(circular, circular=(0,))) == ()
-    assert circular_measurements(replace(circular, y_names=())) == ()
+    assert circular_measurements(circular) == predicted(circular).circular == (0, 1)
+    assert predicted(circular).is_angle == (True, True)
+    assert circular_measurements(replace(circular, circular=(0,))) == (1,)
+    assert circular_measurements(replace(circular, y_names=())) == (1,)
 
 
 def test_the_noise_of_a_measurement_is_half_of_the_square_of_y_less_z() -> None:

@@ -19,13 +19,15 @@ import pfdist
 from oracles.late import LATE, late_walk, meter_and_laboratory, of_delays, of_late_walk
 from pfdist import Filter, Problem, Sensor, StateSpaceModel, densities
 from pfdist.common.sensing import Sensing
-from pfdist.errors import JobError, ModelError
+from pfdist.errors import JobError, MeasurementTimesError, ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
+from pfdist.models.base import formula_of_each_sensor as _EACH
 from pfdist.models.sensed import sensed
 from pfdist.pages.terminal import lines_of
 from pfdist.pages.times_axis import forbidden_times
+from pfdist.problem.job import override
 from pfdist.questions.measured import normalised
 from pfdist.questions.run_page import answer_of
 from pfdist.results.export import export_plan
@@ -227,6 +229,9 @@ def test_repeats_are_those_of_brute_force_with_repetition(tmp_path: Path) -> Non
     assert run.best.expected_mse == pytest.approx(min(map(of_repeats, sets)), rel=1e-9)
     assert run.best.expected_mse == pytest.approx(0.74959, abs=5e-6)
     assert all(each.rpartition(" ")[2] in "abc" for each in run.best.measurement_times)
+    points = pfdist.load_job(run.path).problem.points
+    best = points.read(run.best.measurement_times)
+    assert best == points.canonical(best)  # 3 a and 3 b, or 3 a alone
     table = pd.DataFrame({"t": [0, 6, 0], "y0": [3.1, 1.0, 2.7]})  # nobody names repeats
     found = pfdist.filter_measurements(run.path, table, report=False)
     assert found.measured == ("0 a", "0 b", "6 a")
@@ -235,6 +240,12 @@ def test_repeats_are_those_of_brute_force_with_repetition(tmp_path: Path) -> Non
     assert found.table["sd_0"][0] == pytest.approx(variance**0.5)
     assert found.table["mean_0"][0] == pytest.approx(variance * (3.1 + 2.7) / 4.0)
     job = problem.job().with_changes(changes[:1])
+    for times in ("2,5,5,9", ["2 b", "5 c", "5 a", 9], "2, 5, 9 b, 5 c"):  # k repeats are a, b, ...
+        own = pfdist.evaluate(job, times)
+        assert own.measurement_times == ("2 a", "5 a", "5 b", "9 a")
+        assert own.expected_mse == pytest.approx(of_repeats((2, 5, 5, 9)), rel=1e-9)
+    with pytest.raises(MeasurementTimesError, match="must differ from each other, got 5 a twice"):
+        pfdist.evaluate(job, [5, 5, 5, 5])
     for data in (table.assign(id="s"), table.assign(id="s", sensor=["b", "a", "c"])):
         fitted = pfdist.fit(job, data, {"unused": (1, 1)}, replicate="id")
         assert fitted.log_likelihood == pytest.approx(found.log_evidence)
@@ -390,3 +401,28 @@ def test_a_filter_of_real_measurements_has_values_when_they_arrive(tmp_path: Pat
 def test_wrong_delays_are_refused(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(JobError, match=message):
         Problem(meter_and_laboratory(), horizon=8, total_price=7, engine="kalman", **keys)
+
+
+def test_a_refusal_names_its_cause_and_what_works() -> None:
+    """Failures, not the model, are what the Kalman filter cannot take."""
+    linear = Problem(walk(), horizon=6, measurement_budget=2, engine="kalman")
+    for sensor in ({"fails": 0.2}, {"limit": 0.0}):
+        with pytest.raises(JobError, match="sensors without fails and limits.*'compiled' takes"):
+            pfdist.evaluate(linear.with_changes(sensor=sensor), [1, 2])
+    two = Sensor(walk().measurement, walk().log_likelihood, ("normal",))
+    fields: dict[str, Any] = {"measurement_noise": (), "log_tails": None}
+    lab = replace(
+        walk(), **fields, measurement=_EACH, log_likelihood=_EACH, sensors={"a": two, "b": two}
+    )
+    job = Problem(lab, horizon=6, measurement_budget=2).job()
+    data = {"problem": {"horizon": 6, "measurement_budget": 2, "sensors": ["a", "b"]}}
+    assert [*job.with_changes(["problem.sensors.a.repeats=2"]).problem.each_sensor] == [
+        "a_a", "a_b", "b",
+    ]  # fmt: skip
+    override(data, "problem.sensors.a.repeats=2")  # names alone are sections, too
+    assert data["problem"]["sensors"] == {"a": {"repeats": 2}, "b": {}}
+    with pytest.raises(JobError, match="unless the estimate waits .*: estimate = 'smoothed'"):
+        Problem(
+            walk(), horizon=6, total_price=9, price=[1] * 7, sensor={"delay": 1},
+            visits={"price": 1, "within": 1},
+        )  # fmt: skip

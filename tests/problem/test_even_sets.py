@@ -54,10 +54,8 @@ def test_targets_in_gaps_are_left_out_or_gaps_are_cut_out() -> None:
 
 
 def test_one_sensor_measures_or_all_do_in_turn_and_a_sensor_may_repeat() -> None:
-    points = Points(Clock.counting(8), ("a_a", "a_b", "b"))
-    feasible = Feasible(
-        horizon=8, measurement_budget=4, minimum_spacing=0, points=points, sensors=((0, 1), (2,))
-    )
+    points = Points(Clock.counting(8), ("a_a", "a_b", "b"), repeats=(0, 0, 2))
+    feasible = Feasible(horizon=8, measurement_budget=4, minimum_spacing=0, points=points)
     found, lines = _found(feasible), even_instants(range(9), 4)
     ways = {tuple(points.way(t) for t in times) for times in found}
     assert ways == {(0,) * 4, (2,) * 4, (0, 2) * 2, (2, 0) * 2, (0, 1) * 2}

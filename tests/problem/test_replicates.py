@@ -110,7 +110,7 @@ def test_the_nearest_measurement_is_used_once_and_by_its_sensor(tmp_path: Path) 
     assert found.nearest([(7.0, 0)], MODEL, 0.5, (1,)) == (3,)  # arrives at 13, made at 7
     with pytest.raises(MeasurementsError, match=r"no measurement within 30 min of t = 12"):
         found.nearest([(1.0, 0), (12.0, 0)], MODEL, 0.5)
-    with pytest.raises(MeasurementsError, match=r"within 100 h of t = 2$"):
+    with pytest.raises(MeasurementsError, match=r"of t = 2, but one that an earlier time uses$"):
         found.nearest([(2.0, 0)] * 5, MODEL, 100.0)
     text = "day,t,sensor,y0\na,0,still,1\na,6,moving,2\n"
     (seen,) = read(text, tmp_path, HOURS, two_platforms())

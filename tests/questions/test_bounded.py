@@ -12,9 +12,12 @@ import pfdist
 from oracles.three_sensors import HORIZON, ThreeSensors
 from pfdist import Problem, StateSpaceModel, load_model, ode, sde
 from pfdist.common.measurement_times import regular
+from pfdist.common.sensing import Sensing
+from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.work import Estimation
+from pfdist.models.sensed import sensed
 from pfdist.questions import model_checks as checks_of_models
 from pfdist.questions.check_model import checks_of
 from pfdist.questions.model_checks import Check, check_loaded
@@ -233,3 +236,31 @@ def test_the_brownian_motions_of_an_equation_are_the_same_with_more_steps() -> N
     state, text = on_substeps(model, filter_model=replace(model, name="own"))
     assert state == "ok"
     assert "x by 0.0 % of its standard deviation (root mean square; at most 0 %)" in text
+
+
+def test_a_right_model_whose_sensor_fails_is_right() -> None:
+    """A failed measurement lacks both components of y, which the model need not take one by one."""
+    model = StateSpaceModel(
+        name="pair",
+        initial=lambda w, p: (w[0], w[1]),
+        transition=lambda x, t, w, p: (0.9 * x[0] + w[0], 0.5 * x[1] + w[1]),
+        measurement=lambda x, t, v, p: (x[0] + v[0], x[1] + v[1]),
+        log_likelihood=lambda y, x, t, p: (
+            -0.5 * ((y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2) - np.log(2 * np.pi)
+        ),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal", "normal"),
+        process_noise=("normal", "normal"),
+        measurement_noise=("normal", "normal"),
+        normalised=True,
+    )
+    problem = Problem(model, horizon=6, measurement_budget=2, particles=100, sensor={"fails": 0.2})
+    found = by_name(problem)
+    assert "missing components" not in found
+    assert not [name for name, (state, _) in found.items() if state == "wrong"], found
+    with_nan = replace(model, missing_components=True)  # its log_likelihood takes no NaN
+    state, text = by_name(problem.with_changes(model=with_nan))["missing components"]
+    assert (state, text.startswith("where y[0] is missing")) == ("wrong", True)
+    failing = sensed(model, {"": Sensing(fails=0.2)})
+    with pytest.raises(MeasurementsError, match="all components of y must be measured or none"):
+        pfdist.Filter(failing, 10, engine="numpy").update(0, [0.3, np.nan])

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ from scipy.optimize import minimize
 
 import pfdist
 from oracles.systems import one_state
+from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import recorded_evaluator
 from pfdist.filters.evidence import exact_log_evidence
 from pfdist.questions.fit import Fitted
@@ -290,3 +292,91 @@ def test_a_parameter_that_differs_between_systems_is_not_fitted(
     scenarios = {"parameters": [{"a": 0.5}, {"a": 0.6}], "filter": kind}
     with pytest.raises(pfdist.PfdistError, match=r"the same for all systems, got a.*a_factor"):
         pfdist.fit(problem(scenarios=scenarios, particles=100), data, ["a", "sd"])
+
+
+def test_a_likelihood_does_not_depend_on_when_values_arrive(
+    data: pd.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a delay, rows near the horizon arrive in time; the path has the same law."""
+    monkeypatch.chdir(tmp_path)
+    given = {"parameters": ["noise"], "evaluations": 1, "pool": "serial"}
+    for engine in ("kalman", "numpy"):
+        late = problem(engine=engine, particles=200, sensor={"delay": 3}, lag=2)
+        found = pfdist.fit(late, data, **given)
+        assert (
+            found.started_at
+            == pfdist.fit(problem(engine=engine, particles=200), data, **given).started_at
+        )
+    run = pfdist.run(problem(engine="kalman", sensor={"delay": 3}), "late", bound_draws=0)
+    early = pfdist.fit(run.path, data[data["t"] <= HORIZON - 3], **given)
+    assert early.started_at == pytest.approx(
+        pfdist.fit(problem(engine="kalman"), data[data["t"] <= HORIZON - 3], **given).started_at
+    )
+    with pytest.raises(MeasurementsError, match="give the job file, not the folder of its run"):
+        pfdist.fit(run.path, data, **given)
+
+
+def relaxing() -> pfdist.StateSpaceModel:
+    """An Ornstein-Uhlenbeck process without ranges: a rate below 0 has no stationary variance."""
+
+    def transition(x, t, w, p):  # type: ignore[no-untyped-def]
+        kept = np.exp(-p.rate * p.dt[t])
+        return (kept * x[0] + p.sd * np.sqrt(1 - kept**2) * w[0],)
+
+    return one_state(
+        "relaxing",
+        initial=lambda w, p: (p.sd * w[0],),
+        transition=transition,
+        measurement=lambda x, t, v, p: (x[0] + 0.3 * v[0],),
+        log_likelihood=lambda y, x, t, p: pfdist.densities.normal_logpdf(y[0], x[0], 0.3),
+        parameters={"rate": 0.2, "sd": 0.1},
+        linear_gaussian=True,
+        normalised=True,
+    )
+
+
+def relaxed() -> tuple[pfdist.Problem, pd.DataFrame]:
+    """A problem, and measurements of one system at uneven times."""
+    rng, rows, x, last = np.random.default_rng(4), list[tuple[str, float, float]](), 0.5, 0.0
+    for t in np.sort(rng.uniform(0, 20, 40)):
+        kept = np.exp(-0.6 * (t - last))
+        x, last = kept * x + np.sqrt(1 - kept**2) * rng.normal(), t
+        rows.append(("a", t, x + 0.3 * rng.normal()))
+    problem = pfdist.Problem(
+        relaxing(), horizon=20, time_step=1, measurement_budget=4, engine="kalman"
+    )
+    return problem, pd.DataFrame(rows, columns=["id", "t", "y0"])
+
+
+def test_a_model_that_is_not_finite_explains_nothing() -> None:
+    """A trial below 0 is worse than all others; the result is a maximum of finite ones."""
+    problem, table = relaxed()
+    fitted = pfdist.fit(problem.with_changes(particles=200), table, ["rate"], pool="serial")
+    best = fitted.parameters["rate"]
+    assert 0.05 < best < 5.0
+    for rate in (0.9 * best, 1.1 * best):
+        start = relaxing().with_parameters({"rate": rate})
+        other = pfdist.fit(
+            problem.with_changes(model=start), table, ["rate"], evaluations=1, pool="serial"
+        )
+        assert other.started_at < fitted.log_likelihood
+
+
+def test_a_sign_that_data_cannot_tell_is_said() -> None:
+    """Only the square of a deviation matters: its sign is that of the start."""
+    problem, table = relaxed()
+    for start in (0.1, -0.1):
+        model = relaxing().with_parameters({"sd": start, "rate": 0.6})
+        fitted = pfdist.fit(problem.with_changes(model=model), table, ["sd"], pool="serial")
+        assert (fitted.mirrored, fitted.turned) == (("sd",), ())
+        assert fitted.parameters["sd"] * start > 0.05
+        assert "sd may have either sign" in repr(fitted)
+    ranged = pfdist.fit(problem, table, {"sd": (0.0, 9.0)}, pool="serial")
+    assert ranged.mirrored == ranged.turned == ()
+
+
+def test_a_parameter_that_changes_its_sign_is_named() -> None:
+    fitted = exact(-0.2, (-np.inf, np.inf))
+    other = exact(0.05, (-np.inf, np.inf))
+    assert (fitted.turned, other.turned) == ((), ("k",))
+    assert "k has another sign than at the start" in repr(other)
