@@ -31,7 +31,7 @@ from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import criteria_in, following
 from pfdist.questions.subject import WHEN, change_of, is_clear, mse_cell, number_of
 from pfdist.results import Gain
-from pfdist.results.columns import COLUMNS, interval_cell
+from pfdist.results.columns import COLUMNS, head_of_limit, interval_cell
 from pfdist.results.over_time import Range, errors_over_time_of, profile_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.comparison_phase import LOSS_DRAWS, OTHERS
@@ -178,18 +178,21 @@ def _evaluated(
 ) -> dict[str, Evaluation]:
     evaluator, times = built.evaluator, tuple(sets.values())
     criterion, judging = built.job.criterion.of_errors, built.job.judging
+    estimation, draws = comparing_of(built.job), built.job.evaluation.draws
     if other:
+        own, estimation = estimation, evaluator.estimating_other(estimation)
+        more = estimation.steps_an_instant // own.steps_an_instant
+        draws = -(-draws // (OTHERS * max(1, more // 2)))
         evaluator, profile, judging = evaluator.other_estimate, False, {}
     written = [tuple(built.job.problem.points.written_of(each)) for each in times]
     exact = evaluator.expected_mse(times, criterion=criterion)
     by_instant = any(each.by_instant for each in judging.values())
-    draws = -(-built.job.evaluation.draws // (OTHERS if other else 1))
     work = evaluator.work(
         times,
         stream,
         stream,
         (0, draws),
-        comparing_of(built.job),
+        estimation,
         ids=tuple(sets),
         over_time=int(exact is None and (profile or by_instant)),
     )
@@ -203,7 +206,7 @@ def _evaluated(
         scenarios = evaluator.scenarios_of(stream, range(draws))
         formatted = built.job.problem.clock.formatted
         each_set = (work.part((0, draws), [place]) for place in range(len(sets)))
-        lines = [fewest_lines(evaluator, each, formatted) for each in each_set]
+        lines = [("", False) if other else fewest_lines(evaluator, e, formatted) for e in each_set]
         found = {
             name: Evaluation(
                 written_of_set,
@@ -317,6 +320,7 @@ class Evaluated:
     parameters: Sequence[Mapping[str, Any]]  # of each scenario
     seconds: float
     quantity: Component | None  # z, if the root of an expected MSE is in its unit
+    other_is_limit: bool = False  # whether few ancestors may raise the errors of `others`
     form: Criterion = MEAN  # what the job minimises
     criteria: Mapping[str, Judging] = field(default_factory=dict)  # also wanted
 
@@ -349,12 +353,13 @@ class Evaluated:
             first = judged.pop(self.form.name, "")
             said = ". ".join(filter(None, [first, said, *judged.values()]))
             if math.isfinite(self.others[UNNAMED].expected_mse):
-                said += f". {WHEN[other]}: {of_other}"
+                said += f". {WHEN[other]}: {'at most ' * self.other_is_limit}{of_other}"
         else:
             said = self._lowest()
         caption = f"Expected MSE{of_the_estimate}" * bool(of_the_estimate)
         heads = [each.head for each in self.criteria.values()]
-        head = (*_HEAD, *heads, "draws", COLUMNS[f"{other}_mse"].head)
+        limited = head_of_limit(other) if self.other_is_limit else COLUMNS[f"{other}_mse"].head
+        head = (*_HEAD, *heads, "draws", limited)
         tables = [Table(caption, head, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
@@ -493,7 +498,8 @@ def evaluated(
     scenarios = loaded.scenarios.of_draws if loaded.scenarios else ()
     about = loaded.problem, broken, [each.parameters for each in scenarios]
     judged_by = built.job.criterion, built.job.judging
-    return Evaluated(evaluations, others, *about, seconds, _quantity(built), *judged_by)
+    is_limit = built.evaluator.other_is_limit
+    return Evaluated(evaluations, others, *about, seconds, _quantity(built), is_limit, *judged_by)
 
 
 def _quantity(built: Built) -> Component | None:

@@ -19,7 +19,7 @@ from pfdist.problem.problem_section import FILTERED, SMOOTHED
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
-from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
+from pfdist.results.columns import COLUMNS, Row, head_of_limit, rows_of, sets_table
 from pfdist.results.criteria import judging
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first, rows_of_sets
@@ -135,8 +135,15 @@ class Subject:
 
     @cached_property
     def heads(self) -> dict[str, str]:
-        """Heads of the columns of criteria, which say what quantile it is."""
-        return {name: each.head for name, each in judging(self.run).items()}
+        """Heads of columns: of criteria, which say what quantile it is; of an upper limit."""
+        heads = {name: each.head for name, each in judging(self.run).items()}
+        return heads | ({"smoothed_mse": head_of_limit(SMOOTHED)} if self.other_is_limit else {})
+
+    @property
+    def other_is_limit(self) -> bool:
+        """Whether few ancestors may raise the errors of the other estimate; see `Evaluator`."""
+        is_smoothed, tables = problem_of(self.run).other_estimate == SMOOTHED, self.run.tables
+        return is_smoothed and "other_estimate" in tables and "filter_distance" not in tables
 
     @property
     def error(self) -> str:

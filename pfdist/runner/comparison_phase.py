@@ -44,6 +44,7 @@ from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.progress import SetGain
 from pfdist.runner.row_formats import RowsByDraw
+from pfdist.runner.search_phase import search_steps
 from pfdist.store import (
     ROWS_IN_A_FILE,
     Store,
@@ -272,7 +273,8 @@ class InterimGains:
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
 REPEATED = 2000  # draws that the reference filters twice
-OTHERS = 5  # one draw in so many is also filtered for the other estimate
+OTHERS, _OTHER_SHARE = 5, 0.1
+"""At most one draw in so many gives the other estimate, and at most this share of all steps."""
 LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
 
 
@@ -331,13 +333,17 @@ def first_draws_again(built: Built, work: FilterWork) -> FirstDraws:
 
 def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
     """MSE of the other estimate with each set: smoothed, or that of the filter; same noise."""
-    draws = built.job.comparison.draws // OTHERS
+    estimation = built.evaluator.estimating_other(work.estimation)
+    of_sets = replace(work, other_estimate=True, estimation=estimation)
+    steps = comparison_steps(built) + sum(search_steps(built, each) for each in built.searches)
+    share = _OTHER_SHARE * steps / of_sets.steps_a_draw
+    draws = int(min(built.job.comparison.draws // OTHERS, share))
     if built.evaluator.exact or not built.study.has_details or not draws:
         return None
-    built.evaluator.other_estimate.compile(work.estimation)  # before the first task
+    built.evaluator.other_estimate.compile(estimation)  # before the first task
     rows = other_schema(built.job.problem.other_estimate, work.ids)
-    of_sets = replace(work, draws=(0, draws), other_estimate=True)
-    return FirstDraws("other_estimate", rows, of_sets, partial(_columns_by_set, rows))
+    of_draws = replace(of_sets, draws=(0, draws))
+    return FirstDraws("other_estimate", rows, of_draws, partial(_columns_by_set, rows))
 
 
 def distances(built: Built, work: FilterWork) -> FirstDraws | None:
