@@ -20,7 +20,6 @@ from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample
 if TYPE_CHECKING:
     import pandas as pd
 
-LARGEST = 10  # draws, see `largest_share`
 DOUBTFUL = 0.01
 """The share of degenerate draws from which they put an answer in doubt."""
 
@@ -135,7 +134,7 @@ class Evaluation(Shown):
 
     @cached_property
     def largest_share(self) -> float:
-        """Share of `expected_mse` that is due to the ten largest draws; NaN with fewer than 100."""
+        """Share of `expected_mse` due to the largest 1 % of the draws; NaN with fewer than 100."""
         return largest_share(self._deciding, self._deciding.size, self.expected_mse)
 
     @property
@@ -197,8 +196,8 @@ class Evaluation(Shown):
 
     @property
     def heavy_tail(self) -> str:
-        """A warning if there are too few draws for the interval of `expected_mse`, else nothing."""
-        return heavy_tail_warning({"": self.largest_share}, self._deciding.size)
+        """A warning if the interval of `expected_mse` is too short, else nothing."""
+        return heavy_tail_warning([self.largest_share])
 
     @property
     def degenerate_text(self) -> str:
@@ -225,10 +224,10 @@ def degenerate_text(count: int, draws: int, least: float = 0.0) -> str:
 
 
 def largest_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
-    """Share of a mean over draws that is due to the ten draws with the largest values.
+    """Share of a mean over draws that is due to the 1 % of the draws with the largest values.
 
-    It is NaN with fewer than 100 draws, or if the mean is not positive and finite. `largest` has at
-    least the ten largest values.
+    It is a point of the Lorenz curve. It is NaN with fewer than 100 draws, or if the mean is not
+    positive and finite. `largest` has at least these values.
     """
-    top = np.sort(largest)[-LARGEST:]
+    top = np.sort(largest)[::-1][: draws // 100]
     return float(top.sum()) / draws / mean if draws >= 100 and 0 < mean < math.inf else math.nan

@@ -14,6 +14,7 @@ import numpy as np
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
+from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
@@ -363,7 +364,9 @@ class Evaluated:
         tables = [Table(caption, head, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
-        section = Section("", [Text(f"{said}.", prominent=True), *tables])
+        heavy = heavy_tail_warning(each.largest_share for each in self.evaluations.values())
+        texts = [Text(f"{said}.", prominent=True), *([Text(heavy)] if heavy else [])]
+        section = Section("", [*texts, *tables])
         doubts = ((name, each.alarm) for name, each in self.evaluations.items())
         alarms = [f"{name}: " * bool(name) + f"{text}." for name, text in doubts if text]
         return Page("", "", [section], [*self._warnings()], alarms=alarms)
@@ -440,7 +443,7 @@ class Evaluated:
             for constraint in self.broken[name]:
                 yield f"{these} a constraint: {constraint}"
             degenerate = evaluation.degenerate_text * (not evaluation.alarm)
-            for text in filter(None, (degenerate, evaluation.heavy_tail, evaluation.few_lines)):
+            for text in filter(None, (degenerate, evaluation.few_lines)):
                 yield f"{name}: " * bool(name) + text
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.measurement_times import EVEN, REGULAR
-from pfdist.common.parts import Cell, Table
+from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.filters.criterion import Criterion
@@ -85,10 +85,10 @@ class Subject:
         return {name: row for name, row in self.rows.items() if row.kind == FOUND}
 
     @cached_property
-    def heavy_tail(self) -> str:
-        """A sentence if there are too few draws for the interval of an error, else nothing."""
-        shares = {phrase_of(row.label): row.largest_share for row in self.rows.values()}
-        return heavy_tail_warning(shares, self.run.draws_compared)
+    def heavy_tail(self) -> list[Text]:
+        """A line beside errors whose intervals are too short, or nothing."""
+        text = heavy_tail_warning(row.largest_share for row in self.rows.values())
+        return [Text(text)] if text else []
 
     @cached_property
     def alarms(self) -> list[str]:

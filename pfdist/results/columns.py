@@ -165,7 +165,7 @@ _DECLARED = [
         for name, head, which, draws in (
             ("smoothed", "afterwards", "if the job's own estimate is filtered",
              "at most a fifth of the draws by two filters, of four times as many particles with "
-             "the true model, without the part of few ancestors unless the model has its own error"),
+             "the true model, without the part of few ancestors unless the model has an own error"),
             ("filtered", "at the moment", "if the job's own estimate uses later measurements",
              "at most a fifth of the draws"),
         )
@@ -205,8 +205,8 @@ _DECLARED = [
     Column(name="degenerate_draws", dtype="int64", meaning="draws that are degenerate"),
     Column(
         name="largest_share",
-        meaning="share of expected_mse that the ten largest draws carry; above 0.1 + 10 / draws "
-        "its interval is too short; missing with fewer than 100 draws, and where it is exact",
+        meaning="share of expected_mse that the largest 1 % of the draws carries; above 0.2 its "
+        "interval is too short; missing with fewer than 100 draws, and where it is exact",
     ),
     Column(
         name="worse_than", dtype="Int64",
