@@ -75,6 +75,13 @@ def range_of(low: str, high: str) -> str:
 
 
 _ROUNDING = 1e-9  # error of exact values
+_IDLE, _IDLE_NATS = 0.8, 4.0  # a gap from which a bound says nothing: others are five times better
+_HELP = {
+    "relaxation": "More work of the proof helps: `pfdist bound JOB --work N`",
+    "estimate": "More filter.particles help",
+    "filter_model": "A filter with the true model helps",
+}
+"""What makes each part of a gap smaller."""
 
 
 def relaxed_sentence(names: Sequence[str]) -> str:
@@ -130,8 +137,34 @@ def gap_sentence(
     have, lower = ("has", "lowers") if is_one else ("have", "lower")
     if not gap["bound_error"] and gap["gap"] < _ROUNDING:
         return f"Proved: no other {times} {have} a lower expected MSE."
+    if idle := idle_bound(gap):
+        return idle
     told = ", even with a filter that is told the scenario" if has_scenarios else ""
     return f"Proved: no other {times} {lower} the expected MSE {at_most(gap, told)}."
+
+
+def idle_bound(gap: Mapping[str, Any]) -> str:
+    r"""A sentence if a bound excludes nothing worth knowing: that it does, and what helps.
+
+    `gap` may have the parts of `pfdist.runner.proof.Gap`, the largest of which decides what helps.
+
+    >>> gap = {"bound_error": 1.0, "gap": 0.93, "gap_at_most": 1.0, "estimate": 0.6}
+    >>> idle_bound(gap).replace("\xa0", " ")
+    'The bound says nothing yet: other times may be 100 % better. More filter.particles help.'
+    >>> idle_bound({**gap, "gap": 0.3}).partition("better. ")[2]
+    'More draws help: `pfdist bound JOB --draws N`.'
+    >>> idle_bound({**gap, "gap_at_most": 0.79})
+    ''
+    """
+    limit = rounded_up(gap["gap_at_most"] if gap["bound_error"] else gap["gap"])
+    if not limit >= _IDLE:
+        return ""
+    parts = {part: gap.get(part) or 0.0 for part in _HELP}
+    help_ = _HELP[max(parts, key=lambda part: parts[part])]
+    if gap["bound_error"] and gap["gap"] < limit / 2:  # it is chance
+        help_ = "More draws help: `pfdist bound JOB --draws N`"
+    better = f"other times may be {_percent(min(1.0, limit))} better"
+    return f"The bound says nothing yet: {better}. {help_}."
 
 
 def _others(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool) -> tuple[str, bool]:
@@ -157,6 +190,11 @@ def nats_sentence(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool 
     gives = "gives" if is_one else "give"
     if gap["gap_at_most"] < _ROUNDING:
         return f"Proved: no other {times} {gives} more nats."
+    if gap["gap_at_most"] >= _IDLE_NATS:
+        return (
+            "The bound says nothing yet: others may give over five times as many nats. More "
+            "filter.particles help."
+        )
     more = rounded(rounded_up(-gap["expected_mse"] * gap["gap_at_most"]), 2)
     sure = f" ({100 * gap['confidence']:.3g} % confidence)" if gap["bound_error"] else ""
     return f"Proved: no other {times} {gives} more than a further {more} nats{sure}."
