@@ -17,10 +17,17 @@ from pfdist.common.parts import (
     without_empty_columns,
 )
 from pfdist.common.percent import percent
-from pfdist.common.rounding import rounded, with_error
+from pfdist.common.rounding import WIDE, rounded, with_error, with_sides
 from pfdist.filters.criterion import Judged
 from pfdist.problem.set_key import phrase_of
-from pfdist.questions.subject import ERROR_HEAD, Subject, change_of, effect, number_of
+from pfdist.questions.subject import (
+    ERROR_HEAD,
+    Subject,
+    change_of,
+    effect,
+    is_clear,
+    number_of,
+)
 from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, interval_cell, rows_of
 from pfdist.results.stored_run import named_sets
 
@@ -28,7 +35,6 @@ _OF_A_SET = (
     "label", "measurements", "price", "expected_mse", "smoothed_mse", "filtered_mse",
     *CRITERIA_SHOWN,
 )  # fmt: skip
-_WIDE = 0.1  # of an information: its two sides are far from each other
 _ABOVE = "above the best by, %"  # in expected MSE
 _PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
 _SETS_MEANING = (
@@ -220,16 +226,20 @@ def criterion_effect(subject: Subject, row: Row) -> str | None:
     if subject.criterion.sign > 0:
         return f"{effect(gain, ends, subject.reference, subject.error)}: {own} instead of {other}."
     value, low, high = map(float, (row.information, row.information_low, row.information_high))
-    bits, side = rounded(value / math.log(2), 3), "more" if gain >= 0 else "less"
-    told = Judged(value, low, high).text(subject.criterion.unit)
+    limits = with_sides(value, low, high, subject.criterion.unit)
+    told = limits or Judged(value, low, high).text(subject.criterion.unit)
+    bits = rounded((low if limits else value) / math.log(2), 3)
     signed = ends if gain >= 0 else [-end for end in reversed(ends)]
     more = Judged(abs(gain), *signed).text(subject.criterion.unit)
-    wide = " The interval is wide: more particles, or more draws, narrow it."
-    return (
-        f"They give {told} of information about the path ({bits} bits), "
-        f"{more} {side} than {subject.reference}."
-        f"{wide * (high - low > _WIDE * abs(value))}"
-    )
+    than = f"{more} {'more' if gain >= 0 else 'less'} than {subject.reference}"
+    if not is_clear(ends):
+        than = f"not clearly another number than {subject.reference}: {than}"
+    help_ = ""
+    if high - low > WIDE * abs(value):
+        help_ = " More particles, or more draws, narrow the interval."
+    if limits:
+        help_ = " More filter.particles bring both limits closer."
+    return f"They give {told} of information about the path ({bits} bits), {than}.{help_}"
 
 
 def _worst_effect(subject: Subject, name: str) -> str | None:

@@ -427,7 +427,8 @@ class Evaluated:
         number, is_exact = len(each.measurement_times), not each.draws
         texts = [e.estimate.text + " (exact)" * is_exact for e in (each, other)]
         draws = Cell("" if is_exact else f"{each.draws:,}", each.draws)
-        judged = (interval_cell(*each.also[key]) for key in self.criteria)
+        also = ((each.also[key], COLUMNS[key].is_side) for key in self.criteria)
+        judged = (interval_cell(*numbers, is_side=is_side) for numbers, is_side in also)
         about = Cell(name), Cell(str(number), number), Cell(texts[0])
         return [*about, *judged, draws, Cell(texts[1])]
 

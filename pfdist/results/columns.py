@@ -16,7 +16,7 @@ import numpy as np
 
 from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
-from pfdist.common.rounding import unrounded, with_error, with_interval
+from pfdist.common.rounding import unrounded, with_error, with_interval, with_sides
 from pfdist.errors import relative
 from pfdist.results.moments import QUANTILES, quantile_name
 
@@ -75,6 +75,8 @@ class Column:
         Whether pages show it in per cent.
     has_interval : bool
         Whether the ends of its 95 % interval are the columns ``NAME_low`` and ``NAME_high``.
+    is_side : bool
+        Whether it is a lower side, which may be far from the upper one.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Column:
     error: str = ""
     is_percent: bool = False
     has_interval: bool = False
+    is_side: bool = False
 
     def cell(self, row: Row, listed: Callable[[list[Any]], str] = _listed) -> Cell:
         """The value of a row as pages show it; empty if it is missing. `listed` writes lists."""
@@ -96,7 +99,7 @@ class Column:
             return Cell(with_error(value, getattr(row, self.error)), value)
         if self.has_interval:
             ends = (getattr(row, f"{self.name}_{end}") for end in ("low", "high"))
-            return interval_cell(value, *ends, is_percent=self.is_percent)
+            return interval_cell(value, *ends, is_percent=self.is_percent, is_side=self.is_side)
         return Cell(value if isinstance(value, str) else f"{value:,.10g}", value)
 
 
@@ -106,9 +109,14 @@ def head_of_limit(other: str) -> str:
 
 
 def interval_cell(
-    value: float | None, low: float | None, high: float | None, *, is_percent: bool = False
+    value: float | None,
+    low: float | None,
+    high: float | None,
+    *,
+    is_percent: bool = False,
+    is_side: bool = False,
 ) -> Cell:
-    """A number with its interval, or alone if it is exact.
+    """A number with its interval, or alone if it is exact; a lower side as `with_sides` says.
 
     >>> interval_cell(0.176321, 0.162, 0.1904, is_percent=True).text
     '17.6 (16.2 to 19.0)'
@@ -116,6 +124,8 @@ def interval_cell(
     '2.5000'
     """
     ends = (value, low, high)
+    if is_side and (limits := with_sides(value, low, high)):
+        return Cell(limits, value)
     text, *texts = with_interval(*(map(times_100, ends) if is_percent else ends))
     return Cell(text if low == high == value else f"{text} ({range_of(*texts)})", value)
 
@@ -188,7 +198,7 @@ _DECLARED = [
         "more the set gives",
     ),
     Column(
-        name="information", has_interval=True, head="information, nats",
+        name="information", has_interval=True, is_side=True, head="information, nats",
         meaning="expected information about the path, and about what is learned; a lower side of "
         "particles, whose interval ends where that of the upper side does",
     ),
