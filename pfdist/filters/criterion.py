@@ -440,6 +440,11 @@ def criterion_named(written: str) -> Criterion:
     raise ValueError(f"a criterion must be {CRITERIA}, got {written!r}")
 
 
+def unit_of(name: str) -> str:
+    """The unit of the criterion of this name; empty for that of errors."""
+    return _NAMED.get(name, MEAN).unit
+
+
 def judging_of(criterion: str | None, also: Sequence[str] | None) -> dict[str, Judging]:
     """The criteria of these written names but the expected MSE, by their own names.
 

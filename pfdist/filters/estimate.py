@@ -15,7 +15,7 @@ from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.shown import Shown
-from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample
+from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample, unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -185,9 +185,13 @@ class Evaluation(Shown):
         mse = with_error(self.expected_mse, self.standard_error)
         count = len(self.measurement_times)
         on = "exact" if isinstance(self.criterion, Exact) else f"on {self.draws:,} draws"
-        title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
+        also = {
+            name.replace("_", " "): judged.text(unit_of(name)) for name, judged in self.also.items()
+        }
+        told = [f"{name} {text}" for name, text in also.items()] + [f"{self.criterion.label} {mse}"]
+        title = f"evaluation of {count} measurement{'s' * (count != 1)}: {', '.join(told)}, {on}"
         rows = [("measured at t", ", ".join(map(unrounded, self.measurement_times)))]
-        rows += [(name.replace("_", " "), judged.text()) for name, judged in self.also.items()]
+        rows += also.items()
         if self.degenerate_draws:
             rows.append(("degenerate", self.degenerate_text))
         if warning := self.heavy_tail:

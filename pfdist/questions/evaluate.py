@@ -339,7 +339,8 @@ class Evaluated:
             for name, evaluation in self.evaluations.items()
         }
         answer: dict[str, Any] = sets[UNNAMED] if list(sets) == [UNNAMED] else {"sets": sets}
-        return answer | {"seconds": round(self.seconds, 3)}
+        about = {"criterion": self.form.label, "criterion_unit": self.form.unit}
+        return answer | about | {"seconds": round(self.seconds, 3)}
 
     def _page(self) -> Page:
         rows = [self._row(name) for name in self.evaluations]

@@ -18,6 +18,7 @@ from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
 from pfdist.common.rounding import unrounded, with_error, with_interval, with_sides
 from pfdist.errors import relative
+from pfdist.filters.criterion import unit_of
 from pfdist.results.moments import QUANTILES, quantile_name
 
 if TYPE_CHECKING:
@@ -51,9 +52,14 @@ class Row(SimpleNamespace):
     def __repr__(self) -> str:
         if not {"label", "expected_mse", "measurement_times"} <= {*vars(self)}:
             return super().__repr__()
-        mse = with_error(self.expected_mse, self.standard_error)
-        times = _listed(self.measurement_times)
-        return f"<{self.label}: {self.measurements} measurements, expected MSE {mse}: t = {times}>"
+        told = [
+            f"{name.replace('_', ' ')} {COLUMNS[name].cell(self).text} {unit_of(name)}".rstrip()
+            for name in CRITERIA_SHOWN
+            if vars(self).get(name) is not None
+        ]
+        told.append(f"expected MSE {with_error(self.expected_mse, self.standard_error)}")
+        about = f"{self.label}: {self.measurements} measurements, {', '.join(told)}"
+        return f"<{about}: t = {_listed(self.measurement_times)}>"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -343,7 +349,15 @@ def frame_of_sets(rows: Iterable[Row]) -> pd.DataFrame:
     """The table of sets as a DataFrame."""
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
-    table = pd.DataFrame([*map(vars, rows)], columns=[*COLUMNS])
+    rows, order = [*rows], [*COLUMNS]
+    judged = [
+        name for name in CRITERIA_SHOWN if any(vars(row).get(name) is not None for row in rows)
+    ]
+    for name in judged:  # what the job asks for comes first
+        order.remove(name)
+        order.insert(order.index("expected_mse"), name)
+    table = pd.DataFrame([*map(vars, rows)], columns=order)
+    table.attrs["units"] = {name: unit_of(name) for name in judged if unit_of(name)}
     for name, column in COLUMNS.items():
         if column.dtype == "object":
             table[name] = table[name].astype(object).where(table[name].notna(), None)
