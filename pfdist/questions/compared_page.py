@@ -35,7 +35,7 @@ _OF_A_SET = (
     "label", "measurements", "price", "expected_mse", "smoothed_mse", "filtered_mse",
     *CRITERIA_SHOWN,
 )  # fmt: skip
-_ABOVE = "above the best by, %"  # in expected MSE
+_BELOW = "the best is lower by, %"  # in expected MSE
 _PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
 _SETS_MEANING = (
     "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
@@ -59,14 +59,14 @@ def compared(subject: Subject) -> Section | None:
     best_is_reference = ranks[0].name == subject.reference_row.name
     last = f"lower than {subject.reference_row.label} by, %"
     heads = (subject.heads.get(name, COLUMNS[name].head) for name in _OF_A_SET)
-    head = [*heads, _ABOVE, last]
+    head = [*heads, _BELOW, last]
     cells = [_set_row(subject, row, pairs, ranks[0].name) for row in ranks]
     caption = f"Best first, on {number_of(run.draws_compared, 'draw')}"
     is_mean = subject.criterion.is_mean
     if subject.of_the_estimate or not is_mean:
         caption += f", by {subject.error}"
     sets = Table(caption, head, cells, optional=[last])
-    sets = without_column(sets, *[last] * best_is_reference, *[_ABOVE] * (not is_mean))
+    sets = without_column(sets, *[last] * best_is_reference, *[_BELOW] * (not is_mean))
     rows = [_pair_row(subject, pair) for pair in pairs]
     best = ""
     if not subject.found_rows:
@@ -99,7 +99,7 @@ def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:
     """The best set and its lead, or the sets that may be the best, in sentences."""
     best, second, *_ = ranks
     phrases = {name: phrase_of(row.label) for name, row in subject.rows.items()}
-    gain, *ends = _lower(pairs, second.name, best.name)
+    gain, *ends = _lower(pairs, best.name, second.name)
     if gain is None:
         return ""
     together = ", all pairs together" * (len(pairs) > 1)
@@ -114,8 +114,8 @@ def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:
         said += f", t = {subject.clock.listed(own.measurement_times)}"
     typical = subject.typical_errors(own, subject.rows[second.name])
     typical = f" The typical error is {typical}." if typical else ""
-    higher = f"The expected MSE of {phrases[second.name]}, the second, is {change_of(gain, ends)}."
-    return f"{said}. {higher}{typical}"
+    lower = f"The expected MSE is {change_of(gain, ends)} than with {phrases[second.name]}, "
+    return f"{said}. {lower}the second.{typical}"
 
 
 def _lower(pairs: Iterable[Row], name: str, other: str) -> tuple[Any, Any, Any]:
@@ -132,11 +132,10 @@ def _lower(pairs: Iterable[Row], name: str, other: str) -> tuple[Any, Any, Any]:
 
 def _set_row(subject: Subject, row: Row, pairs: Sequence[Row], best: str) -> list[Cell]:
     of_set = subject.rows[row.name]
-    gain, low, high = _lower(pairs, row.name, best)
-    above = (None if each is None else -each for each in (gain, high, low))
+    gains = _lower(pairs, best, row.name)
     return [
         *(COLUMNS[name].cell(of_set) for name in _OF_A_SET),
-        interval_cell(*above, is_percent=True) if row.difference else Cell(""),
+        interval_cell(*gains, is_percent=True) if row.difference else Cell(""),
         COLUMNS["gain_of_means"].cell(of_set),
     ]
 

@@ -180,6 +180,8 @@ class Subject:
     def typical_errors(self, row: Row, other: Row | None = None) -> str:
         """The typical error of a set, beside that of another: ``1.16 instead of 1.34 g/L``.
 
+        If both have the same three digits, they do not differ.
+
         Empty if it is not known, or infinite: an angle of which nothing is known has no deviation.
         """
         errors = row.typical_error or ()
@@ -210,10 +212,12 @@ class Subject:
 
 
 def _typical(component: Component, is_angle: bool, error: float, before: float | None) -> str:
-    unit = component.unit or "rad" * is_angle
-    is_known = before is not None and math.isfinite(before)
-    instead = f" instead of {rounded(before, 3)}" * is_known
-    return f"{rounded(error, 3)}{instead} {unit}".rstrip()
+    unit, text = component.unit or "rad" * is_angle, rounded(error, 3)
+    if before is None or not math.isfinite(before):
+        return f"{text} {unit}".rstrip()
+    if text == rounded(before, 3):
+        return f"{text} {unit}".rstrip() + " (no difference)"
+    return f"{text} instead of {rounded(before, 3)} {unit}".rstrip()
 
 
 def change_of(gain: float, interval: Sequence[float | None]) -> str:

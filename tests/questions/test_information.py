@@ -143,7 +143,7 @@ def test_the_same_draws_judge_named_sets_by_information_too(tmp_path: Path) -> N
         problem, times=sets, results=tmp_path / "run", draws=1000, also="information", figures=False
     )
     rows = results_of(run)
-    assert "above the best by" in "\n".join(lines_of(answer_of(run)))
+    assert "the best is lower by, %" in str(answer_of(run))
     for name, times in sets.items():
         exact = told(turning(0.5), [tuple(times)])[0]
         assert rows[name].information_low < exact < rows[name].information_high
@@ -166,7 +166,7 @@ def test_sets_that_are_ranked_by_information_have_no_column_of_other_ranks(tmp_p
     said = " ".join(" ".join(lines_of(answer_of(run))).split())
     assert "the set spread. Second: the set early. They give" in said
     assert "less than the set spread" in said
-    assert "above the best by" not in text
+    assert "the best is lower" not in str(answer_of(run))
 
 
 @pytest.mark.parametrize(
