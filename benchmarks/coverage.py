@@ -111,7 +111,7 @@ def _rows(system: str, mse: Any, control: Any, repeats: int) -> list[dict[str, A
     of_regular = control[:, 0]
     parts = map(_statistics, np.split(both["controlled"], repeats))
     shares = [{name: part.largest_share(name) for name in SETS} for part in parts]
-    warned = [bool(heavy_tail_warning(each, DRAWS)) for each in shares]
+    warned = [bool(heavy_tail_warning(each.values())) for each in shares]
     about = {
         "system": system,
         "warned": np.mean(warned),

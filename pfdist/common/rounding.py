@@ -1,12 +1,14 @@
 """Numbers as text, rounded to their significant digits."""
 
 import math
+from collections.abc import Callable
 from decimal import Decimal
 
 _DIGITS = 5  # significant digits of a number without an error
 _DIGITS_OF_UNKNOWN = 3  # significant digits of a number with an unknown error
 _SMALLEST, _LARGEST = 1e-4, 1e6  # between these no exponent is written
 _SMALLEST_PLACE = -5  # a zero is not written with more decimals than the smallest of these numbers
+WIDE = 0.1  # of a value: two sides that lie further apart are limits
 _MOST_DIGITS = 12  # beyond them a double's own rounding begins to show
 
 
@@ -76,6 +78,40 @@ def with_interval(value: float | None, low: float | None, high: float | None) ->
     if half > 0.0 and max(map(_exponent, finite_values)) - place < _MOST_DIGITS:
         return tuple(_text(part, place) for part in finite_values)
     return rounded(value), rounded(low), rounded(high)
+
+
+def with_sides(value: float | None, low: float | None, high: float | None, unit: str = "") -> str:
+    """A lower side as a limit, if the upper side is far away; else nothing.
+
+    Parameters
+    ----------
+    value : float or None
+        Of the lower side.
+    low, high : float or None
+        Lower 95 % limit of the lower side, and upper one of the upper side.
+    unit : str
+
+    Examples
+    --------
+    >>> with_sides(15.2, 14.93, 88.7, "nats"), with_sides(15.2, 14.9, math.inf)
+    ('at least 14.9 nats (at most 88.7)', 'at least 14.9')
+    >>> with_sides(15.2, 14.9, 15.5), with_sides(15.2, 14.9, 16.3)
+    ('', '')
+    """
+    if value is None or low is None or high is None:
+        return ""
+    if not (high - low > WIDE * abs(value) and high - value > 3 * (value - low)):
+        return ""
+    least = f"at least {_limit(max(low, 0.0), math.floor)} {unit}".rstrip()
+    return f"{least} (at most {_limit(high, math.ceil)})" if math.isfinite(high) else least
+
+
+def _limit(value: float, to_whole: Callable[[float], int]) -> str:
+    """A limit with three digits, rounded to its safe side."""
+    if not value:
+        return "0"
+    place = _exponent(value) - 2
+    return _text(to_whole(value / 10.0**place) * 10.0**place, place)
 
 
 def _word(value: float | None) -> str:

@@ -4,6 +4,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,8 @@ from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import rounded
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import BLOCK
+from pfdist.filters.work import BLOCK, Estimation
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.questions.subject import change_of, is_clear
 from pfdist.results.moments import Pairs
 from pfdist.results.sets import typical_error
@@ -30,7 +32,8 @@ class SetErrors(NamedTuple):
 
     mse: NDArray[Any]  # (D,); empty with an exact engine
     degenerate: NDArray[Any]  # (D,): bool
-    at: NDArray[Any]  # (D, T+1, q): of each component of z; of an exact engine, (1, T+1, 1)
+    # (D, T+1, q): of each component of z; of an exact engine, (1, T+1, 1); of two filters empty
+    at: NDArray[Any]
 
 
 class FilteredSets:
@@ -42,10 +45,13 @@ class FilteredSets:
         The job; its own filter computes.
     stream : int
         The stream of the draws and of the filter noise.
+    estimation : Estimation, optional
+        By default that of the comparison.
     """
 
-    def __init__(self, built: Built, stream: int) -> None:
+    def __init__(self, built: Built, stream: int, estimation: Estimation | None = None) -> None:
         self._built, self._stream = built, stream
+        self._estimation = estimation or built.comparing
         self._evaluator = built.evaluator
         self.exact = built.evaluator.exact
         self._known, self._lock = OrderedDict[Times, SetErrors](), threading.Lock()
@@ -87,15 +93,12 @@ class FilteredSets:
         exact = evaluator.exact_over_time(times, self._built.job.criterion)
         if exact is not None:
             return SetErrors(np.empty(0), np.empty(0, np.bool_), exact[..., None])
-        work = evaluator.work(
-            [times],
-            self._stream,
-            self._stream,
-            (first, end),
-            self._built.comparing,
-            trajectories=True,
-        )
-        result = evaluator.filtered(work)
+        draws = (first, end)
+        work = evaluator.work([times], self._stream, self._stream, draws, self._estimation)
+        if self._estimation.estimator != SQUARED_ERROR.name:  # an error without trajectories
+            result = evaluator.filtered(work)
+            return SetErrors(result.mse[:, 0], result.degenerate[:, 0], np.empty(0))
+        result = evaluator.filtered(replace(work, trajectories=True))
         apart = result.estimates[0] - result.z
         at = np.where(evaluator.model.is_angle, 1.0 - np.cos(apart), apart**2)
         return SetErrors(result.mse[:, 0], result.degenerate[:, 0], at)
@@ -104,9 +107,7 @@ class FilteredSets:
         """The evaluations of sets on the first draws, of which nothing is kept."""
         if self.exact:
             return [self.evaluation(times, self._computed(times, 0, draws)) for times in sets]
-        work = self._evaluator.work(
-            sets, self._stream, self._stream, (0, draws), self._built.comparing
-        )
+        work = self._evaluator.work(sets, self._stream, self._stream, (0, draws), self._estimation)
         result = self._evaluator.filtered(work)
         found = zip(result.mse.T, result.degenerate.T, strict=True)
         return [

@@ -50,7 +50,7 @@ JUDGING_SECONDS = 2.0
 YOURS, PLAN, EVEN = "yours", "plan", "even"
 _OTHERS = {PLAN: "the plan", EVEN: "evenly spaced"}
 ON_THESE_DRAWS = "on these draws"
-_FEWER = 5  # times fewer draws for the error of the other estimate
+_FEWER = 10  # times fewer draws for the error of the other estimate
 _SAME, _ROUNDING = "the same times", 1e-9  # relative error of exact gaps
 
 
@@ -90,8 +90,10 @@ class ExplorerSession:
         self.built.evaluator.compile(self.built.comparing)
         stream = stream_of("explore", self.job.seed)
         self.played = FilteredSets(self.built, stream)
-        other = replace(self.built, evaluator=self.built.evaluator.other_estimate)
-        self._other = FilteredSets(other, stream)  # its errors are those of the other estimate
+        evaluator, own = self.built.evaluator, self.built.comparing
+        estimation = replace(evaluator.estimating_other(own), particles=own.particles)
+        other = replace(self.built, evaluator=evaluator.other_estimate)
+        self._other = FilteredSets(other, stream, estimation)  # with errors of the other estimate
         self._lock = threading.Lock()
         self._judged, self._judgements = list[Judgement](), 0
         self.best = self.run.best if self.run and self.job.budget is None else None
@@ -236,7 +238,7 @@ class ExplorerSession:
             for each in (known, other)
         )
         when = "at the moment" if self.job.problem.instants_of_lag else "afterwards"
-        named = f"MSE {when}"
+        named = f"MSE {when}" + ", at most" * self.built.evaluator.other_is_limit
         for head, texts in (("expected MSE", errors), ("typical error", typical), (named, others)):
             each = (f"{_OTHERS.get(name, YOURS)} {texts[name]}" for name in shown)
             facts.append((head, "; ".join(each)))

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Estimate, student_quantile
 from pfdist.common.percent import range_of
-from pfdist.common.rounding import with_interval
+from pfdist.common.rounding import with_interval, with_sides
 
 if TYPE_CHECKING:
     from pfdist.filters.estimate import Evaluation
@@ -55,6 +55,17 @@ class Judged(NamedTuple):
     def columns(self, name: str) -> dict[str, float]:
         """The number and the ends as columns of a table."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
+
+
+class Sides(Judged):
+    """A lower side, from the lower end of its interval to the upper end of an upper side."""
+
+    __slots__ = ()
+
+    def text(self, unit: str = "") -> str:
+        """The number with its unit and interval; if the upper side is far away, both as limits."""
+        limits = with_sides(*self, unit)
+        return f"{limits}; more particles bring both closer" if limits else super().text(unit)
 
 
 @dataclass(frozen=True)
@@ -385,7 +396,7 @@ class Information(Judging):
     def judged(self, sample: Sample) -> Judged:
         """The lower side, from the lower end of its interval to the upper end of the upper side."""
         below = Estimate.of_mean(sample.information)
-        return self._between(below, below, _and_mean(sample.information, sample.gap))
+        return Sides(*self._between(below, below, _and_mean(sample.information, sample.gap)))
 
     def change(self, sample: Sample, other: Sample) -> Judged:
         """The nats that a set gives more than another."""
@@ -427,6 +438,11 @@ def criterion_named(written: str) -> Criterion:
         label = f"{100 * share:g} % quantile of the MSE"
         return Quantile("quantile", label, fewest=fewest, share=share)
     raise ValueError(f"a criterion must be {CRITERIA}, got {written!r}")
+
+
+def unit_of(name: str) -> str:
+    """The unit of the criterion of this name; empty for that of errors."""
+    return _NAMED.get(name, MEAN).unit
 
 
 def judging_of(criterion: str | None, also: Sequence[str] | None) -> dict[str, Judging]:

@@ -15,12 +15,11 @@ from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.shown import Shown
-from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample
+from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample, unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-LARGEST = 10  # draws, see `largest_share`
 DOUBTFUL = 0.01
 """The share of degenerate draws from which they put an answer in doubt."""
 
@@ -135,7 +134,7 @@ class Evaluation(Shown):
 
     @cached_property
     def largest_share(self) -> float:
-        """Share of `expected_mse` that is due to the ten largest draws; NaN with fewer than 100."""
+        """Share of `expected_mse` due to the largest 1 % of the draws; NaN with fewer than 100."""
         return largest_share(self._deciding, self._deciding.size, self.expected_mse)
 
     @property
@@ -186,9 +185,13 @@ class Evaluation(Shown):
         mse = with_error(self.expected_mse, self.standard_error)
         count = len(self.measurement_times)
         on = "exact" if isinstance(self.criterion, Exact) else f"on {self.draws:,} draws"
-        title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
+        also = {
+            name.replace("_", " "): judged.text(unit_of(name)) for name, judged in self.also.items()
+        }
+        told = [f"{name} {text}" for name, text in also.items()] + [f"{self.criterion.label} {mse}"]
+        title = f"evaluation of {count} measurement{'s' * (count != 1)}: {', '.join(told)}, {on}"
         rows = [("measured at t", ", ".join(map(unrounded, self.measurement_times)))]
-        rows += [(name.replace("_", " "), judged.text()) for name, judged in self.also.items()]
+        rows += also.items()
         if self.degenerate_draws:
             rows.append(("degenerate", self.degenerate_text))
         if warning := self.heavy_tail:
@@ -197,8 +200,8 @@ class Evaluation(Shown):
 
     @property
     def heavy_tail(self) -> str:
-        """A warning if there are too few draws for the interval of `expected_mse`, else nothing."""
-        return heavy_tail_warning({"": self.largest_share}, self._deciding.size)
+        """A warning if the interval of `expected_mse` is too short, else nothing."""
+        return heavy_tail_warning([self.largest_share])
 
     @property
     def degenerate_text(self) -> str:
@@ -225,10 +228,10 @@ def degenerate_text(count: int, draws: int, least: float = 0.0) -> str:
 
 
 def largest_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
-    """Share of a mean over draws that is due to the ten draws with the largest values.
+    """Share of a mean over draws that is due to the 1 % of the draws with the largest values.
 
-    It is NaN with fewer than 100 draws, or if the mean is not positive and finite. `largest` has at
-    least the ten largest values.
+    It is a point of the Lorenz curve. It is NaN with fewer than 100 draws, or if the mean is not
+    positive and finite. `largest` has at least these values.
     """
-    top = np.sort(largest)[-LARGEST:]
+    top = np.sort(largest)[::-1][: draws // 100]
     return float(top.sum()) / draws / mean if draws >= 100 and 0 < mean < math.inf else math.nan

@@ -41,13 +41,15 @@ from pfdist.filters.work import (
     joined,
 )
 from pfdist.kernels.batch import FilterArrays
-from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.estimators import ESTIMATORS, TWO_CLOUDS, TWO_ERRORS
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
 from pfdist.models.parameters import Parameter, check_lengths
 from pfdist.models.recorded import check_same_functions, declared, recorded
 from pfdist.models.written import key_of_model
+
+_MORE = 4  # times the particles, for the error of the other estimate
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,24 @@ class Evaluator:
     def other_estimate(self) -> "Evaluator":
         """The evaluator with the smoothed estimate; if this one has a lag, with the filter's."""
         return replace(self, lag=0 if self.lag else self.horizon, estimations=())
+
+    def estimating_other(self, own: Estimation) -> Estimation:
+        """The estimation of `other_estimate`.
+
+        A smoothed estimate comes from few ancestors, whose part two filters take out of its error.
+        What is left falls with the number of particles, as the variance of a draw does where that
+        is due to particles: so more of them are worth fewer draws.
+        """
+        if self.lag or not self.has_particle_loss:
+            return own
+        if not self.variance_is_error:
+            return replace(own, estimator=TWO_ERRORS.name)
+        return replace(own, particles=_MORE * own.particles, estimator=TWO_CLOUDS.name)
+
+    @property
+    def other_is_limit(self) -> bool:
+        """Whether few ancestors raise the error of `other_estimate`: the model has its own."""
+        return not self.lag and self.has_particles and not self.has_particle_loss
 
     @cached_property
     def informing(self) -> "Evaluator":

@@ -52,6 +52,13 @@ What the variance lacks, because few ancestral lines are left, the distance has:
 the error of the exact smoother, even with few particles. The conditions are those of the variance.
 """
 
+TWO_ERRORS = Estimator("two_errors", ErrorWeights(squared_error=0.5, distance=-0.5))
+"""The mean squared error of two filters, less half the squared distance of their estimates.
+
+It is the product of both errors, whose noise is independent: the error without the part of
+particles, for any filter model. It varies more than `TWO_CLOUDS`.
+"""
+
 CONTROL = Estimator("control", ErrorWeights(squared_error=1.0, variance=-1.0), by_error=True)
 """The control variate of the comparison: the error less the particles' mean error against it.
 
@@ -83,6 +90,7 @@ Carlo", NeurIPS 2016.
 ESTIMATORS = {
     each.name: each
     for each in (
-        SQUARED_ERROR, FILTER_VARIANCE, FILTER_NOISE, TWO_CLOUDS, CONTROL, EVIDENCE, INFORMATION,
+        SQUARED_ERROR, FILTER_VARIANCE, FILTER_NOISE, TWO_CLOUDS, TWO_ERRORS, CONTROL, EVIDENCE,
+        INFORMATION,
     )
 }  # fmt: skip

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from pfdist.common.percent import at_most
+from pfdist.common.percent import at_most, idle_bound
 from pfdist.pages.figure import Plot, Tables, figure, one_number
 from pfdist.pages.panel import (
     BAND,
@@ -150,7 +150,7 @@ def bound_figure(tables: Tables) -> Plot:
     proved = last[(last["draws"] == last["draws"].max()) & (last["position"] > 0)]
     best = proved.loc[proved["gap_at_most"].idxmin()]
     mse = f"the expected MSE of {phrase_of(labels[best['name']])}, {best['expected_mse']:.4g}"
-    title = f"Proved: no other times lower {mse}, {at_most(best)}."
+    title = idle_bound(best) or f"Proved: no other times lower {mse}, {at_most(best)}."
     return Plot(2.5, lambda panels: bound(rows, ax=panels[0]), title=title)
 
 

@@ -32,7 +32,7 @@ from pfdist.pages.times_axis import forbidden_times, shade
 from pfdist.problem.clock import Time
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
-from pfdist.results.over_time import RANGE_SUMS
+from pfdist.results.over_time import RANGE_SUMS, errors_over_time_of, ranges_of
 from pfdist.results.sampling_windows import WIDE, runs_of, windows_of
 from pfdist.results.sets import best_first, rows_of_sets, typical_error
 from pfdist.results.stored_run import angles_of, problem_of
@@ -216,14 +216,28 @@ def _draw_times(ax: Axes, run: Run, sets: Sequence[_Set], *, named: bool) -> Non
     label_instants(ax, clock)
 
 
+def _of_halves(run: Run, name: str) -> tuple[Array, Array]:
+    """The error of a set over time on one half of the draws, and on the other.
+
+    The instants with the largest of noisy differences are chosen on the first half: their
+    differences on it are too large.
+    """
+    ranges, place = ranges_of(run), run.names.index(name)
+    halves = (ranges[::2], ranges[1::2]) if len(ranges) > 1 else (ranges, ranges)  # one: exact
+    first, second = (errors_over_time_of(half, place)[0] for half in halves)
+    return first, second
+
+
 def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
     """Say what the panels show, and where the error of the plan is lowest beside the other."""
     run, clock = tables.run, problem_of(tables.run).clock
     plan, other = (phrase_of(run.labels[each.name]) for each in (sets[0], sets[-1]))
     profile = table_of(run, "run", "error_over_time")
-    rows = {each.name: profile[profile["name"] == each.name] for each in sets}
-    best, reference = (rows[each.name]["error"].to_numpy() for each in (sets[0], sets[-1]))
-    t, weight = (rows[sets[0].name][key].to_numpy() for key in ("t", "weight"))
+    own = profile[profile["name"] == sets[0].name]
+    t, weight = (own[key].to_numpy() for key in ("t", "weight"))
+    (best, told), (reference, told_of_reference) = (
+        _of_halves(run, each.name) for each in (sets[0], sets[-1])
+    )
     change = np.nan_to_num(weight * (reference - best), posinf=0.0, neginf=0.0)
     said = "The system, the typical error over time, and the times of measurements."
     row = run.table("sets").set_index("name").loc[sets[0].name]
@@ -235,16 +249,18 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
         here = slice(first, end)
         is_root = len(angles_of(run)) == 1
         unit = unit if is_root else f"{error_unit(run)}²".lstrip("²")
+        means = [np.average(e[here], weights=weight[here]) for e in (told_of_reference, told)]
         before, now = (
             rounded(typical_error(mean, angles_of(run)[0]) if is_root else mean, 3)
-            for mean in (np.average(e[here], weights=weight[here]) for e in (reference, best))
+            for mean in means
         )
         ends = " to ".join(dict.fromkeys(map(clock.text, [t[first], t[end - 1]])))
         what = "typical error" if is_root else "expected MSE"
-        said = (
-            f"With {plan} instead of {other}, the {what} falls most at t = {ends}: from {before} "
-            f"to {f'{now} {unit}'.rstrip()}."
-        )
+        if means[1] < means[0] and now != before:
+            said = (
+                f"With {plan} instead of {other}, the {what} falls most at t = {ends}: from "
+                f"{before} to {f'{now} {unit}'.rstrip()}."
+            )
     if len(components_in(tables.trajectories, "z_")) > 1:
         draws = tables.trajectories["draw"].nunique()
         said += f" The errors over time are those of {draws} draws, the numbers those of all."

@@ -17,10 +17,17 @@ from pfdist.common.parts import (
     without_empty_columns,
 )
 from pfdist.common.percent import percent
-from pfdist.common.rounding import rounded, with_error
+from pfdist.common.rounding import WIDE, rounded, with_error, with_sides
 from pfdist.filters.criterion import Judged
 from pfdist.problem.set_key import phrase_of
-from pfdist.questions.subject import ERROR_HEAD, Subject, change_of, effect, number_of
+from pfdist.questions.subject import (
+    ERROR_HEAD,
+    Subject,
+    change_of,
+    effect,
+    is_clear,
+    number_of,
+)
 from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, interval_cell, rows_of
 from pfdist.results.stored_run import named_sets
 
@@ -28,8 +35,7 @@ _OF_A_SET = (
     "label", "measurements", "price", "expected_mse", "smoothed_mse", "filtered_mse",
     *CRITERIA_SHOWN,
 )  # fmt: skip
-_WIDE = 0.1  # of an information: its two sides are far from each other
-_ABOVE = "above the best by, %"  # in expected MSE
+_BELOW = "the best is lower by, %"  # in expected MSE
 _PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
 _SETS_MEANING = (
     "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
@@ -55,14 +61,14 @@ def compared(subject: Subject) -> Section | None:
     best_is_reference = ranks[0].name == subject.reference_row.name
     last = f"lower than {subject.reference_row.label} by, %"
     heads = (subject.heads.get(name, COLUMNS[name].head) for name in _OF_A_SET)
-    head = [*heads, _ABOVE, last]
+    head = [*heads, _BELOW, last]
     cells = [_set_row(subject, row, pairs, ranks[0].name) for row in ranks]
     caption = f"Best first, on {number_of(run.draws_compared, 'draw')}"
     is_mean = subject.criterion.is_mean
     if subject.of_the_estimate or not is_mean:
         caption += f", by {subject.error}"
     sets = Table(caption, head, cells, optional=[last])
-    sets = without_column(sets, *[last] * best_is_reference, *[_ABOVE] * (not is_mean))
+    sets = without_column(sets, *[last] * best_is_reference, *[_BELOW] * (not is_mean))
     rows = [_pair_row(subject, pair) for pair in pairs]
     best = ""
     if not subject.found_rows:
@@ -70,6 +76,7 @@ def compared(subject: Subject) -> Section | None:
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),
         without_empty_columns(sets),
+        *([] if subject.found_rows else subject.heavy_tail),  # else the answer has it
         Text(_SETS_MEANING, detail=True),
         Figures(["compared"] if subject.found_rows else ["system", "compared"]),
         Table("Pairs of sets", _PAIRS_HEAD, rows, detail=True, optional=_PAIRS_HEAD[:-3:-1]),
@@ -94,7 +101,7 @@ def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:
     """The best set and its lead, or the sets that may be the best, in sentences."""
     best, second, *_ = ranks
     phrases = {name: phrase_of(row.label) for name, row in subject.rows.items()}
-    gain, *ends = _lower(pairs, second.name, best.name)
+    gain, *ends = _lower(pairs, best.name, second.name)
     if gain is None:
         return ""
     together = ", all pairs together" * (len(pairs) > 1)
@@ -109,8 +116,8 @@ def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:
         said += f", t = {subject.clock.listed(own.measurement_times)}"
     typical = subject.typical_errors(own, subject.rows[second.name])
     typical = f" The typical error is {typical}." if typical else ""
-    higher = f"The expected MSE of {phrases[second.name]}, the second, is {change_of(gain, ends)}."
-    return f"{said}. {higher}{typical}"
+    lower = f"The expected MSE is {change_of(gain, ends)} than with {phrases[second.name]}, "
+    return f"{said}. {lower}the second.{typical}"
 
 
 def _lower(pairs: Iterable[Row], name: str, other: str) -> tuple[Any, Any, Any]:
@@ -127,11 +134,10 @@ def _lower(pairs: Iterable[Row], name: str, other: str) -> tuple[Any, Any, Any]:
 
 def _set_row(subject: Subject, row: Row, pairs: Sequence[Row], best: str) -> list[Cell]:
     of_set = subject.distinct[row.name]
-    gain, low, high = _lower(pairs, row.name, best)
-    above = (None if each is None else -each for each in (gain, high, low))
+    gains = _lower(pairs, best, row.name)
     return [
         *(COLUMNS[name].cell(of_set) for name in _OF_A_SET),
-        interval_cell(*above, is_percent=True) if row.difference else Cell(""),
+        interval_cell(*gains, is_percent=True) if row.difference else Cell(""),
         COLUMNS["gain_of_means"].cell(of_set),
     ]
 
@@ -221,16 +227,20 @@ def criterion_effect(subject: Subject, row: Row) -> str | None:
     if subject.criterion.sign > 0:
         return f"{effect(gain, ends, subject.reference, subject.error)}: {own} instead of {other}."
     value, low, high = map(float, (row.information, row.information_low, row.information_high))
-    bits, side = rounded(value / math.log(2), 3), "more" if gain >= 0 else "less"
-    told = Judged(value, low, high).text(subject.criterion.unit)
+    limits = with_sides(value, low, high, subject.criterion.unit)
+    told = limits or Judged(value, low, high).text(subject.criterion.unit)
+    bits = rounded((low if limits else value) / math.log(2), 3)
     signed = ends if gain >= 0 else [-end for end in reversed(ends)]
     more = Judged(abs(gain), *signed).text(subject.criterion.unit)
-    wide = " The interval is wide: more particles, or more draws, narrow it."
-    return (
-        f"They give {told} of information about the path ({bits} bits), "
-        f"{more} {side} than {subject.reference}."
-        f"{wide * (high - low > _WIDE * abs(value))}"
-    )
+    than = f"{more} {'more' if gain >= 0 else 'less'} than {subject.reference}"
+    if not is_clear(ends):
+        than = f"not clearly another number than {subject.reference}: {than}"
+    help_ = ""
+    if high - low > WIDE * abs(value):
+        help_ = " More particles, or more draws, narrow the interval."
+    if limits:
+        help_ = " More filter.particles bring both limits closer."
+    return f"They give {told} of information about the path ({bits} bits), {than}.{help_}"
 
 
 def _worst_effect(subject: Subject, name: str) -> str | None:

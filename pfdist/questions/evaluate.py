@@ -14,6 +14,7 @@ import numpy as np
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
+from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
@@ -31,7 +32,7 @@ from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import criteria_in, following
 from pfdist.questions.subject import WHEN, change_of, is_clear, mse_cell, number_of
 from pfdist.results import Gain
-from pfdist.results.columns import COLUMNS, interval_cell
+from pfdist.results.columns import COLUMNS, head_of_limit, interval_cell
 from pfdist.results.over_time import Range, errors_over_time_of, profile_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.comparison_phase import LOSS_DRAWS, OTHERS
@@ -178,18 +179,21 @@ def _evaluated(
 ) -> dict[str, Evaluation]:
     evaluator, times = built.evaluator, tuple(sets.values())
     criterion, judging = built.job.criterion.of_errors, built.job.judging
+    estimation, draws = comparing_of(built.job), built.job.evaluation.draws
     if other:
+        own, estimation = estimation, evaluator.estimating_other(estimation)
+        more = estimation.steps_an_instant // own.steps_an_instant
+        draws = -(-draws // (OTHERS * max(1, more // 2)))
         evaluator, profile, judging = evaluator.other_estimate, False, {}
     written = [tuple(built.job.problem.points.written_of(each)) for each in times]
     exact = evaluator.expected_mse(times, criterion=criterion)
     by_instant = any(each.by_instant for each in judging.values())
-    draws = -(-built.job.evaluation.draws // (OTHERS if other else 1))
     work = evaluator.work(
         times,
         stream,
         stream,
         (0, draws),
-        comparing_of(built.job),
+        estimation,
         ids=tuple(sets),
         over_time=int(exact is None and (profile or by_instant)),
     )
@@ -203,7 +207,7 @@ def _evaluated(
         scenarios = evaluator.scenarios_of(stream, range(draws))
         formatted = built.job.problem.clock.formatted
         each_set = (work.part((0, draws), [place]) for place in range(len(sets)))
-        lines = [fewest_lines(evaluator, each, formatted) for each in each_set]
+        lines = [("", False) if other else fewest_lines(evaluator, e, formatted) for e in each_set]
         found = {
             name: Evaluation(
                 written_of_set,
@@ -317,6 +321,7 @@ class Evaluated:
     parameters: Sequence[Mapping[str, Any]]  # of each scenario
     seconds: float
     quantity: Component | None  # z, if the root of an expected MSE is in its unit
+    other_is_limit: bool = False  # whether few ancestors may raise the errors of `others`
     form: Criterion = MEAN  # what the job minimises
     criteria: Mapping[str, Judging] = field(default_factory=dict)  # also wanted
 
@@ -334,7 +339,8 @@ class Evaluated:
             for name, evaluation in self.evaluations.items()
         }
         answer: dict[str, Any] = sets[UNNAMED] if list(sets) == [UNNAMED] else {"sets": sets}
-        return answer | {"seconds": round(self.seconds, 3)}
+        about = {"criterion": self.form.label, "criterion_unit": self.form.unit}
+        return answer | about | {"seconds": round(self.seconds, 3)}
 
     def _page(self) -> Page:
         rows = [self._row(name) for name in self.evaluations]
@@ -349,16 +355,19 @@ class Evaluated:
             first = judged.pop(self.form.name, "")
             said = ". ".join(filter(None, [first, said, *judged.values()]))
             if math.isfinite(self.others[UNNAMED].expected_mse):
-                said += f". {WHEN[other]}: {of_other}"
+                said += f". {WHEN[other]}: {'at most ' * self.other_is_limit}{of_other}"
         else:
             said = self._lowest()
         caption = f"Expected MSE{of_the_estimate}" * bool(of_the_estimate)
         heads = [each.head for each in self.criteria.values()]
-        head = (*_HEAD, *heads, "draws", COLUMNS[f"{other}_mse"].head)
+        limited = head_of_limit(other) if self.other_is_limit else COLUMNS[f"{other}_mse"].head
+        head = (*_HEAD, *heads, "draws", limited)
         tables = [Table(caption, head, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
-        section = Section("", [Text(f"{said}.", prominent=True), *tables])
+        heavy = heavy_tail_warning(each.largest_share for each in self.evaluations.values())
+        texts = [Text(f"{said}.", prominent=True), *([Text(heavy)] if heavy else [])]
+        section = Section("", [*texts, *tables])
         doubts = ((name, each.alarm) for name, each in self.evaluations.items())
         alarms = [f"{name}: " * bool(name) + f"{text}." for name, text in doubts if text]
         return Page("", "", [section], [*self._warnings()], alarms=alarms)
@@ -419,7 +428,8 @@ class Evaluated:
         number, is_exact = len(each.measurement_times), not each.draws
         texts = [e.estimate.text + " (exact)" * is_exact for e in (each, other)]
         draws = Cell("" if is_exact else f"{each.draws:,}", each.draws)
-        judged = (interval_cell(*each.also[key]) for key in self.criteria)
+        also = ((each.also[key], COLUMNS[key].is_side) for key in self.criteria)
+        judged = (interval_cell(*numbers, is_side=is_side) for numbers, is_side in also)
         about = Cell(name), Cell(str(number), number), Cell(texts[0])
         return [*about, *judged, draws, Cell(texts[1])]
 
@@ -435,7 +445,7 @@ class Evaluated:
             for constraint in self.broken[name]:
                 yield f"{these} a constraint: {constraint}"
             degenerate = evaluation.degenerate_text * (not evaluation.alarm)
-            for text in filter(None, (degenerate, evaluation.heavy_tail, evaluation.few_lines)):
+            for text in filter(None, (degenerate, evaluation.few_lines)):
                 yield f"{name}: " * bool(name) + text
 
 
@@ -493,7 +503,8 @@ def evaluated(
     scenarios = loaded.scenarios.of_draws if loaded.scenarios else ()
     about = loaded.problem, broken, [each.parameters for each in scenarios]
     judged_by = built.job.criterion, built.job.judging
-    return Evaluated(evaluations, others, *about, seconds, _quantity(built), *judged_by)
+    is_limit = built.evaluator.other_is_limit
+    return Evaluated(evaluations, others, *about, seconds, _quantity(built), is_limit, *judged_by)
 
 
 def _quantity(built: Built) -> Component | None:

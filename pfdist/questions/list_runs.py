@@ -14,6 +14,7 @@ from pfdist.errors import StoreError, reason_of, relative
 from pfdist.results import Run, open_run
 from pfdist.results.columns import Row
 from pfdist.results.sets import best_first, rows_of_sets
+from pfdist.results.stored_run import criterion_of
 from pfdist.results.summary import summary_of
 from pfdist.store import is_held
 from pfdist.store.folder import extent, runs_below
@@ -24,6 +25,7 @@ _COLUMNS = {
     "run": "object", "state": "object", "draws": "int64", "draws_wanted": "int64",
     "changed": "datetime64[us, UTC]", "bytes": "int64", "best": "object", "reference": "object",
     "gain_of_means": "float64", "has_budget": "bool", "found": "object", "fault": "object",
+    "criterion": "object",
 }  # fmt: skip
 
 
@@ -49,7 +51,7 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
           ``unreadable`` (`fault` says why).
         - draws, draws_wanted: draws that all sets have filtered, and draws that the job demands.
         - changed: when a file of the run changed last. bytes: the size of all files.
-        - best: the found set with the lowest expected MSE; in a run without a search, the best set
+        - best: the best found set by the job's criterion; in a run without a search, the best set
           other than the reference. None before the comparison has begun, and in a run of several
           numbers of measurements.
         - reference, gain_of_means: over which set, and by how much the best set gains.
@@ -57,6 +59,7 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
         - found: the gain of the best set, or the numbers of measurements, in words; None before
           the comparison has begun.
         - fault: why a run cannot be read, else None.
+        - criterion: what the run minimises.
 
     Raises
     ------
@@ -100,7 +103,7 @@ def _listed(path: Path, name: str) -> Row:
 
 def _found(run: Run) -> dict[str, Any]:
     """How far a run is, and its best set."""
-    known = summary_of(run)
+    known, form = summary_of(run), criterion_of(run)
     state, draws, rows = (
         (run.state, run.draws_compared, rows_of_sets(run))
         if known is None
@@ -111,14 +114,21 @@ def _found(run: Run) -> dict[str, Any]:
         "draws": draws,
         "draws_wanted": run.job["comparison"]["draws"],
         "has_budget": "budget" in run.job,
+        "criterion": form.label,
     }
     if not draws:
         return found
     if not found["has_budget"] and (best := _best(rows)) is not None:
         gain = math.nan if best.gain_of_means is None else best.gain_of_means
-        share = f"{rounded(times_100(abs(gain)), 3)} % {'above' if gain < 0 else 'below'}"
+        own = gain if best.criterion_gain is None else best.criterion_gain
+        share = f"{rounded(times_100(abs(own)), 3)} % {'above' if own < 0 else 'below'}"
+        if form.unit:
+            share = f"{rounded(abs(own), 3)} {form.unit} {'less' if own < 0 else 'more'} than"
         reference = next(row.label for row in rows if row.name == best.reference)
         words = f"{best.label}: {share} {reference}"
+        if not form.is_mean and not form.unit:
+            by = form.of_errors if best.criterion_gain is None else form
+            words += f" by the {'mean over scenarios' if by == form.of_errors else form.label}"
         found |= {"best": best.name, "reference": best.reference}
         found |= {"gain_of_means": gain, "found": words}
     elif found["has_budget"]:

@@ -162,7 +162,7 @@ def _warnings(subject: Subject) -> list[str]:
     warnings = [f"{row.label}: {text}" for row in subject.rows.values() for text in row.warnings]
     # The last line in a terminal is the warning that nothing is proved.
     few_lines = provenance_of(subject.run).get("few_lines", "")
-    last = [few_lines, subject.heavy_tail, unproved(subject.run)]
+    last = [few_lines, unproved(subject.run)]
     return [*warnings, *(text for text in last if text and text not in subject.alarms)]
 
 
@@ -193,6 +193,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
         _gain(subject, row), _as_good(subject, row), _proof(subject, row), online_sentence(subject),
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)
+    yield from subject.heavy_tail
     yield from _other_estimate(subject, row)
     if others := len(subject.found_rows) - 1:
         best = f"This is {phrase_of(row.label)}, the best of {others + 1} plans"
@@ -230,8 +231,9 @@ def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
         return
     hint = ' If you analyse afterwards, `problem.estimate = "smoothed"` finds other times.'
     is_hint = other == SMOOTHED and subject.criterion.sign > 0
+    limit = "at most " * subject.other_is_limit
     yield Text(
-        f"{WHEN[other]}, the {subject.criterion.of_errors.label} is {mse.cell(row).text} "
+        f"{WHEN[other]}, the {subject.criterion.of_errors.label} is {limit}{mse.cell(row).text} "
         f"({reference.label}: {mse.cell(reference).text}).{hint * is_hint}"
     )
 

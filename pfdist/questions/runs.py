@@ -16,10 +16,13 @@ from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.parts import Cell, Page, Section, Table, Text, without_column
 from pfdist.common.rounding import with_interval
 from pfdist.errors import one_line
+from pfdist.filters.criterion import MEAN, Criterion, WorstScenario, criterion_named
 from pfdist.problem.set_key import labels_of_sets, phrase_of
 from pfdist.problem.sweep import parts_that_pay
 from pfdist.questions.list_runs import FINISHED
+from pfdist.results.columns import interval_cell
 from pfdist.results.runs_table import (
+    CRITERION,
     formatted_gain,
     formatted_mse,
     formatted_value,
@@ -36,8 +39,10 @@ def table_page(frame: pd.DataFrame) -> Page:
     """A table of runs, as `pfdist.table` gives it: what differs, and what the runs found."""
     keys = keys_of_runs(frame)
     short = shown_names(keys)
-    head = ["run", *(short[key] for key in keys), "set", _ERROR, "gain, %", "seconds"]
-    rows = [_row(row, keys) for row in frame.to_dict("records")]
+    form = form_of(frame)
+    judged = [] if form is None else [form.head]
+    head = ["run", *(short[key] for key in keys), "set", *judged, _ERROR, "gain, %", "seconds"]
+    rows = [_row(row, keys, form) for row in frame.to_dict("records")]
     lacking = [short[key] for key in reversed(keys) if frame[key].isna().any()]
     others = [short[key] for key in reversed(keys) if short[key] not in lacking]
     # In a narrow terminal, few keys identify the runs, or else the names of the runs do.
@@ -53,7 +58,15 @@ def table_page(frame: pd.DataFrame) -> Page:
     return Page("", "", [Section("", [table, *([gain] if references else [])])])
 
 
-def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
+def form_of(frame: pd.DataFrame) -> Criterion | None:
+    """The criterion of all runs of a table, unless that is the expected MSE or they differ."""
+    names = set(frame.get("criterion", [None]))
+    if len(names) > 1 or not isinstance(name := names.pop(), str):
+        return None
+    return WorstScenario() if name == WorstScenario.name else criterion_named(name)
+
+
+def _row(row: Mapping[Any, Any], keys: list[str], form: Criterion | None) -> list[Cell]:
     # A row without results shows the state of its run.
     state = "no other set" if row["state"] == FINISHED else str(row["state"])
     seconds = row["worker_seconds"]
@@ -64,31 +77,39 @@ def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
             for each in (row[key] for key in keys)
         ),
         Cell(formatted_value(row["set"])),
+        *([] if form is None else [_judged(row, form)]),
         Cell(formatted_mse(row) or state),
         Cell(formatted_gain(row)),
         Cell(formatted_seconds(seconds), seconds),
     ]
 
 
+def _judged(row: Mapping[Any, Any], form: Criterion) -> Cell:
+    ends = (row[name] if math.isfinite(row[name]) else None for name in CRITERION[1:4])
+    return interval_cell(*ends, is_side=form.sign < 0)
+
+
 def lowest_text(frame: pd.DataFrame) -> str:
-    """The values with the lowest expected MSE, as a mean over the seeds, in a sentence."""
-    columns = still_varying(frame, [])
-    means = averages(frame, columns, "expected_mse")
+    """The values with the lowest number that is minimised, as a mean over seeds, in a sentence."""
+    columns, form = still_varying(frame, []), form_of(frame) or MEAN
+    means = averages(frame, columns, "expected_mse" if form.is_mean else "judged")
     best = min((each for each in means if math.isfinite(each.mean)),
-               key=lambda each: each.mean, default=None)  # fmt: skip
+               key=lambda each: form.sign * each.mean, default=None)  # fmt: skip
     if best is None:
         return ""
     value, low, high = with_interval(best.mean, best.low, best.high)
     interval = "" if math.isnan(best.low) else f" (95 % CI {low} to {high})"
+    value = f"{value} {form.unit}".rstrip()
     estimate = f"{value}{' (exact)' if best.low == best.high else interval}"
     if len(best.replicates) > 1:
         estimate += f", the mean of {len(best.replicates)} seeds"
     if not columns:  # the seeds alone differ: there is nothing to choose
-        return f"The expected MSE is {estimate}."
+        return f"The {form.label} is {estimate}."
     point = formatted_point(
         columns, best.point, sorted(keys_of_runs(frame), key=lambda name: name == SEED)
     )
-    return f"The lowest expected MSE is {estimate}: {point}."
+    most = "most" if form.sign < 0 else "lowest"
+    return f"The {most} {form.label} is {estimate}: {point}."
 
 
 def list_page(frame: pd.DataFrame, folder: str) -> Page:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.measurement_times import EVEN, REGULAR
-from pfdist.common.parts import Cell, Table
+from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.filters.criterion import Criterion
@@ -20,7 +20,7 @@ from pfdist.problem.sections import EVENLY_SPACED
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
-from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
+from pfdist.results.columns import COLUMNS, Row, head_of_limit, rows_of, sets_table
 from pfdist.results.criteria import judging
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first, rows_of_sets
@@ -96,10 +96,10 @@ class Subject:
         return {name: row for name, row in self.rows.items() if row.kind == FOUND}
 
     @cached_property
-    def heavy_tail(self) -> str:
-        """A sentence if there are too few draws for the interval of an error, else nothing."""
-        shares = {phrase_of(row.label): row.largest_share for row in self.rows.values()}
-        return heavy_tail_warning(shares, self.run.draws_compared)
+    def heavy_tail(self) -> list[Text]:
+        """A line beside errors whose intervals are too short, or nothing."""
+        text = heavy_tail_warning(row.largest_share for row in self.rows.values())
+        return [Text(text)] if text else []
 
     @cached_property
     def alarms(self) -> list[str]:
@@ -146,8 +146,15 @@ class Subject:
 
     @cached_property
     def heads(self) -> dict[str, str]:
-        """Heads of the columns of criteria, which say what quantile it is."""
-        return {name: each.head for name, each in judging(self.run).items()}
+        """Heads of columns: of criteria, which say what quantile it is; of an upper limit."""
+        heads = {name: each.head for name, each in judging(self.run).items()}
+        return heads | ({"smoothed_mse": head_of_limit(SMOOTHED)} if self.other_is_limit else {})
+
+    @property
+    def other_is_limit(self) -> bool:
+        """Whether few ancestors may raise the errors of the other estimate; see `Evaluator`."""
+        is_smoothed, tables = problem_of(self.run).other_estimate == SMOOTHED, self.run.tables
+        return is_smoothed and "other_estimate" in tables and "filter_distance" not in tables
 
     @property
     def error(self) -> str:
@@ -195,6 +202,8 @@ class Subject:
     def typical_errors(self, row: Row, other: Row | None = None) -> str:
         """The typical error of a set, beside that of another: ``1.16 instead of 1.34 g/L``.
 
+        If both have the same three digits, they do not differ.
+
         Empty if it is not known, or infinite: an angle of which nothing is known has no deviation.
         """
         errors = row.typical_error or ()
@@ -225,10 +234,12 @@ class Subject:
 
 
 def _typical(component: Component, is_angle: bool, error: float, before: float | None) -> str:
-    unit = component.unit or "rad" * is_angle
-    is_known = before is not None and math.isfinite(before)
-    instead = f" instead of {rounded(before, 3)}" * is_known
-    return f"{rounded(error, 3)}{instead} {unit}".rstrip()
+    unit, text = component.unit or "rad" * is_angle, rounded(error, 3)
+    if before is None or not math.isfinite(before):
+        return f"{text} {unit}".rstrip()
+    if text == rounded(before, 3):
+        return f"{text} {unit}".rstrip() + " (no difference)"
+    return f"{text} instead of {rounded(before, 3)} {unit}".rstrip()
 
 
 def change_of(gain: float, interval: Sequence[float | None]) -> str:

@@ -15,14 +15,15 @@ from pfdist.common.arguments import path_argument
 from pfdist.common.gone import gone
 from pfdist.errors import ArgumentError, PfdistWarning, reason_of, relative, shown
 from pfdist.results import Run, open_run
-from pfdist.results.runs_table import RESULTS, formatted_value, is_missing, runs_table
+from pfdist.results.runs_table import CRITERION, RESULTS, formatted_value, is_missing, runs_table
 from pfdist.store import holds_run, write_file
 from pfdist.store.files import check_replaceable
 from pfdist.store.folder import runs_below
 from pfdist.store.tables import holds_table, write_table
 
 _MARK = b"runs"  # the metadata "table" of a Parquet file
-_HEAD = re.compile(rb"run,([^\n]*,)?" + ",".join(RESULTS).encode() + rb"\n")
+_ENDS = ",".join(RESULTS), ",".join((*RESULTS, *CRITERION))
+_HEAD = re.compile(rf"run,([^\n]*,)?({'|'.join(_ENDS)})\n".encode())
 _LONGEST_HEAD = 100_000  # bytes of the first line of a CSV file
 
 
@@ -68,6 +69,9 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
         - measurements (their number) and measurement_times (a tuple, on the clock of the run).
         - evaluations, and worker_seconds (of all tasks together): of the whole run.
         - path: the folder of the run.
+        - criterion (of the job), judged (its number: of the information, in nats), judged_gain, and
+          their ``_low`` and ``_high``, only if a run minimises another number than the expected
+          MSE.
 
         ``attrs["time_unit"]`` is the unit of times, if all runs have the same.
 

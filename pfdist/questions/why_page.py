@@ -48,10 +48,10 @@ def why_page(subject: Subject, frames: Frames) -> Page:
     frames : mapping of str to DataFrame
         profile, worth and sampling_windows, as `pfdist.questions.why.Why` has them.
     """
-    section = Section("", [*_tables(subject, frames), Text(_MEANING, detail=True)])
-    warnings = [subject.heavy_tail] if subject.heavy_tail else []
+    tables = [*_tables(subject, frames), *subject.heavy_tail]
+    section = Section("", [*tables, Text(_MEANING, detail=True)])
     said, place = _extremes(subject, frames), str(subject.run.path)
-    return Page("", said, [section], warnings, place=place, alarms=subject.alarms)
+    return Page("", said, [section], place=place, alarms=subject.alarms)
 
 
 def _extremes(subject: Subject, frames: Frames) -> str:

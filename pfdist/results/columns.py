@@ -16,8 +16,9 @@ import numpy as np
 
 from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
-from pfdist.common.rounding import unrounded, with_error, with_interval
+from pfdist.common.rounding import unrounded, with_error, with_interval, with_sides
 from pfdist.errors import relative
+from pfdist.filters.criterion import unit_of
 from pfdist.results.moments import QUANTILES, quantile_name
 
 if TYPE_CHECKING:
@@ -51,9 +52,14 @@ class Row(SimpleNamespace):
     def __repr__(self) -> str:
         if not {"label", "expected_mse", "measurement_times"} <= {*vars(self)}:
             return super().__repr__()
-        mse = with_error(self.expected_mse, self.standard_error)
-        times = _listed(self.measurement_times)
-        return f"<{self.label}: {self.measurements} measurements, expected MSE {mse}: t = {times}>"
+        told = [
+            f"{name.replace('_', ' ')} {COLUMNS[name].cell(self).text} {unit_of(name)}".rstrip()
+            for name in CRITERIA_SHOWN
+            if vars(self).get(name) is not None
+        ]
+        told.append(f"expected MSE {with_error(self.expected_mse, self.standard_error)}")
+        about = f"{self.label}: {self.measurements} measurements, {', '.join(told)}"
+        return f"<{about}: t = {_listed(self.measurement_times)}>"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +81,8 @@ class Column:
         Whether pages show it in per cent.
     has_interval : bool
         Whether the ends of its 95 % interval are the columns ``NAME_low`` and ``NAME_high``.
+    is_side : bool
+        Whether it is a lower side, which may be far from the upper one.
     """
 
     name: str
@@ -84,6 +92,7 @@ class Column:
     error: str = ""
     is_percent: bool = False
     has_interval: bool = False
+    is_side: bool = False
 
     def cell(self, row: Row, listed: Callable[[list[Any]], str] = _listed) -> Cell:
         """The value of a row as pages show it; empty if it is missing. `listed` writes lists."""
@@ -96,14 +105,24 @@ class Column:
             return Cell(with_error(value, getattr(row, self.error)), value)
         if self.has_interval:
             ends = (getattr(row, f"{self.name}_{end}") for end in ("low", "high"))
-            return interval_cell(value, *ends, is_percent=self.is_percent)
+            return interval_cell(value, *ends, is_percent=self.is_percent, is_side=self.is_side)
         return Cell(value if isinstance(value, str) else f"{value:,.10g}", value)
 
 
+def head_of_limit(other: str) -> str:
+    """Head of the errors of the other estimate, where few ancestors may raise them."""
+    return COLUMNS[f"{other}_mse"].head.replace(" ±", ", at most ±")
+
+
 def interval_cell(
-    value: float | None, low: float | None, high: float | None, *, is_percent: bool = False
+    value: float | None,
+    low: float | None,
+    high: float | None,
+    *,
+    is_percent: bool = False,
+    is_side: bool = False,
 ) -> Cell:
-    """A number with its interval, or alone if it is exact.
+    """A number with its interval, or alone if it is exact; a lower side as `with_sides` says.
 
     >>> interval_cell(0.176321, 0.162, 0.1904, is_percent=True).text
     '17.6 (16.2 to 19.0)'
@@ -111,6 +130,8 @@ def interval_cell(
     '2.5000'
     """
     ends = (value, low, high)
+    if is_side and (limits := with_sides(value, low, high)):
+        return Cell(limits, value)
     text, *texts = with_interval(*(map(times_100, ends) if is_percent else ends))
     return Cell(text if low == high == value else f"{text} ({range_of(*texts)})", value)
 
@@ -157,15 +178,17 @@ _DECLARED = [
     Column(name="standard_error", meaning="of expected_mse; 0 where it is exact"),
     *(
         column
-        for name, head, which in (
-            ("smoothed", "afterwards", "if the job's own estimate is filtered"),
-            ("filtered", "at the moment", "if the job's own estimate uses later measurements"),
+        for name, head, which, draws in (
+            ("smoothed", "afterwards", "if the job's own estimate is filtered",
+             "at most a fifth of the draws by two filters, of four times as many particles with "
+             "the true model, without the part of few ancestors unless the model has an own error"),
+            ("filtered", "at the moment", "if the job's own estimate uses later measurements",
+             "at most a fifth of the draws"),
         )
         for column in (
             Column(
                 name=f"{name}_mse", error=f"{name}_error", head=f"{head} ± standard error",
-                meaning=f"expected MSE of the {name} estimate, {which}; on a fifth of the draws, "
-                "or exact",
+                meaning=f"expected MSE of the {name} estimate, {which}; on {draws}, or exact",
             ),
             Column(name=f"{name}_error", meaning=f"standard error of {name}_mse; 0: exact"),
         )
@@ -181,7 +204,7 @@ _DECLARED = [
         "more the set gives",
     ),
     Column(
-        name="information", has_interval=True, head="information, nats",
+        name="information", has_interval=True, is_side=True, head="information, nats",
         meaning="expected information about the path, and about what is learned; a lower side of "
         "particles, whose interval ends where that of the upper side does",
     ),
@@ -198,8 +221,8 @@ _DECLARED = [
     Column(name="degenerate_draws", dtype="int64", meaning="draws that are degenerate"),
     Column(
         name="largest_share",
-        meaning="share of expected_mse that the ten largest draws carry; above 0.1 + 10 / draws "
-        "its interval is too short; missing with fewer than 100 draws, and where it is exact",
+        meaning="share of expected_mse that the largest 1 % of the draws carries; above 0.2 its "
+        "interval is too short; missing with fewer than 100 draws, and where it is exact",
     ),
     Column(
         name="worse_than", dtype="Int64",
@@ -326,7 +349,15 @@ def frame_of_sets(rows: Iterable[Row]) -> pd.DataFrame:
     """The table of sets as a DataFrame."""
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
-    table = pd.DataFrame([*map(vars, rows)], columns=[*COLUMNS])
+    rows, order = [*rows], [*COLUMNS]
+    judged = [
+        name for name in CRITERIA_SHOWN if any(vars(row).get(name) is not None for row in rows)
+    ]
+    for name in judged:  # what the job asks for comes first
+        order.remove(name)
+        order.insert(order.index("expected_mse"), name)
+    table = pd.DataFrame([*map(vars, rows)], columns=order)
+    table.attrs["units"] = {name: unit_of(name) for name in judged if unit_of(name)}
     for name, column in COLUMNS.items():
         if column.dtype == "object":
             table[name] = table[name].astype(object).where(table[name].notna(), None)

@@ -28,12 +28,13 @@ from pfdist.common.estimate import (
     student_quantile,
     wilson_interval,
 )
-from pfdist.filters.estimate import LARGEST, largest_share
+from pfdist.filters.estimate import largest_share
 
 Array = NDArray[np.float64]
 
 BLOCK = 10_000
 """Draws of a block, everywhere: blocks of another size would give other last digits."""
+_KEPT = 1000  # largest draws, at least; then four times as many as `largest_share` needs
 
 
 @dataclass
@@ -430,7 +431,8 @@ class ComparisonStatistics:
         )
         for place, (name, column) in enumerate(controlled.items()):
             self.mse[name].add(column)
-            self._largest[name] = np.sort(np.append(self._largest[name], mse[name]))[-LARGEST:]
+            known, most = np.append(self._largest[name], mse[name]), max(_KEPT, self.draws // 25)
+            self._largest[name] = np.sort(known)[-most:]
             if degenerate is not None:
                 self.degenerate_draws[name] += int(degenerate[:, place].sum())
         for name, reference in self.references.items():
@@ -451,5 +453,5 @@ class ComparisonStatistics:
         return replace(mse, standard_error=math.hypot(mse.standard_error, alone))
 
     def largest_share(self, name: str) -> float:
-        """Share of the mean MSE of a set that is due to the largest draws; NaN if it is unknown."""
+        """Share of the mean MSE of a set due to the largest 1 % of the draws; NaN if unknown."""
         return largest_share(self._largest[name], self.draws, self.mse[name].mean)

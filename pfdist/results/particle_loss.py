@@ -16,6 +16,7 @@ import numpy as np
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.percent import particle_loss_text, percent
+from pfdist.filters.estimate import largest_share
 from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, on_common_draws, statistics_of
 
@@ -88,14 +89,18 @@ class ParticleLoss:
         return min(1.0, self.at_most.value + _QUANTILE * self.at_most.standard_error)
 
     @property
-    def warning(self) -> str:
-        """Sentences if the loss is large, or if few draws carry much of the error; else nothing."""
-        large = (
+    def large(self) -> str:
+        """Sentences if the loss is large, else nothing."""
+        return (
             f"{self.particles} particles may be too few: they lose {self.text}. "
             "pfdist check-model looks for a number that is enough, and compares a guided filter "
             "with a plain one."
         ) * self.is_large
-        return " ".join(filter(None, (large, self.rare)))
+
+    @property
+    def warning(self) -> str:
+        """Sentences if the loss is large, or if few draws carry much of the error; else nothing."""
+        return " ".join(filter(None, (self.large, self.rare)))
 
     def columns(self) -> dict[str, Any]:
         """Columns of the table of sets."""
@@ -148,13 +153,8 @@ def _top_share(squared: Array, variance: Array) -> float:
 
 
 def top_percent_share(values: Array) -> float:
-    """Share of a mean over draws that is due to the 1 % of the draws with the largest values.
-
-    It is a point of the Lorenz curve. It is NaN if the mean is not positive and finite.
-    """
-    draws, mean = values.size, float(np.mean(values))
-    top = np.sort(values)[::-1][: draws // 100]
-    return float(top.sum()) / draws / mean if 0 < mean < math.inf else math.nan
+    """Share of a mean over draws that is due to the 1 % of the draws with the largest values."""
+    return largest_share(values, values.size, float(np.mean(values)))
 
 
 def less(whole: Moments, first: Array, other: Array) -> Estimate:

@@ -25,6 +25,7 @@ from pfdist.results.sets import best_first, rows_of_sets, sets_of
 from pfdist.results.stored_run import (
     StoredRun,
     check_one_number,
+    criterion_of,
     evaluations_of,
     gains_of,
     has_scenarios,
@@ -160,6 +161,8 @@ class Run(StoredRun, Shown):
         dict
             - run (its folder), state and draws_compared, as the properties.
             - evaluations: their number, copies counted.
+            - criterion: what the job minimises, and criterion_unit, as ``nats``; empty for that of
+              errors.
             - time_unit: that of the job's clock; None without a clock.
             - instant_weights: the weight of each instant's error in the MSE, with mean 1, or None.
             - particle_steps: those computed so far, by what they are for.
@@ -171,13 +174,15 @@ class Run(StoredRun, Shown):
             - online: results of times that were chosen one after another, or None; see
               `pfdist.results.online.OnlineDraws.summary`.
         """
-        problem, has = problem_of(self), self.tables
+        problem, criterion, has = problem_of(self), criterion_of(self), self.tables
         named = "comparison" in has and bool(named_sets(self))
         return {
             "run": str(self.path),
             "state": self.state,
             "evaluations": evaluations_of(self),
             "draws_compared": self.draws_compared,
+            "criterion": criterion.label,
+            "criterion_unit": criterion.unit,
             "time_unit": problem.clock.time_unit if problem.has_clock else None,
             "instant_weights": [*problem.weights] if problem.weights else None,
             "particle_steps": work_of(self),

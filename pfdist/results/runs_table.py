@@ -14,7 +14,7 @@ from pfdist.results.columns import Results, Row
 from pfdist.results.moments import GAINS
 from pfdist.results.run import Run
 from pfdist.results.sets import rows_of_sets
-from pfdist.results.stored_run import evaluations_of, problem_of, version_of
+from pfdist.results.stored_run import criterion_of, evaluations_of, problem_of, version_of
 from pfdist.results.summary import summary_of, worker_seconds_of
 
 _TRUE, _FILTERS = "model.parameters.", "model.filter.parameters."
@@ -70,9 +70,14 @@ RESULTS = (
     *_OF_A_SET[3:], "evaluations", "worker_seconds", "path",
 )  # fmt: skip
 """Columns of a table of runs that follow the run and the differing keys."""
-_NUMBERS = {name for name in RESULTS if name.startswith((*GAINS, "bound", "worker"))} | {
-    name for name in RESULTS if name.endswith(("_mse", "standard_error"))
-}
+_ENDS = ("", "_low", "_high")
+CRITERION = ("criterion", *(f"judged{gain}{end}" for gain in ("", "_gain") for end in _ENDS))
+"""Further columns, if a run minimises another number than the expected MSE."""
+_NUMBERS = (
+    {name for name in RESULTS if name.startswith((*GAINS, "bound", "worker"))}
+    | {name for name in RESULTS if name.endswith(("_mse", "standard_error"))}
+    | {*CRITERION[1:]}
+)
 
 
 def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
@@ -104,8 +109,9 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
         units.add(problem.clock.time_unit if problem.has_clock else "")
         head = {"run": names[number], **{key: values[number] for key, values in keys.items()}}
         rows += [dict.fromkeys(RESULTS) | head | row for row in _rows(run)]
-    columns = ("run", *keys, *RESULTS)
-    frame = pd.DataFrame({name: _column(name, [row[name] for row in rows]) for name in columns})
+    has_criterion = any(row.get("criterion") for row in rows)
+    columns = ("run", *keys, *RESULTS, *(CRITERION if has_criterion else ()))
+    frame = pd.DataFrame({name: _column(name, [row.get(name) for row in rows]) for name in columns})
     if len(units) == 1 and "" not in units:
         frame.attrs["time_unit"] = units.pop()
     return frame
@@ -128,7 +134,19 @@ def _rows(run: Run) -> Iterator[Results]:
     for row in others:
         own = {name: getattr(row, name) for name in _OF_A_SET}
         own |= {"set": row.name, "measurement_times": tuple(row.measurement_times)}
-        yield shared | own | _reference(sets[row.reference])
+        yield shared | own | _reference(sets[row.reference]) | _judged(run, row)
+
+
+def _judged(run: Run, row: Row) -> Results:
+    """The number that the job of a run minimises, as answers print it, and its gain."""
+    form = criterion_of(run)
+    if form.is_mean:
+        return {}
+    value = row.criterion_value
+    columns: Results = {"judged": None if value is None else value * form.sign}
+    columns |= {f"judged{end}": vars(row).get(f"{form.name}{end}") for end in _ENDS[1:]}
+    gains = {f"judged_gain{end}": getattr(row, f"criterion_gain{end}") for end in _ENDS}
+    return columns | gains | {"criterion": run.job["problem"].get("criterion") or form.name}
 
 
 def _reference(row: Row) -> Results:

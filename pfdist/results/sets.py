@@ -12,6 +12,7 @@ import numpy as np
 
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR
+from pfdist.common.percent import HEAVY
 from pfdist.filters.criterion import Judged
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.estimators import SQUARED_ERROR
@@ -358,7 +359,9 @@ def _add_particle_losses(
         row = rows[name]
         row.add(loss.columns() | {"unmeasured_mse": unmeasured})
         hardly = hardly_measured(row.expected_mse, unmeasured)
-        warnings = [loss.warning, hardly if name in statistics.gains else ""]
+        is_heavy = row.largest_share is not None and row.largest_share > HEAVY  # said already
+        said = loss.large if is_heavy else loss.warning
+        warnings = [said, hardly if name in statistics.gains else ""]
         row.warnings += [text for text in warnings if text and worst in ("", name)]
 
 

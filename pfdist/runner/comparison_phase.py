@@ -44,6 +44,7 @@ from pfdist.runner.build import Built
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.progress import SetGain
 from pfdist.runner.row_formats import RowsByDraw
+from pfdist.runner.search_phase import search_steps
 from pfdist.store import (
     ROWS_IN_A_FILE,
     Store,
@@ -270,7 +271,8 @@ class InterimGains:
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
 REPEATED = 2000  # draws that the reference filters twice
-OTHERS = 5  # one draw in so many is also filtered for the other estimate
+OTHERS, _OTHER_SHARE = 5, 0.1
+"""At most one draw in so many gives the other estimate, and at most this share of all steps."""
 LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
 
 
@@ -348,13 +350,18 @@ def first_draws_again(built: Built, work: FilterWork) -> FirstDraws:
 
 def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
     """MSE of the other estimate with each set: smoothed, or that of the filter; same noise."""
-    draws = built.job.comparison.draws // OTHERS
+    estimation = built.evaluator.estimating_other(work.estimation)
+    of_sets = replace(work, other_estimate=True, estimation=estimation)
+    steps = comparison_steps(built) + sum(search_steps(built, each) for each in built.searches)
+    share = _OTHER_SHARE * steps / of_sets.steps_a_draw
+    draws = int(min(built.job.comparison.draws // OTHERS, share))
     if built.evaluator.exact or not built.study.has_details or not draws:
         return None
-    rows = other_schema(built.job.problem.other_estimate, work.ids)
-    of_sets = replace(work, draws=(0, draws), other_estimate=True)
-    columns = partial(_columns_by_set, rows)
-    return FirstDraws("other_estimate", rows, of_sets, columns, part="other estimate")
+    rows, columns = other_schema(built.job.problem.other_estimate, work.ids), _columns_by_set
+    of_draws = replace(of_sets, draws=(0, draws))
+    return FirstDraws(
+        "other_estimate", rows, of_draws, partial(columns, rows), part="other estimate"
+    )
 
 
 def distances(built: Built, work: FilterWork) -> FirstDraws | None:

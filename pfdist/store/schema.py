@@ -370,7 +370,7 @@ def comparison_schema(
 
 
 def other_schema(kind: str, names: Sequence[str]) -> pa.Schema:
-    """Schema of the errors of the other estimate, "smoothed" or "filtered"."""
+    """Schema of the errors of the other estimate, "smoothed" (by two filters) or "filtered"."""
     return _of_sets("other_estimate", kind, f"MSE of the {kind} estimate with this set", names)
 
 

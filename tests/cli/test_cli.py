@@ -19,6 +19,7 @@ from oracles.results_of import results_of
 from oracles.undrawn import EMPTY, undraw
 from pfdist import Job
 from pfdist.errors import PoolError, StoreError
+from pfdist.questions.evaluate import evaluated
 
 Call = Callable[..., Any]  # exit code, output and errors of a line
 
@@ -74,8 +75,9 @@ def test_evaluate_prints_json(run: Path, call: Call) -> None:
     answer = json.loads(call(line).out)
     assert answer.pop("seconds") >= 0
     expected = pfdist.evaluate(job, (0, 4, 8), draws=50, particles=30, seed=9)
-    smoothed = pfdist.load_job(job, ["problem.estimate=smoothed"])
-    other = pfdist.evaluate(smoothed, (0, 4, 8), draws=10, particles=30, seed=9)
+    [other] = evaluated(
+        str(job), times={"": "0,4,8"}, draws=50, particles=30, seed=9
+    ).others.values()
     assert answer == {
         "expected_mse": expected.expected_mse,
         "standard_error": expected.standard_error,
@@ -85,6 +87,8 @@ def test_evaluate_prints_json(run: Path, call: Call) -> None:
         "smoothed_mse": other.expected_mse,
         "smoothed_error": other.standard_error,
         "broken_constraints": ["problem.measurement_budget is 4, got 3 times"],
+        "criterion": "expected MSE",
+        "criterion_unit": "",
     }
 
 

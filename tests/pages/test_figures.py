@@ -33,6 +33,7 @@ from pfdist.problem.points import Points
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Gain, Run, open_run
 from pfdist.results.online import OnlineDraws
+from pfdist.results.over_time import errors_over_time_of, ranges_of
 from pfdist.results.stored_run import statistics_of
 from pfdist.store.folder import FORMATS
 
@@ -214,12 +215,15 @@ def test_the_first_picture_has_the_system_the_typical_error_and_the_times(
         [*row.measurement_times] for row in (reference, best)
     ]
     told = re.search(r"falls most at t = (\d+)(?: to (\d+))?: from (\S+) to (\S+)\.", plot.title)
-    before, now = (profile.loc[name, "error"].to_numpy() for name in (reference["name"], best.name))
+    ranges, names = ranges_of(run), [reference["name"], best.name]
+    places = [run.names.index(name) for name in names]
+    before, now = (errors_over_time_of(ranges[::2], place)[0] for place in places)
     first, last = int(told[1]), int(told[2] or told[1])
-    change, at = before - now, slice(first, last + 1)
+    change, at = before - now, slice(first, last + 1)  # chosen on one half of the draws
     change -= max(0, change.mean())
     stretches = [change[a:b] for a in range(len(change)) for b in range(a + 1, len(change) + 1)]
     assert change[at].sum() == pytest.approx(max(part.sum() for part in stretches))
+    before, now = (errors_over_time_of(ranges[1::2], place)[0] for place in places)
     assert float(told[3]) == pytest.approx(np.sqrt(before[at].mean()), rel=0.01)
     assert float(told[4]) == pytest.approx(np.sqrt(now[at].mean()), rel=0.01)
     assert not FIGURES["system"].files(several)

@@ -15,7 +15,7 @@ import pfdist
 from oracles.results_of import results_of
 from pfdist import Job, Run, load_job
 from pfdist.cli.main import main
-from pfdist.common.percent import gap_sentence, rounded_up
+from pfdist.common.percent import gap_sentence, nats_sentence, rounded_up
 from pfdist.errors import JobError, ModelError, PfdistWarning
 from pfdist.filters.kalman import expected_mse
 from pfdist.models import installed_models
@@ -511,6 +511,25 @@ def test_the_command_says_how_much_is_left(exact: Path, said: Callable[..., str]
             f"Proved: no other 4 times lower the expected MSE by more than a further {percent}."
         )
         assert (f"For the {name} plan: {sentence}" in text) == (name != "regular")
+
+
+def test_a_bound_from_80_percent_on_is_no_proof() -> None:
+    """A limit of 80 % leaves room for an error that is five times lower. The largest part helps."""
+    row = {"budget": 4, "bound_error": 1.0, "confidence": 0.95, "gap": 0.7, "relaxation": 0.6}
+    assert gap_sentence(row | {"gap_at_most": 0.79}, 4).startswith("Proved: ")
+    for part, text in (
+        ("relaxation", "--work"),
+        ("estimate", "particles"),
+        ("filter_model", "mod"),
+    ):
+        sentence = gap_sentence(row | {"gap_at_most": 0.801, part: 0.65}, 4)
+        assert sentence.startswith("The bound says nothing yet: ")
+        assert text in sentence
+    assert "--draws" in gap_sentence(row | {"gap_at_most": 1.0, "gap": 0.2}, 4)
+    exact = gap_sentence(row | {"bound_error": 0.0, "gap": 0.9, "gap_at_most": 0.9}, 4)
+    assert exact.startswith("The bound says nothing yet: ")
+    nats = {"expected_mse": -2.0, "budget": 4, "bound_error": 0.1, "gap_at_most": 4.0}
+    assert nats_sentence(nats, 4).startswith("The bound says nothing yet: ")
 
 
 def test_the_sentence_states_the_limit_rounded_up_and_then_the_estimate() -> None:

@@ -233,3 +233,41 @@ def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> No
     for message, ask in refused.items():
         with pytest.raises(PfdistError, match=message):
             ask()
+
+
+def test_every_view_of_a_run_shows_its_criterion_and_its_unit(tmp_path: Path) -> None:
+    """The repr of sets and evaluations, JSON, the table of sets, `list`, `table` and sweeps."""
+    problem, times = _problem(WALK, "information", "kalman"), "2,5"
+    changes = ["comparison.draws=100", "execution.pool=serial"]
+    swept = pfdist.sweep(
+        problem, {"seed": [1, 2]}, results=tmp_path / "s", changes=changes, **OPTIONS
+    )
+    run = swept.runs["seed=1"]
+    nats = f"information {run.best.information:.4f}"
+    assert nats in repr(run.best)
+    assert "nats" in repr(run.best)
+    judged = pfdist.evaluate(problem, times)
+    assert f"information {judged.also['information'].text('nats')}, expected MSE " in repr(judged)
+    both = run.as_json(), evaluated(str(run.path), times={"": times}).as_json()
+    assert {(each["criterion"], each["criterion_unit"]) for each in both} == {
+        ("information", "nats")
+    }
+    table = run.table("sets")
+    assert [*table.columns].index("information") < [*table.columns].index("expected_mse")
+    assert table.attrs["units"] == {"information": "nats"}
+    rows = swept.table()
+    assert set(rows["criterion"]) == {"information"}
+    np.testing.assert_allclose(rows["judged"], run.best.information)
+    np.testing.assert_allclose(rows["judged_gain"], run.best.criterion_gain)
+    page = "\n".join(lines_of(swept._page()))
+    assert "The information is " in page
+    assert "information, nats" in str(swept._page())
+    assert pfdist.table(swept.path, out=tmp_path / "t.csv").equals(rows)
+    pfdist.table(swept.path, out=tmp_path / "t.csv")  # it is an earlier table
+    listed = pfdist.list_runs(tmp_path / "s")
+    assert all("nats more than evenly spaced" in found for found in listed["found"])
+    assert set(listed["criterion"]) == {"information"}
+    plain = problem.with_changes(criterion="expected_mse")
+    other = pfdist.plan(plain, tmp_path / "mse", changes=changes, bound_draws=0, **OPTIONS)
+    assert "criterion" not in pfdist.table(other)
+    assert "nats" not in repr(other.best) + repr(pfdist.evaluate(plain, times))

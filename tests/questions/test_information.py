@@ -5,6 +5,7 @@ Beal, "NONMEM users guide", part V, 1994 (theophylline).
 """
 
 import math
+import re
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -22,6 +23,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.pages.terminal import lines_of
 from pfdist.problem.problem import as_job
+from pfdist.questions.evaluate import evaluated
 from pfdist.questions.run_page import answer_of
 from pfdist.runner.build import build
 
@@ -107,6 +109,33 @@ def test_the_answer_is_in_nats_and_bits(by_particles: Run) -> None:
     assert "The expected MSE is" in text
 
 
+def test_sides_that_are_far_from_each_other_are_limits_and_the_truth_lies_between(
+    tmp_path: Path,
+) -> None:
+    """Few particles: the point is the lower side, so it is no estimate (a sharp sensor)."""
+    problem = Problem(
+        turning(0.01), horizon=HORIZON, measurement_budget=COUNT, particles=20, proposal="plain"
+    )
+    sets = {"early": [0, 1, 2, 3], "spread": [0, 3, 6, 9]}
+    run = pfdist.compare(
+        problem, times=sets, results=tmp_path / "run", draws=200, changes=[NATS], figures=False
+    )
+    said = " ".join(" ".join(lines_of(answer_of(run))).split())
+    found = re.search(r"They give at least (\S+) nats \(at most (\S+)\) of information", said)
+    assert found is not None
+    [exact] = told(turning(0.01), [tuple(sets[run.best.name])])
+    low, high = map(float, found.groups())
+    assert low < exact < high
+    assert high > 1.5 * low
+    assert "More filter.particles bring both limits closer." in said
+    table = next(
+        line for line in lines_of(answer_of(run)) if "at least" in line and "They" not in line
+    )
+    assert "(at most" in table
+    page = evaluated(str(run.path), times={"": "0,1,2,3"}, draws=200)._page()
+    assert "Information: at least " in str(page)
+
+
 def test_the_same_draws_judge_named_sets_by_information_too(tmp_path: Path) -> None:
     problem = Problem(turning(0.5), horizon=HORIZON, measurement_budget=COUNT, particles=200)
     sets = {"early": [0, 1, 2, 3], "spread": [0, 3, 6, 9]}
@@ -114,7 +143,7 @@ def test_the_same_draws_judge_named_sets_by_information_too(tmp_path: Path) -> N
         problem, times=sets, results=tmp_path / "run", draws=1000, also="information", figures=False
     )
     rows = results_of(run)
-    assert "above the best by" in "\n".join(lines_of(answer_of(run)))
+    assert "the best is lower by, %" in str(answer_of(run))
     for name, times in sets.items():
         exact = told(turning(0.5), [tuple(times)])[0]
         assert rows[name].information_low < exact < rows[name].information_high
@@ -137,7 +166,7 @@ def test_sets_that_are_ranked_by_information_have_no_column_of_other_ranks(tmp_p
     said = " ".join(" ".join(lines_of(answer_of(run))).split())
     assert "the set spread. Second: the set early. They give" in said
     assert "less than the set spread" in said
-    assert "above the best by" not in text
+    assert "the best is lower" not in str(answer_of(run))
 
 
 @pytest.mark.parametrize(

@@ -7,15 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import pfdist
 from oracles.bytes_of import hashes
-from oracles.systems import SYSTEMS
+from oracles.systems import SYSTEMS, one_state, scalar
 from pfdist import Job
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, ModelError
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
+from pfdist.filters.work import Estimation
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.pages.terminal import lines_of
 from pfdist.problem.job import load_job
 from pfdist.questions.about_run import problem
@@ -24,6 +28,7 @@ from pfdist.questions.run_page import answer_of
 from pfdist.questions.subject import Subject
 from pfdist.results.stored_run import measured_of
 from pfdist.runner.build import build
+from pfdist.runner.driver import foreseen_steps
 
 SMOOTHED = "problem.estimate=smoothed"
 CHANGES = ["comparison.draws=500", "search.relaxation.polish=false"]
@@ -118,15 +123,20 @@ def test_a_plan_and_its_bound_enclose_the_best_set_for_smoothed_estimates(tmp_pa
 def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
     changes: list[str], other: str, when: str, finished: Callable[..., Path]
 ) -> None:
-    """A job of the other estimate has the same errors on a fifth of the draws."""
+    """A job of the other estimate has the same errors, the smoothed ones by two filters."""
     run, swapped = pfdist.open_run(finished(*changes)), finished(*([] if changes else [SMOOTHED]))
     table, sets = run.table("other_estimate"), run.table("sets").set_index("name")
-    assert len(table) * 5 == len(run.table("comparison"))
-    built = build(load_job(swapped))
+    built, of_run = build(load_job(swapped)), build(load_job(run.path))
+    estimation = of_run.evaluator.estimating_other(of_run.comparing)
+    filters = ESTIMATORS[estimation.estimator].filters
+    assert filters == (2 if other == "smoothed" else 1)
+    assert 5 <= len(table) <= 50
+    steps = len(table) * 13 * len(run.names) * estimation.steps_an_instant
+    assert steps <= foreseen_steps(of_run) / 10
     draws, measured = stream_of("comparison", 1, "draws"), measured_of(run)
     for name, times in measured.items():
         noise = stream_of("comparison", 1, "filter", name)
-        work = built.evaluator.work([times], noise, draws, (0, len(table)), built.comparing)
+        work = built.evaluator.work([times], noise, draws, (0, len(table)), estimation)
         mse = built.evaluator(work).mse[:, 0]
         np.testing.assert_array_equal(table[f"{other}_{name}"], mse)
         error = mse.std(ddof=1) / np.sqrt(mse.size)
@@ -140,6 +150,46 @@ def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
     assert f"{when}, the expected MSE is {texts[0]} (regular: {texts[1]})." in said
     assert (HINT in said) == (other == "smoothed")
     assert (": the expected MSE of the smoothed estimate is " in said) == bool(changes)
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_few_ancestors_do_not_raise_the_error_of_the_other_estimate(is_told: bool) -> None:
+    """It is the error of the exact smoother, also if the filter has another model (a renamed one).
+
+    With a sharp sensor few ancestors are left, and the squared error is a quarter or more too high;
+    with 20 particles, higher than the filter's.
+    """
+    sharp, times = scalar("sharp", 0.7, 1.0, 0.02), [(0, 3, 7, 10), (1, 4, 7, 10)]
+    other = None if is_told else replace(sharp, name="renamed", linear_gaussian=False)
+    of_filter = Evaluator(sharp, 12, other)
+    smoothing, own = of_filter.other_estimate, Estimation(500)
+    chosen = of_filter.estimating_other(own)
+    assert chosen.estimator == ("two_clouds" if is_told else "two_errors")
+
+    def errors(evaluator: Evaluator, estimation: Estimation) -> NDArray[np.float64]:
+        return evaluator(evaluator.work(times, 1, 2, (0, 400), estimation)).mse
+
+    found, exact = errors(smoothing, chosen), expected_mse(sharp, 12, times, lag=12)
+    error = found.std(axis=0, ddof=1) / 20
+    assert (abs(found.mean(axis=0) - exact) < 3 * error).all()
+    assert (errors(smoothing, own).mean(axis=0) > 1.25 * exact).all()
+    few = replace(own, particles=20)
+    chosen, filtered = of_filter.estimating_other(few), errors(of_filter, few).mean(axis=0)
+    assert (errors(smoothing, few).mean(axis=0) > filtered).all()
+    assert (errors(smoothing, chosen).mean(axis=0) < filtered).all()
+
+
+def test_an_error_of_the_models_own_is_an_upper_limit_afterwards(tmp_path: Path) -> None:
+    """Nothing takes the part of few ancestors out of it, which only raises a convex error."""
+    own = one_state("own", error=lambda z, e, t, p: abs(z[0] - e[0]))
+    problem = pfdist.Problem(own, horizon=8, measurement_budget=3, proposal="plain")
+    changes = ["comparison.draws=100", "filter.particles=50", "search.relaxation.polish=false"]
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    said = " ".join(" ".join(lines_of(answer_of(run))).split())
+    assert "with all measurements, the expected MSE is at most " in said
+    assert "afterwards, at most ±" in str(answer_of(run))
+    evaluation = evaluated(str(run.path), times={"": "0,4,8"}, draws=50)
+    assert "with all measurements: at most " in " ".join(lines_of(evaluation._page()))
 
 
 def test_an_exact_engine_has_both_errors_exactly(finished: Callable[..., Path]) -> None:

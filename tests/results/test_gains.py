@@ -345,14 +345,14 @@ def test_degenerate_draws_count_with_their_errors() -> None:
     assert statistics.mse["regular"].mean == pytest.approx(1.5)
 
 
-def test_the_share_of_the_ten_largest_draws() -> None:
-    """Ten of 200 draws have the error 101, the others 1: they carry 1,010 of 1,200."""
-    mse = np.r_[np.full(190, 1.0), np.full(10, 101.0)]
+def test_the_share_of_the_largest_draws() -> None:
+    """Ten of 1,000 draws have the error 1001, the others 1: they carry 10,010 of 11,000."""
+    mse = np.r_[np.full(990, 1.0), np.full(10, 1001.0)]
     for blocks in (1, 7):
         statistics = ComparisonStatistics(["regular"])
         for block in np.array_split(mse[::-1], blocks):
             statistics.add(block[:, None])
-        assert statistics.largest_share("regular") == pytest.approx(1010 / 1200)
-    assert Evaluation((0,), mse).largest_share == pytest.approx(1010 / 1200)
-    assert np.isnan(Evaluation((0,), mse[101:]).largest_share)
+        assert statistics.largest_share("regular") == pytest.approx(10010 / 11000)
+    assert Evaluation((0,), mse).largest_share == pytest.approx(10010 / 11000)
+    assert np.isnan(Evaluation((0,), mse[901:]).largest_share)
     assert np.isnan(Evaluation((0,), np.r_[mse, np.inf]).largest_share)

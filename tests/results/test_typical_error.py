@@ -56,7 +56,7 @@ def test_an_angle_has_a_circular_deviation(tmp_path: Path) -> None:
     # 1 - cos of a direction of which nothing is known is 1 on average: it has no deviation.
     some, none = (Row(typical_error=[1.0, angle]) for angle in (0.5, math.inf))
     assert (
-        Subject(run).typical_errors(some, none) == "place 1.00 instead of 1.00 m, angle 0.500 rad"
+        Subject(run).typical_errors(some, none) == "place 1.00 m (no difference), angle 0.500 rad"
     )
     assert Subject(run).typical_errors(none, some) == ""
 
