@@ -68,6 +68,8 @@ def possible(sensing: str, **given: Any) -> bool:
     weights = ESTIMATORS[given["estimator"]].weights
     if weights.evidence and (given["lag"] != 0 or given["threshold"] < ALWAYS):
         return False
+    if given["rule"] and ESTIMATORS[given["estimator"]].filters > 1:
+        return False
     is_own = given["resampling"] != CONDITIONAL.name
     return is_own or (given["rule"] is None and given["threshold"] == ALWAYS)
 
