@@ -204,7 +204,7 @@ def verify(run: str) -> Iterator[str]:
         Folder of a run.
     """
     from pfdist.results import open_run
-    from pfdist.results.sets import is_wrong_summary
+    from pfdist.results.sets import fault_of_summary
     from pfdist.store.folder import SUMMARY
     from pfdist.store.verify import verify_run
 
@@ -214,8 +214,8 @@ def verify(run: str) -> Iterator[str]:
     if damages:
         raise StoreError(f"{path}: problems found: {len(damages)}")
     opened = open_run(path)
-    if is_wrong_summary(opened):
-        raise StoreError(f"{path / SUMMARY} says something else than the tables: remove it")
+    if fault := fault_of_summary(opened):
+        raise StoreError(f"{path / SUMMARY} {fault}: remove it")
     parts = len(list(path.glob("parts/*/*.parquet")))
     is_finished = opened.state == "finished"
     unfinished = "" if is_finished else f"; not finished ({opened.state}, {parts} parts)"

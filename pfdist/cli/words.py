@@ -14,9 +14,10 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 from cyclopts import Parameter, Token
 
 from pfdist.cli.commands import COMMANDS
+from pfdist.common.arguments import columns_argument, sets_argument
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import finite_number, whole_number, whole_numbers
-from pfdist.errors import JobError, shown
+from pfdist.errors import shown
 from pfdist.pools.kinds import AUTO, POOLS
 from pfdist.problem.calendar import names_dates
 from pfdist.problem.sweep_points import values_by_key
@@ -111,43 +112,11 @@ def _part(text: str) -> tuple[int, int]:
         raise ValueError(f"must be K/N, as 3/200, got {shown(text)}") from error
 
 
-def _columns(text: str) -> dict[str, str]:
-    """The names of columns in ``y0=conc,t=time``."""
-    pairs = [each.partition("=") for each in text.split(",")]
-    if not all(equals for _, equals, _ in pairs):
-        raise ValueError(f"must be NAME=COLUMN, as y0=conc,t=time, got {shown(text)}")
-    return {name.strip(): column.strip() for name, _, column in pairs}
-
-
 def _sets_or_one(texts: list[str]) -> dict[str, str]:
-    """Sets as `_sets` gives them; a single set needs no name."""
+    """Sets as `sets_argument` gives them; a single set needs no name."""
     if len(texts) > 1 or "=" in texts[0] or texts == [REGULAR]:
-        return _sets(texts)
+        return sets_argument(texts)
     return {"": texts[0]}
-
-
-def _sets(texts: list[str]) -> dict[str, str]:
-    """The sets of ``clinic=0,6,12`` and other texts, by name.
-
-    The word ``regular`` is a set of this name.
-    """
-    sets = dict[str, str]()
-    for text in texts:
-        name, equals, times = text.rpartition("=")
-        if equals and not name:
-            raise ValueError(f"needs a name before '=', got {shown(text)}")
-        name = name or REGULAR * (times == REGULAR)
-        if not name:
-            raise JobError(
-                f"times of several sets must be NAME=TIMES, as mine={times}, got {shown(times)}",
-                argument="times",
-            )
-        if name in sets:
-            raise JobError(
-                f"names of times must differ from each other, got {name!r} twice", argument="times"
-            )
-        sets[name] = times
-    return sets
 
 
 def _search() -> Word:
@@ -164,7 +133,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "block": _number("K"),
     "bound_draws": _number("K"),
     "browser": Word(bool, Parameter(negative="--no-browser")),
-    "columns": Word(Any, Parameter(metavar="NAME=COLUMN", converter=_each(_columns))),
+    "columns": Word(Any, Parameter(metavar="NAME=COLUMN", converter=_each(columns_argument))),
     "changes": _texts("KEY=VALUE", name="--set", consume_multiple=1),
     "data": _file("DATA"),
     "draws": _number("K"),
@@ -201,7 +170,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
         str, Parameter(metavar="SHELL", choices=("bash", "zsh", "fish")), stands_alone=True
     ),
     "target": _number("MSE", finite_number),
-    "times": _texts("TIMES", _sets),
+    "times": _texts("TIMES", sets_argument),
     "watch": _SWITCH,
     "window": _number("K"),
     "within": _number("GAP", finite_number),

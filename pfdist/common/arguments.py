@@ -1,13 +1,14 @@
 """Checked arguments of functions: paths, texts and lists; an iterator is read once."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import MOST_NUMBERS
-from pfdist.errors import ArgumentError, shown
+from pfdist.errors import ArgumentError, JobError, shown
 
 T = TypeVar("T")
 
@@ -63,6 +64,63 @@ def _listed(name: str, value: Any, kind: Any, what: str) -> list[Any]:
     if not all(isinstance(each, kind) for each in entries):
         raise ArgumentError(f"{name} must be a list of {what}, got {shown(value)}", argument=name)
     return entries
+
+
+def names_argument(name: str, value: Any) -> list[str]:
+    """Names in a text with commas, as ``worst_instant,"quantile 0.9"``, or in a list of texts.
+
+    Raises `ArgumentError` as `texts_argument`.
+    """
+    texts = texts_argument(name, value)
+    return [each.strip(' "') for text in texts for each in text.split(",")]
+
+
+def columns_argument(value: Any) -> dict[str, str]:
+    """The names of columns in ``y0=conc,t=time``, in a list of such texts, or in a mapping.
+
+    Raises `ArgumentError` for anything else.
+    """
+    if value is None or isinstance(value, Mapping):
+        pairs: list[tuple[Any, ...]] = [*(value or {}).items()]
+    else:
+        texts = names_argument("columns", value)
+        pairs = [tuple(map(str.strip, each.split("=", 1))) for each in texts]
+    for pair in pairs:
+        if len(pair) < 2 or not all(isinstance(each, str) and each for each in pair):
+            rule = "columns must be NAME=COLUMN, as y0=conc,t=time, got "
+            raise ArgumentError(rule + ": ".join(map(shown, pair)), argument="columns")
+    return dict(pairs)
+
+
+def sets_argument(value: Any) -> dict[str, Any]:
+    """Sets of times by name: of a mapping, of a text ``clinic=0,6,12``, or of a list of these.
+
+    The word ``regular`` is a set of this name. Raises `JobError` for anything else.
+    """
+    if isinstance(value, Mapping):
+        return {**value}
+    sets = dict[str, str]()
+    try:
+        texts = texts_argument("times", value)
+    except ArgumentError as error:
+        rule = 'times must name sets, as {"mine": [0, 6, 12], "paper": "0:60:3"}'
+        raise JobError(f"{rule}, got {shown(value)}", argument="times") from error
+    for text in texts:
+        name, equals, times = text.rpartition("=")
+        if equals and not name:
+            raise JobError(f"times need a name before '=', got {shown(text)}", argument="times")
+        name = name or REGULAR * (times == REGULAR)
+        if not name:
+            raise JobError(
+                f"times of several sets must be NAME=TIMES, as mine={times}, got {shown(times)}",
+                argument="times",
+            )
+        if name in sets:
+            raise JobError(
+                f"names of times must differ from each other, got {name!r} twice", argument="times"
+            )
+        sets[name] = times
+    return sets
 
 
 def listed_argument(name: str, values: Iterable[T]) -> list[T]:

@@ -50,7 +50,11 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 def read_text(path: Path) -> str:
     """The content of a text file; raises as `read_bytes`, and ValueError if it is not UTF-8."""
-    content = read_bytes(path, MOST_BYTES)
+    return text_of(read_bytes(path, MOST_BYTES))
+
+
+def text_of(content: bytes) -> str:
+    """The text in the bytes of a file; raises ValueError if it is not UTF-8."""
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

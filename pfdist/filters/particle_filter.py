@@ -33,7 +33,7 @@ from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
 
-KERNEL_VERSION = 7
+KERNEL_VERSION = 8
 """Version of the numbers that a key gives; part of a run's identity."""
 
 

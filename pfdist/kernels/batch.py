@@ -252,11 +252,13 @@ class Lines(NamedTuple):
     weight: NDArray[np.float32]  # (T+1, stride): at measured instants, before resampling
     # (T+1, sensors + 1, stride): ancestors by each resampling before a sensor, and by the last
     ancestor: NDArray[np.int32]
-    moved: NDArray[np.uint8]  # (T+1, sensors + 1): whether some draw was resampled
+    moved: NDArray[np.uint8]  # (T+1, sensors + 1, row): whether each draw was resampled
     flow: NDArray[np.float64]  # (2, stride): weights of the lines through each particle, or zeros
     listed: NDArray[np.int32]  # (stride,): first in each draw, the particles with such a weight
     # of draws
     number: NDArray[np.int64]  # (row,): of these particles
+    # (row,): of `flow`, once lines have met; before, -1: weights are those of particles
+    half: NDArray[np.int64]
     # (T+1, rows, row): weighted means of `quantity`, then variances: the filter's,
     means: NDArray[np.float64]
     smoothed: NDArray[np.float64]  # and those over the lines

@@ -343,6 +343,17 @@ def _set_of(at, t, d):
     return ((at.first + d) * request.instants + t) * ((request.sensors + 7) // 8)
 
 
+@compiled
+def _is_measured(at, t, d):
+    """Whether a draw of a batch is measured, and not only others, by a rule."""
+    if steps_of(at.work).decide == 0:
+        return True
+    own, some = ahead(results_of(at.work).measured, _set_of(at, t, d)), False
+    for place in range((request_of(at.work).sensors + 7) // 8):
+        some |= own[place] != 0
+    return some
+
+
 # --- measurements ---------------------------------------------------------------------------------
 
 
@@ -364,10 +375,9 @@ def _weigh(instant):
     at, _, t, _, _ = read(instant)
     request, batch = request_of(at.work), batch_of(at.work)
     _fill_log_weights(read(instant))
-    decides = steps_of(at.work).decide != 0
     for d in range(at.draws):
-        if decides and results_of(at.work).measured[_set_of(at, t, d)] == 0:
-            continue  # another draw of the batch is measured
+        if not _is_measured(at, t, d):
+            continue
         total = weigh(
             batch.log_weight, d * batch.width, batch.width, request.particles, batch.weight,
             batch.cumulative,
@@ -402,6 +412,8 @@ def _tell(instant):
         (1, batch.row),
     )
     for d in range(at.draws):
+        if not _is_measured(at, t, d):
+            continue
         origin = d * batch.width
         highest = -np.inf
         for i in range(origin, origin + request.particles):
@@ -430,7 +442,7 @@ def _fill_log_weights(instant):
         with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
     else:
         for d in range(at.draws):
-            if results_of(at.work).measured[_set_of(at, t, d)] != 0:
+            if _is_measured(at, t, d):
                 alone, origin = At(at.work, at.stream, at.number, at.first + d, 1), d * batch.width
                 source, target = ahead(cloud, origin), ahead(batch.log_weight, origin)
                 with_given(alone, block, t, source, target, ahead(y, d * of_draw), of_draw, 1)
@@ -578,6 +590,8 @@ def _rank_truth(instant):
     half = request.draws * request.instants * request.quantities
     of_particles(at, QUANTITY, t, present(at), batch.quantity)
     for d in range(at.draws):
+        if not _is_measured(at, t, d):
+            continue
         origin, total = d * batch.width, batch.total[d]
         first = ((at.first + d) * request.instants + t) * request.quantities
         for c in range(request.quantities):
@@ -760,10 +774,11 @@ def _arrays(
         quantity=instants * request.means * stride * (2 if steps else 1),
         weight=instants * stride,
         ancestor=instants * events * stride,
-        moved=instants * events,
+        moved=instants * events * row,
         flow=2 * stride if instants else 0,
         listed=stride if instants else 0,
         number=row if instants else 0,
+        half=row if instants else 0,
         means=instants * moments * row,
         smoothed=instants * moments * row,
         total=row if instants else 0,

@@ -35,8 +35,8 @@ from pfdist.kernels.batch import (
     fill_rows,
     is_drawn_again,
     lines_of,
+    measuring,
     other,
-    plan_of,
     present,
     request_of,
     scratch_of,
@@ -112,10 +112,8 @@ def guide(instant):
 @compiled
 def last_measured(instant):
     """The instant of the last measurement, or that of the prior; -1 if there is neither."""
-    request = request_of(instant.at.work)
-    measured = ahead(plan_of(instant.at.work).measured, instant.s * request.instants)
-    first = instant.t - 1
-    while first >= 0 and measured[first] == 0:
+    request, first = request_of(instant.at.work), instant.t - 1
+    while first >= 0 and measuring(instant.at, instant.s, first) == 0:
         first -= 1
     return first if first >= 0 or not request.has_prior else np.int64(0)
 

@@ -78,11 +78,9 @@ def resample(instant):
     at, event = instant.at, _event(instant.at, instant.t, instant.sensor)
     batch, lines, scratch = batch_of(at.work), lines_of(at.work), scratch_of(at.work)
     call(lines.resample, instant)
-    lines.moved[event] = 0
     for d in range(at.draws):
-        lines.moved[event] |= batch.resamples[d]
-    if lines.moved[event]:
-        for d in range(at.draws):
+        lines.moved[event * batch.row + d] = batch.resamples[d]
+        if batch.resamples[d]:
             ancestors = ahead(lines.ancestor, event * batch.stride + d * batch.width)
             copy_numbers(ahead(scratch.ancestor, d * scratch.span), ancestors, batch.width)
 
@@ -180,31 +178,32 @@ def _trace(at, s, m, first, behind):
     weight = ahead(lines.weight, m * batch.stride)
     for d in range(at.draws):
         lines.total[d] = sum_of_weights(weight, d * batch.width, batch.width)
-    half = np.int64(-1)  # of `flow`, once lines have met; before, weights are those of particles
+        lines.half[d] = -1
     redrawn = False  # whether the noise until the next measurement was drawn again
     for t in range(m, first - 1, -1):
         sensors = measuring(at, s, t)
         if sensors != 0 and t < m:
-            half = _back(at, weight, _event(at, t, request.sensors), half)
+            _back(at, weight, _event(at, t, request.sensors))
         if t < behind:
             z = _quantity(at, request.instants + t if redrawn and sensors == 0 else t)
             means = ahead(lines.smoothed, t * lines.rows * batch.row)
             for r in range(lines.rows):
                 values = _values(at, z, means, r)
-                _fill_mean(at, weight, half, values, ahead(means, r * batch.row))
-            _record_lines(at, t, weight, half)
+                _fill_mean(at, weight, values, ahead(means, r * batch.row))
+            _record_lines(at, t, weight)
         for sensor in range(request.sensors - 1, -1, -1):
             if (sensors >> sensor) & 1:
                 redrawn = is_drawn_again(Instant(at, s, t, sensors, sensor))
-                half = _back(at, weight, _event(at, t, sensor), half)
-    _clear(at, half)
+                _back(at, weight, _event(at, t, sensor))
+    _clear(at)
 
 
 @compiled
-def _record_lines(at, t, weights, half):
+def _record_lines(at, t, weights):
     """Record the number of lines of each draw, if moments are wanted."""
     request, batch = request_of(at.work), batch_of(at.work)
     for d in range(at.draws if wanted_of(at.work).moments else 0):
+        half = lines_of(at.work).half[d]
         weight, flow, lines = ahead(weights, d * batch.width), _flow(at, half, d), 0
         for i in range(request.particles):
             lines += (weight[i] if half < 0 else flow[i]) > 0.0
@@ -212,12 +211,12 @@ def _record_lines(at, t, weights, half):
 
 
 @compiled
-def _clear(at, half):
+def _clear(at):
     """Leave zeros in `flow`."""
     batch, lines = batch_of(at.work), lines_of(at.work)
-    for d in range(at.draws if half >= 0 else 0):
-        flow, index = _flow(at, half, d), ahead(lines.listed, d * batch.width)
-        for i in range(lines.number[d]):
+    for d in range(at.draws):
+        flow, index = _flow(at, lines.half[d], d), ahead(lines.listed, d * batch.width)
+        for i in range(lines.number[d] if lines.half[d] >= 0 else 0):
             flow[np.int64(index[i])] = 0.0
 
 
@@ -228,11 +227,11 @@ def _flow(at, half, d):
 
 
 @compiled
-def _fill_mean(at, weight, half, z, mean):
+def _fill_mean(at, weight, z, mean):
     """Fill a row of draws with the mean of z, weighted with the lines through each particle."""
     batch, lines = batch_of(at.work), lines_of(at.work)
     for d in range(at.draws):
-        origin = d * batch.width
+        origin, half = d * batch.width, lines.half[d]
         if half < 0:
             value = weighted_sum(weight, z, origin, batch.width)
         elif lines.number[d] * _FEW > batch.width:
@@ -246,15 +245,15 @@ def _fill_mean(at, weight, half, z, mean):
 
 
 @compiled
-def _back(at, weight, event, half):
-    """Move weights to ancestors, and list these; return the half of `flow` with the weights."""
+def _back(at, weight, event):
+    """Move the weights of each draw that was resampled to ancestors, and list these."""
     batch, lines = batch_of(at.work), lines_of(at.work)
-    if lines.moved[event] == 0:
-        return half
-    other_half = np.int64(1) if half == 0 else np.int64(0)
     for d in range(at.draws):
-        origin = d * batch.width
-        flow, index = _flow(at, other_half, d), ahead(lines.listed, origin)
+        if lines.moved[event * batch.row + d] == 0:
+            continue
+        half, origin = lines.half[d], d * batch.width
+        lines.half[d] = 1 if half == 0 else 0
+        flow, index = _flow(at, lines.half[d], d), ahead(lines.listed, origin)
         ancestor = ahead(lines.ancestor, event * batch.stride + origin)
         if half < 0:
             _add_up(ahead(weight, origin), ancestor, flow, index, batch.width)
@@ -270,7 +269,6 @@ def _back(at, weight, event, half):
             index[parents] = parent
             parents += (before == 0.0) & (part > 0.0)
         lines.number[d] = parents
-    return other_half
 
 
 @compiled

@@ -16,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 from pfdist.common.measurement_times import Times
-from pfdist.common.parsing import as_text
+from pfdist.common.parsing import MOST_NUMBERS, as_text
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.calendar import SECONDS, Calendar, groups
@@ -135,25 +135,27 @@ class Clock:
         """
         if text in self._written:
             return [self._written[text]]
-        calendar, found = cast("Calendar", self.calendar), list[int]()
-        for words in groups(text):
-            kept: Iterable[int] = range(len(self.dates))
-            for word in words:
-                try:
-                    time = calendar.single(word)
-                    holds = calendar.condition(word, self.dates) if time is None else None
-                except ValueError as error:
-                    raise MeasurementTimesError(f"{name} {error}") from error
-                here = {self.instant(cast("Time", time), name)} if holds is None else ()
-                kept = [t for t in kept if (t in here if holds is None else holds(self.dates[t]))]
-            if not kept:
-                raise MeasurementTimesError(
-                    f"{name} must name instants of the clock, got none in {' '.join(words)!r}"
-                )
-            found += kept
+        found = joined(name, (self._where_all_hold(words, name) for words in groups(text)))
         if not found:
             raise MeasurementTimesError(f"{name} must name dates, got {shown(text)}")
         return found
+
+    def _where_all_hold(self, words: Sequence[str], name: str) -> Iterable[int]:
+        calendar = cast("Calendar", self.calendar)
+        kept: Iterable[int] = range(len(self.dates))
+        for word in words:
+            try:
+                time = calendar.single(word)
+                holds = calendar.condition(word, self.dates) if time is None else None
+            except ValueError as error:
+                raise MeasurementTimesError(f"{name} {error}") from error
+            here = {self.instant(cast("Time", time), name)} if holds is None else ()
+            kept = [t for t in kept if (t in here if holds is None else holds(self.dates[t]))]
+        if not kept:
+            raise MeasurementTimesError(
+                f"{name} must name instants of the clock, got none in {' '.join(words)!r}"
+            )
+        return kept
 
     def instant(self, time: Time | str | datetime, name: str = "measurement_times") -> int:
         """The instant of a time; `name` is the name of the value in error messages.
@@ -350,6 +352,17 @@ class Clock:
     def since(self, first: int) -> "Clock":
         """The clock of the instants from `first` on: the same times; instants count from 0."""
         return replace(self, times=self.times[first:], counts=self.counts and not first)
+
+
+def joined(name: str, parts: Iterable[Iterable[int]], most: int = 0) -> list[int]:
+    """The instants or points of several entries: few of them may name very many, time and again."""
+    found = list[int]()
+    for part in parts:
+        found += part
+        if len(found) > max(most, MOST_NUMBERS):
+            rule = f"{name} must name at most {max(most, MOST_NUMBERS):,} times"
+            raise MeasurementTimesError(f"{rule}, those of ranges included, got more")
+    return found
 
 
 def plain_time(time: Time) -> Time:

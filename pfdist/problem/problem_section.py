@@ -171,6 +171,11 @@ class ProblemSection(JobSection):
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
+        if self.sensor is not None and self.sensors is not None:
+            raise ValueError(
+                "problem.sensor must be left out with problem.sensors, got both: it is that of a "
+                "model without names of sensors"
+            )
         try:
             self.feasible, self.weights, self.instants_of_lag  # noqa: B018  made here: they check the values together
         except MeasurementTimesError as error:

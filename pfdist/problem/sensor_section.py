@@ -5,7 +5,6 @@ They are `[problem.sensor]`, `[problem.sensors.NAME]` and `[problem.visits]`.
 
 import math
 from collections.abc import Sequence
-from itertools import chain
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, AliasChoices, Field, model_validator
@@ -158,16 +157,15 @@ class VisitsSection(JobSection):
 
     def instants(self, clock: Clock) -> set[int]:
         """The instants at which a visit is possible."""
-        ranges = self._ranges(clock) if self.allowed is not None else [range(clock.horizon + 1)]
-        return {*chain.from_iterable(ranges)}
-
-    def _ranges(self, clock: Clock) -> list[list[int]]:
-        return [instants_written([each], clock, "visits.allowed") for each in self.allowed or ()]
+        if self.allowed is None:
+            return {*range(clock.horizon + 1)}
+        return {*instants_written(self.allowed, clock, "visits.allowed")}
 
     def _stops_of_ranges(self, clock: Clock) -> list[int]:
         """The instant after the visit of each instant; instants outside of visits are alone."""
         stops, before = [t + 1 for t in range(clock.horizon + 1)], -1
-        for entry, each in zip(self.allowed or (), self._ranges(clock), strict=True):
+        for entry in self.allowed or ():
+            each = instants_written([entry], clock, "visits.allowed")
             if not each or each != [*range(each[0], each[-1] + 1)]:
                 raise MeasurementTimesError(
                     "visits.allowed must list ranges of all instants from one to another, got "

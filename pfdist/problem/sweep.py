@@ -14,7 +14,7 @@ from pfdist.errors import ArgumentError, JobError, shown, shown_text
 from pfdist.problem.job import Job, toml_of_file
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sections import Execution
-from pfdist.problem.sweep_points import Point, Values, dotted, points_of
+from pfdist.problem.sweep_points import Point, Values, dotted, points_of, values_by_key
 from pfdist.store import folder_of_run
 
 START_SECONDS = 10.0
@@ -120,6 +120,8 @@ def read_sweep(
     wrong; then it names the point.
     """
     changes = texts_argument("changes", changes)
+    if isinstance(over, str | list):
+        over = values_by_key(texts_argument("over", over))
     name, file = None, _sweep_file(source)
     if file is not None:
         if fault := address_fault(file.job):

@@ -13,6 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import Field
 
+from pfdist.common.arguments import sets_argument
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Page
@@ -32,8 +33,9 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import USED, Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.evaluate import OneSet, instants_evaluated
-from pfdist.questions.options import Chosen, Options, following, with_options
+from pfdist.questions.options import Chosen, Names, Options, following, with_options
 from pfdist.questions.planned_run import (
+    Columns,
     UserTable,
     files_beside,
     planned_run,
@@ -198,10 +200,10 @@ def backtest(
     data: UserTable,
     *,
     replicate: str = "",
-    times: Mapping[str, OneSet] | None = None,
+    times: Mapping[str, OneSet] | Names | None = None,
     planned: str = "",
     plan_each: bool = False,
-    columns: Mapping[str, str] | None = None,
+    columns: Columns | None = None,
     within: Annotated[Number, Field(ge=0.0, allow_inf_nan=False)] | None = None,
     block: Annotated[Whole, Field(ge=1, le=10_000)] = 1,
     out: str | Path = "",
@@ -239,7 +241,7 @@ def backtest(
         expected MSE.
     plan_each : bool
         Plan for each replicate among its own measurements; then no run is needed.
-    columns : mapping of str to str, optional
+    columns : mapping of str to str, or list of str, optional
         Names of the table's columns that have other names there, as ``t=time,y0=conc``.
     within : float, optional
         Largest distance from a wanted time to the nearest measured time, which is used instead, and
@@ -300,7 +302,8 @@ def backtest(
         if within is None:
             within = (clock.times[-1] - clock.times[0]) / clock.horizon / 2
         own = {
-            name: instants_evaluated(built.job, name, each) for name, each in (times or {}).items()
+            name: instants_evaluated(built.job, name, each)
+            for name, each in sets_argument(times or {}).items()
         }
         for name in {*own} & {PLAN, FROM_START, CENTRED, EVEN}:
             raise ArgumentError(f"times: {name!r} is the name of another set; choose another name")

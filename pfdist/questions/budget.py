@@ -33,7 +33,7 @@ class _Numbers(Arguments):
 @checked
 def budget(
     job: JobSource,
-    measurements: tuple[int, int] | range | Set[int],
+    measurements: tuple[int, int] | range | Set[int] | list[int],
     results: str | Path | None = None,
     draws: ComparedDraws = DRAWS,
     target: Number | None = None,
@@ -53,7 +53,7 @@ def budget(
     job : Problem, Job, str or Path
         A job file, as ``jobs/plan.toml``, or the folder of a run. The job's searches, its
         measurement budget, its number of compared draws and its section [online] are ignored.
-    measurements : (int, int), range or set of int
+    measurements : (int, int), range, set or list of int
         Numbers of measurements, as ``5:41``, ``5:41:4`` or ``10,20,30``; a pair in Python is the
         least and the largest. For a job with prices these are total prices, whole numbers.
     results : str or Path, optional
@@ -112,21 +112,21 @@ def budget(
     return finished
 
 
-def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]:
+def _section(measurements: tuple[int, int] | range | Set[int] | list[int]) -> dict[str, Any]:
     """The section [budget] of a job.
 
     Numbers without a gap give the same section as a pair, a range or a set, and so the same run.
     """
-    is_pair = isinstance(measurements, tuple | list) and len(measurements) == 2
-    if not is_pair and not isinstance(measurements, range | Set):
+    is_pair = isinstance(measurements, tuple) and len(measurements) == 2
+    if not is_pair and not isinstance(measurements, range | Set | list):
         raise ArgumentError(
-            "measurements must be a pair (least, most), or a range or set of numbers, got "
+            "measurements must be a pair (least, most), or a range, set or list of numbers, got "
             f"{shown(measurements)}",
             argument="measurements",
         )
     numbers = _Numbers(measurements=measurements).measurements  # type: ignore[arg-type]
     if is_pair:
         return {"least": numbers[0], "most": numbers[1]}
-    least, most = min(numbers), max(numbers)
+    least, most, numbers = min(numbers), max(numbers), tuple({*numbers})
     gaps = {} if len(numbers) == most - least + 1 else {"numbers": sorted(numbers)}
     return {"least": least, "most": most, **gaps}

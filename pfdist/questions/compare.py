@@ -6,15 +6,16 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Unpack
 
+from pfdist.common.arguments import sets_argument
 from pfdist.common.measurement_times import EVEN, REGULAR, Times
-from pfdist.errors import JobError, shown
+from pfdist.errors import JobError
 from pfdist.problem.job import Job
 from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
 from pfdist.questions.evaluate import OneSet, instants_evaluated
-from pfdist.questions.options import Chosen, Options, criteria_in, following, with_options
+from pfdist.questions.options import Chosen, Names, Options, criteria_in, following, with_options
 from pfdist.questions.run import run_built
 from pfdist.questions.run_of_job import finished_run, folder_of
 from pfdist.results import Run
@@ -90,7 +91,7 @@ class SetsToCompare:
                 continue
             self._add(self._free_name(name, instants, run), instants)
 
-    def add_times(self, times: Mapping[str, OneSet]) -> None:
+    def add_times(self, times: Mapping[str, OneSet] | Names) -> None:
         """Add sets that a user names.
 
         Raises
@@ -100,13 +101,7 @@ class SetsToCompare:
         JobError
             A name is used twice, for other times.
         """
-        if not isinstance(times, Mapping):
-            raise JobError(
-                'times must name sets, as {"mine": [0, 6, 12], "paper": "0:60:3"}, got '
-                f"{shown(times)}",
-                argument="times",
-            )
-        for name, written in times.items():
+        for name, written in sets_argument(times).items():
             instants = instants_evaluated(self._job, name, written)
             if self._instants.get(name) == instants:  # it is compared anyway
                 continue
@@ -225,11 +220,11 @@ def _counted(points: Points) -> str:
 def compare(
     job: JobSource,
     *runs: Run | str | Path,
-    times: Mapping[str, OneSet] | None = None,
+    times: Mapping[str, OneSet] | Names | None = None,
     results: str | Path | None = None,
     draws: int | None = None,
     changes: Iterable[str] = (),
-    also: str | None = None,
+    also: Names | None = None,
     **options: Unpack[Options],
 ) -> Run:
     """Compare named sets of times, and the sets of runs, on the same fresh draws.
@@ -249,7 +244,7 @@ def compare(
         Folders of finished runs, whose sets are compared, too: the found sets, and the
         references if they differ. The runs are only read. A name that is already in use gets the
         name of the run's folder before it.
-    times : mapping of str to iterable or str, optional
+    times : mapping of str to iterable or str, or list of str, optional
         Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``: times on the clock
         of the problem, or its regular times. They may break constraints. Give the option once for
         each set.
@@ -259,7 +254,7 @@ def compare(
         Replaces comparison.draws. A larger number resumes the comparison with more draws.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
-    also : str, optional
+    also : str or list of str, optional
         Other criteria by which the sets are judged, too, as ``information,worst_instant`` or
         ``"quantile 0.9"``.
     options

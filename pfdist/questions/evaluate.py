@@ -11,6 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from pfdist.common.arguments import sets_argument
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
@@ -28,8 +29,9 @@ from pfdist.problem.clock import Time
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
+from pfdist.problem.sections import is_list_of
 from pfdist.questions.compared_page import parameters_text
-from pfdist.questions.options import criteria_in, following
+from pfdist.questions.options import Names, criteria_in, following
 from pfdist.questions.subject import WHEN, change_of, is_clear, mse_cell, number_of
 from pfdist.results import Gain
 from pfdist.results.columns import COLUMNS, head_of_limit, interval_cell
@@ -57,7 +59,7 @@ def evaluate(
     seed: int | None = None,
     *,
     profile: bool = False,
-    also: str | None = None,
+    also: Names | None = None,
 ) -> dict[str, Evaluation]: ...
 
 
@@ -70,7 +72,7 @@ def evaluate(
     seed: int | None = None,
     *,
     profile: bool = False,
-    also: str | None = None,
+    also: Names | None = None,
 ) -> Evaluation: ...
 
 
@@ -82,7 +84,7 @@ def evaluate(
     seed: int | None = None,
     *,
     profile: bool = False,
-    also: str | None = None,
+    also: Names | None = None,
 ) -> Evaluation | dict[str, Evaluation]:
     """Estimate the expected MSE of a set of measurement times, or of several, in this process.
 
@@ -102,7 +104,7 @@ def evaluate(
         Replace the job's evaluation.draws, filter.particles and seed.
     profile : bool
         Whether the expected error over time is wanted, too.
-    also : str, optional
+    also : str or list of str, optional
         Other criteria by which the sets are judged, too, as ``worst_instant,"quantile 0.9"``.
 
     Returns
@@ -125,7 +127,14 @@ def evaluate(
     _, compute = prepare_evaluation(
         job, measurement_times, draws, particles, seed, profile=profile, also=also
     )
-    return compute() if isinstance(measurement_times, Mapping) else compute()[UNNAMED]
+    return compute() if _are_named(measurement_times) else compute()[UNNAMED]
+
+
+def _are_named(written: Written) -> bool:
+    """Whether sets have names: in a mapping, or in texts ``NAME=TIMES``."""
+    texts = [written] if isinstance(written, str) else written
+    is_list = isinstance(texts, list | tuple) and is_list_of([*texts], str)
+    return isinstance(written, Mapping) or (is_list and any("=" in str(each) for each in texts))
 
 
 def prepare_evaluation(
@@ -136,7 +145,7 @@ def prepare_evaluation(
     seed: int | None = None,
     *,
     profile: bool = False,
-    also: str | None = None,
+    also: Names | None = None,
 ) -> tuple[Built, Callable[..., dict[str, Evaluation]]]:
     """The compiled job, and a function that evaluates the sets; a set without a name has ``""``.
 
@@ -149,9 +158,8 @@ def prepare_evaluation(
         "seed": seed,
     }
     job = as_job(job, settings=settings)
-    written, are_named = {UNNAMED: measurement_times}, False
-    if isinstance(measurement_times, Mapping):
-        written, are_named = {**measurement_times}, True
+    are_named = _are_named(measurement_times)
+    written = sets_argument(measurement_times) if are_named else {UNNAMED: measurement_times}
     sets = {name: instants_evaluated(job, name, times) for name, times in written.items()}
     if not sets:
         raise JobError("evaluate needs at least one set of times, got none", argument="times")
@@ -458,7 +466,7 @@ def evaluated(
     seed: int | None = None,
     changes: Iterable[str] = (),
     profile: bool = False,
-    also: str | None = None,
+    also: Names | None = None,
 ) -> Evaluated:
     """Estimate the expected MSE of a set of measurement times, or of several.
 
@@ -484,7 +492,7 @@ def evaluated(
         Other values of keys of the job, as seed=3.
     profile : bool
         Also estimate the expected error at each instant.
-    also : str, optional
+    also : str or list of str, optional
         Other criteria by which the sets are judged, too, as ``worst_instant,"quantile 0.9"``.
     """
     loaded = load_job(job, changes)

@@ -35,6 +35,7 @@ from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, read_measurements, sensors_of_rows
 from pfdist.problem.problem import JobSource
 from pfdist.questions.planned_run import (
+    Columns,
     UserTable,
     files_beside,
     filter_of,
@@ -178,7 +179,7 @@ def filter_measurements(
     *,
     planned: str = "",
     prior: UserTable | Prior | ArrayLike = "",
-    columns: Mapping[str, str] | None = None,
+    columns: Columns | None = None,
     within: float | None = None,
     out: str | Path = "",
     results: str | Path | None = None,
@@ -211,7 +212,7 @@ def filter_measurements(
     prior : str, Path, DataFrame, Cloud or array, optional
         Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), and
         optionally weight, and t, their time (by default the first).
-    columns : mapping of str to str, optional
+    columns : mapping of str to str, or list of str, optional
         Names of the table's columns that have other names there, as ``t=time,y0=conc``.
     within : float, optional
         Largest distance from a time to the instant that is used instead, if the model's step does

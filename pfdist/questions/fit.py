@@ -29,7 +29,7 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.options import Chosen, Options, following, with_options
-from pfdist.questions.planned_run import UserTable, reading_of, table_argument
+from pfdist.questions.planned_run import Columns, UserTable, reading_of, table_argument
 from pfdist.questions.subject import number_of
 from pfdist.results.columns import records_of
 from pfdist.runner.backtesting import evaluator_for, outcomes
@@ -185,7 +185,7 @@ def fit(
     parameters: Sequence[str] | Mapping[str, tuple[float, float]],
     *,
     replicate: str = "",
-    columns: Mapping[str, str] | None = None,
+    columns: Columns | None = None,
     within: float | None = None,
     particles: Annotated[Whole, Field(ge=1, le=1_000_000)] | None = None,
     evaluations: Annotated[Whole, Field(ge=1, le=100_000)] = 3000,
@@ -211,7 +211,7 @@ def fit(
         Names of the parameters, if wanted with the lowest and the highest value.
     replicate : str, optional
         Column with the name of the replicate; by default the first.
-    columns : mapping of str to str, optional
+    columns : mapping of str to str, or list of str, optional
         Names of the table's columns that have other names there, as ``{"y0": "conc"}``.
     within : float, optional
         Largest distance from a time to the instant that is used instead, if the model's step does

@@ -20,6 +20,7 @@ from pfdist.store import is_held
 from pfdist.store.folder import extent, runs_below
 
 RUNNING, FINISHED, UNFINISHED, UNREADABLE = "running", "finished", "unfinished", "unreadable"
+_LAST = datetime.max.timestamp() - 86_400.0  # whatever date a file may claim
 _DEPTH = 3  # levels of folders below the listed folder
 _COLUMNS = {
     "run": "object", "state": "object", "draws": "int64", "draws_wanted": "int64",
@@ -89,7 +90,7 @@ def _listed(path: Path, name: str) -> Row:
         "state": UNREADABLE,
         "draws": 0,
         "draws_wanted": 0,
-        "changed": datetime.fromtimestamp(seconds, UTC),
+        "changed": datetime.fromtimestamp(min(max(seconds, 0.0), _LAST), UTC),
         "bytes": size,
         "gain_of_means": math.nan,
         "has_budget": False,
@@ -111,8 +112,8 @@ def _found(run: Run) -> dict[str, Any]:
     )
     found = {
         "state": _state(run, state),
-        "draws": draws,
-        "draws_wanted": run.job["comparison"]["draws"],
+        "draws": int(draws),
+        "draws_wanted": int(run.job["comparison"]["draws"]),  # whatever the job.toml has
         "has_budget": "budget" in run.job,
         "criterion": form.label,
     }

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import chain
@@ -31,6 +31,7 @@ from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, few_at
 from pfdist.questions.planned_run import (
+    Columns,
     PlannedRun,
     UserTable,
     filter_of,
@@ -203,7 +204,7 @@ def next_time(
     now: Time | str | datetime | None = None,
     planned: str = "",
     prior: UserTable | Prior | ArrayLike = "",
-    columns: Mapping[str, str] | None = None,
+    columns: Columns | None = None,
     within: float | None = None,
     rule: bool = False,
     results: str | Path | None = None,
@@ -231,7 +232,7 @@ def next_time(
     prior : str, Path, DataFrame, Cloud or array, optional
         Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), and
         optionally weight, and t, their time (by default the first).
-    columns : mapping of str to str, optional
+    columns : mapping of str to str, or list of str, optional
         Names of the table's columns that have other names there, as ``t=time,y0=conc``.
     within : float, optional
         Largest distance from a time to the instant that is used instead, if the model's step does

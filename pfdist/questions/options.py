@@ -4,13 +4,14 @@ import contextlib
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from textwrap import indent
 from typing import Annotated, Any, ParamSpec, TypedDict, TypeVar
 
 from pydantic import Field
 
+from pfdist.common.arguments import names_argument
 from pfdist.common.gone import gone
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.section import Arguments, Whole
@@ -49,9 +50,13 @@ def following(progress: Show | bool | None, say: Say) -> Iterator[tuple[Show, Sa
             yield display.show, display.say if progress and say is silent else say
 
 
-def criteria_in(also: str | None) -> list[str] | None:
-    """The names of criteria in a text, as in ``worst_instant,quantile 0.9``."""
-    return None if also is None else [each.strip(' "') for each in also.split(",")]
+Names = str | Sequence[str]
+"""Names in a text with commas, or in a list."""
+
+
+def criteria_in(also: Names | None) -> list[str] | None:
+    """The names of criteria in a text, as in ``worst_instant,quantile 0.9``, or in a list."""
+    return None if also is None else names_argument("also", also)
 
 
 def other_criterion(job: Job) -> JobError:

@@ -1,6 +1,6 @@
 """Real measurements: the run that planned them, the tables of a user, and the filter."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from pfdist.common.arguments import path_argument
+from pfdist.common.arguments import columns_argument, path_argument
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import must_be
-from pfdist.errors import ArgumentError, JobError, shown
+from pfdist.errors import JobError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
@@ -28,6 +28,8 @@ from pfdist.runner.build import Built
 from pfdist.runner.progress import Say, heard
 from pfdist.store.user_tables import is_parquet
 
+Columns = Mapping[str, str] | str | Sequence[str]
+"""Names of columns, as a mapping, a text ``t=time,y0=conc``, or a list of such texts."""
 UserTable = str | Path | pd.DataFrame
 """The path of a table in CSV or Parquet, or a table in memory."""
 
@@ -129,23 +131,14 @@ def _planned_set(run: Run, name: str) -> str:
     return best_first(rows_of_sets(run))[0]
 
 
-def reading_of(
-    built: Built, columns: Mapping[str, str] | None, within: float | None, say: Say
-) -> Reading:
+def reading_of(built: Built, columns: Columns | None, within: float | None, say: Say) -> Reading:
     """How tables of a user are read: names of columns, and times that the job's clock lacks."""
-    wrong = [
-        each for each in (columns or {}).items() if not all(isinstance(k, str) and k for k in each)
-    ]
-    if wrong:
-        name, got = wrong[0]
-        raise ArgumentError(
-            f"columns must be NAME=COLUMN, as y0=conc, got {shown(name)}: {shown(got)}",
-            argument="columns",
-        )
     any_time = cache(partial(follows_clock, built))
     problem, note = built.job.problem, partial(heard, say)
     sensors, sensings = zip(*problem.each_sensing, strict=True) if problem.sensings else ((), ())
-    return Reading(columns or {}, within, any_time, note, sensings=sensings, sensors=sensors)
+    return Reading(
+        columns_argument(columns), within, any_time, note, sensings=sensings, sensors=sensors
+    )
 
 
 def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:

@@ -6,16 +6,16 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
 from pfdist.common.estimate import Estimate
-from pfdist.common.parsing import parse_json, read_text
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, unrounded
-from pfdist.common.section import checked
+from pfdist.common.section import JobSection, checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, StoreError
 from pfdist.filters.criterion import Criterion, Judged, Judging, Quantile, Sample
@@ -52,11 +52,10 @@ from pfdist.runner.ruling import (
     tuned,
     work_of,
 )
-from pfdist.store import RULE_PHASE, write_file
+from pfdist.store import RULE as FILE
+from pfdist.store import RULE_PHASE, read_rule, run_key, write_about
 
 RULE = "rule"
-FILE = "rule.json"
-"""The last rule that was tuned, in the folder of its run."""
 _DIGITS = 9  # of prices, whose sums are rounded
 
 
@@ -263,11 +262,8 @@ def rule(
             session.reporter.finish()
         if store.path != run.path:  # of another version
             return found
-    if chosen.figures:
-        found = replace(found, figures=_draw(found, built))
-    text = json.dumps(found.as_json(), indent=2)
-    write_file(run.path / FILE, lambda path: path.write_text(text, encoding="utf-8"))
-    return found
+        keep_rule(run.path, found.as_json())
+    return replace(found, figures=_draw(found, built)) if chosen.figures else found
 
 
 def check_rule(built: Built) -> None:
@@ -431,15 +427,31 @@ class NextByRule(Shown):
         return Page("", "", [Section("", blocks)], alarms=self.doubts)
 
 
+Level = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class _Written(JobSection):
+    """A rule as `rule_json` writes it."""
+
+    threshold: dict[str, Level | None]  # of each sensor
+    exponent: Level
+    limit: Level
+
+
+def keep_rule(run: Path, answer: Mapping[str, Any]) -> None:
+    """Write the answer about a rule to rule.json; the caller holds the run's lock."""
+    write_about(run, run_key(run) or "", {FILE: json.dumps(answer, indent=2)})
+
+
 def rule_of(run: Path, feasible: Feasible) -> Rule:
     """The rule that was tuned last for a run; a `StoreError` if there is none."""
-    if not (run / FILE).exists():
-        raise StoreError(f"{run} has no rule: `pfdist rule {run}` tunes one")
+    sensors, answer = feasible.points.sensors, read_rule(run)
     try:
-        written = parse_json(read_text(run / FILE))["rule"]
-        threshold, sensors = written["threshold"], feasible.points.sensors
-        each = [threshold[name] for name in sensors] if sensors else [threshold]
-        thresholds = tuple(math.inf if level is None else float(level) for level in each)
-        return Rule(thresholds, float(written["exponent"]), float(written["limit"]))
+        alone = answer["rule"]["threshold"]
+        given = answer["rule"] | {"threshold": alone if sensors else {"": alone}}
+        written = _Written.model_validate(given)
+        each = [written.threshold[name] for name in sensors or [""]]
+        thresholds = tuple(math.inf if level is None else level for level in each)
+        return Rule(thresholds, written.exponent, written.limit)
     except (ValueError, TypeError, KeyError) as error:
         raise StoreError(f"{run / FILE} is damaged: `pfdist rule {run}` writes it again") from error

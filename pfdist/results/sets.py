@@ -13,6 +13,7 @@ import numpy as np
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.percent import HEAVY
+from pfdist.errors import reason_of
 from pfdist.filters.criterion import Judged
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.estimators import SQUARED_ERROR
@@ -39,7 +40,7 @@ from pfdist.results.stored_run import (
     statistics_of,
     values_of,
 )
-from pfdist.results.summary import keep_summary, summary_of
+from pfdist.results.summary import keep_summary, read_summary, summary_of
 from pfdist.store.schema import components_in
 
 if TYPE_CHECKING:
@@ -87,10 +88,14 @@ def publish_sets(run: StoredRun) -> None:
             keep_summary(run, _computed(run))
 
 
-def is_wrong_summary(run: StoredRun) -> bool:
-    """Whether the file of the table of sets says something else than the tables."""
-    known = summary_of(run)
-    return known is not None and known.sets != _computed(run)
+def fault_of_summary(run: StoredRun) -> str:
+    """What is wrong with the listed file of the table of sets; empty if nothing is."""
+    try:
+        known = read_summary(run)
+    except Exception as error:  # the same errors as in `summary_of`
+        return f"cannot be used: {reason_of(error)}"
+    is_other = known is not None and known.sets != _computed(run)
+    return "says something else than the tables" * is_other
 
 
 def rows_of_sets(run: StoredRun) -> list[Row]:

@@ -23,7 +23,7 @@ from pfdist.store import QUESTIONS, WHY_PHASE, record_pages, write_file
 from pfdist.store.files import check_replaceable, read_if_hashed
 from pfdist.store.folder import SUMMARY
 from pfdist.store.listing import read_listing
-from pfdist.store.tables import column_chunks, holds_table, write_table
+from pfdist.store.tables import check_unpacked, holds_table, write_table
 
 _NAME = b"sets of a run"
 _MOST_BYTES, _MOST_VALUES = 10_000_000, 1_000_000
@@ -56,28 +56,35 @@ class Summary(NamedTuple):
 
 
 def summary_of(run: StoredRun) -> Summary | None:
-    """The summary of a run as its tables are now; None if there is none."""
-    listing, path = read_listing(run.path), run.path / SUMMARY
-    if listing is None or SUMMARY not in listing.pages:
-        return None
+    """The summary of a run as its tables are now; None if there is none that can be used."""
     try:
-        content = read_if_hashed(path, listing.pages[SUMMARY], _MOST_BYTES)
-        known = None if content is None else _unpacked(content, _fingerprint(run))
-        if known:  # labels are words of this version
-            labels = labels_of_sets([row.name for row in known.sets], run.job)
-            for row in known.sets:
-                row.label = labels[row.name]
-        return known
+        return read_summary(run)
     except Exception:  # whatever is wrong with the file, the tables are there
         return None
+
+
+def read_summary(run: StoredRun) -> Summary | None:
+    """The same; raises any error if the file is the listed one, and cannot be used."""
+    listing, path = read_listing(run.path), run.path / SUMMARY
+    if listing is None or SUMMARY not in listing.pages or not path.exists():
+        return None
+    if (size := path.lstat().st_size) > _MOST_BYTES:
+        raise ValueError(f"it must have at most {_MOST_BYTES:,} bytes, got {size:,}")
+    content = read_if_hashed(path, listing.pages[SUMMARY], _MOST_BYTES)
+    known = None if content is None else _unpacked(content, _fingerprint(run))
+    if known:  # labels are words of this version
+        labels = labels_of_sets([row.name for row in known.sets], run.job)
+        for row in known.sets:
+            row.label = labels[row.name]
+    return known
 
 
 def _unpacked(content: bytes, made_of: bytes) -> Summary | None:
     about = pq.read_metadata(pa.BufferReader(content))
     metadata = about.schema.to_arrow_schema().metadata
-    values = sum(chunk.num_values for chunk in column_chunks(about))
-    if not made_of or metadata[_MADE_OF] != made_of or values > _MOST_VALUES:
+    if not made_of or metadata[_MADE_OF] != made_of:
         return None
+    check_unpacked(content, about, _MOST_VALUES, _MOST_BYTES)
     table = pq.read_table(pa.BufferReader(content), use_threads=False)
     rows = [Row(**row) for row in table.to_pylist()]
     names = {row.name for row in rows}
@@ -87,7 +94,7 @@ def _unpacked(content: bytes, made_of: bytes) -> Summary | None:
         for name, column in COLUMNS.items()
     )
     if not (are_right and rows and all(row.reference in {None, *names} for row in rows)):
-        return None
+        raise ValueError("its rows are not those of a table of sets")
     seconds = float(metadata[_SECONDS])
     return Summary(rows, int(metadata[_EVALUATIONS]), seconds if seconds >= 0.0 else None)
 

@@ -271,6 +271,8 @@ class StateSpaceRelaxation:
         smaller sums are tried, until one can be paid for.
         """
         feasible, unit, whole, tried = self.feasible, self._start.unit, list[Times](), paths
+        if feasible.counted and self.sought:
+            feasible = replace(feasible, measurement_budget=spent)
         if feasible.counted and not feasible.is_limited:
             return paths
         most = min(feasible.total, spent * unit) if self.sought else feasible.total

@@ -10,6 +10,7 @@ from pfdist.store.about import (
     has_models,
     key_of,
     read_models,
+    read_rule,
     read_run,
     run_key,
     run_text,
@@ -20,6 +21,7 @@ from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
 from pfdist.store.folder import (
     ABOUT,
+    RULE,
     check_entries,
     folder_of_run,
     holds_run,

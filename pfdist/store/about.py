@@ -1,4 +1,4 @@
-"""The files that identify a run, job.toml, model.json and run.json, and the key of the run.
+"""The files that identify a run, job.toml, model.json and run.json, its rule, and its key.
 
 files.json has their hashes, which are checked when a run is read. Without files.json, the key and
 the version of a run are read without this check, for error messages.
@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pfdist.common.parsing import (
+    MOST_BYTES,
     MOST_BYTES_OF_MODELS,
     parse_json,
     parse_toml,
-    read_bytes,
-    read_text,
+    text_of,
 )
 from pfdist.common.streams import stream_key
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.folder import FILES, MODELS, holds_run, no_run
+from pfdist.store.folder import FILES, MODELS, RULE, holds_run, no_run
 from pfdist.store.listing import change_listing, read_listing
 from pfdist.store.schema import check_schema_version
 from pfdist.store.tables import REMEDY
@@ -86,7 +86,7 @@ def check_models(path: Path) -> bytes:
     """
     with files.reading(path / MODELS):
         try:
-            content = read_bytes(path / MODELS, MOST_BYTES_OF_MODELS)
+            content = files.read_plain(path / MODELS, MOST_BYTES_OF_MODELS)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise no_run(path, MODELS) from error
         except ValueError as error:
@@ -95,6 +95,22 @@ def check_models(path: Path) -> bytes:
     if listing is not None and _hash_of(content) not in listing.about.get(MODELS, ()):
         raise unreadable(path, MODELS, "its content has another hash")
     return content
+
+
+def read_rule(path: Path) -> Any:
+    """The data of a run's rule.json; a `StoreError` if it is missing, damaged or not listed."""
+    remedy = f"`pfdist rule {path}` tunes one"
+    with files.reading(path / RULE):
+        try:
+            content = files.read_plain(path / RULE, MOST_BYTES)
+            listing = read_listing(path)
+            if listing is None or _hash_of(content) not in listing.about.get(RULE, ()):
+                raise ValueError("its content has another hash than files.json lists")
+            return parse_json(text_of(content))
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise StoreError(f"{path} has no rule: {remedy}") from error
+        except ValueError as error:
+            raise StoreError(f"{path / RULE} is damaged: {error}; {remedy}") from error
 
 
 def unreadable(path: Path, name: str, reason: str) -> StoreError:
@@ -114,7 +130,7 @@ def unusable(path: Path, name: str, reason: str) -> StoreError:
 def _read(path: Path, name: str) -> str:
     with files.reading(path / name):
         try:
-            return read_text(path / name)
+            return text_of(files.read_plain(path / name, MOST_BYTES))
         except (FileNotFoundError, NotADirectoryError) as error:
             raise no_run(path, name) from error
         except ValueError as error:
@@ -177,7 +193,7 @@ def recorded_key(path: Path) -> str | None:
 def check_version_of(path: Path) -> None:
     """Raise `StoreError` if the schema version in run.json is another."""
     run: Any = None
-    with contextlib.suppress(OSError, ValueError):  # `read_run` reports such a file
-        run = parse_json(read_text(path / "run.json"))
+    with contextlib.suppress(StoreError, OSError, ValueError):  # `read_run` reports such a file
+        run = parse_json(text_of(files.read_plain(path / "run.json", MOST_BYTES)))
     if isinstance(run, dict):
         check_schema_version(path, run.get("schema_version"))

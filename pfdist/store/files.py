@@ -120,6 +120,17 @@ def _not_plain(path: Path) -> StoreError:
     return StoreError(f"{path} must be a plain file, got a link, a pipe or a folder: remove it")
 
 
+def read_plain(path: Path, most: int) -> bytes:
+    """Content of a plain file, as of each file of a run.
+
+    Raises as `open_plain`, and ValueError if it has more than `most` bytes.
+    """
+    with open(open_plain(path), "rb") as file:
+        if (size := os.fstat(file.fileno()).st_size) > most:
+            raise ValueError(f"must be a file of at most {most:,} bytes, got {size:,}")
+        return file.read(most)
+
+
 def read_if_hashed(path: Path, wanted: str, most: float = math.inf) -> bytes | None:
     """Content of a file if its hash begins like this and it is a plain file; else None.
 

@@ -20,6 +20,10 @@ from pfdist.store.schema import TABLES
 
 MODELS = "model.json"
 ABOUT = ("job.toml", "run.json", MODELS)
+RULE = "rule.json"
+"""The last rule that was tuned."""
+LISTED = (*ABOUT, RULE)
+"""Files, listed with their hashes, that are not made from tables."""
 FILES, FIGURES_FOLDER, REPORT, SUMMARY = "files.json", "figures", "report.html", "sets.parquet"
 FORMATS = ("png", "svg", "pdf")
 """File name extensions of figures."""
@@ -100,7 +104,7 @@ def check_entries(folder: Path) -> None:
     """
     below = [f"{place}/{table}" for place in ("tables", "parts") for table in TABLES]
     for is_right, what, names in (
-        (stat.S_ISREG, "file", (*ABOUT, FILES, REPORT)),
+        (stat.S_ISREG, "file", (*LISTED, FILES, REPORT)),
         (stat.S_ISDIR, "folder", ("tables", "parts", FIGURES_FOLDER, *below)),
     ):
         for name in names:

@@ -1,9 +1,9 @@
 """files.json: the list of a run's files, and the key of the run.
 
 It names every published file of a table; the name of such a file ends with the hash of its content.
-It has the hashes that job.toml, model.json and run.json may have, and those of the pages: the
-figures and the report, while they are made from the tables as they are. It is replaced as a whole,
-so a reader sees the list before a change or the list after it.
+It has the hashes that job.toml, model.json, run.json and rule.json may have, and those of the
+pages: the figures and the report, while they are made from the tables as they are. It is replaced
+as a whole, so a reader sees the list before a change or the list after it.
 
 Only the process that holds the run's lock writes it. These are the orders, and what a kill between
 two steps costs:
@@ -13,8 +13,9 @@ two steps costs:
   or the former files are still there, and the next start removes what is not listed. After a kill
   behind the list, parts may be left: their phase is published again, with the same bytes.
   Several tables may take each of these steps together.
-- job.toml, model.json or run.json is replaced: files.json lists the hashes of the old and the new
-  content, then the file gets its name. The next list keeps only the hash of the file that is there.
+- job.toml, model.json, run.json or rule.json is replaced: files.json lists the hashes of the old
+  and the new content, then the file gets its name. The next list keeps only the hash of the file
+  that is there.
 - Tables change: the pages leave the list first. Their files stay until new ones replace them, which
   are listed once they are there. So the next run makes again what a kill has left unlisted.
 """
@@ -29,10 +30,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pfdist.common.parsing import parse_json, read_text
+from pfdist.common.parsing import MOST_BYTES, parse_json, text_of
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.folder import ABOUT, FILES, REPORT, figures_in, has_report
+from pfdist.store.folder import FILES, LISTED, REPORT, figures_in, has_report
 from pfdist.store.lock import held
 from pfdist.store.tables import REMEDY
 
@@ -73,7 +74,7 @@ def read_listing(folder: Path) -> Listing | None:
 def _read(path: Path) -> Listing | None:
     with files.reading(path):
         try:
-            content = parse_json(read_text(path))
+            content = parse_json(text_of(files.read_plain(path, MOST_BYTES)))
             listing = Listing(
                 content["run"],
                 tuple(content["files"]),
@@ -92,10 +93,10 @@ def _read(path: Path) -> Listing | None:
 def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None:
     """Replace parts of files.json, which is created if it is missing.
 
-    It keeps the hashes of the current job.toml, model.json and run.json, and drops older ones.
+    It keeps the hashes of the current files that `LISTED` names, and drops older ones.
     """
     listing = read_listing(folder)
-    there = {name: files.digest(folder / name) for name in ABOUT if (folder / name).exists()}
+    there = {name: files.digest(folder / name) for name in LISTED if (folder / name).exists()}
     if listing is None:
         listing = Listing(key or "", about={name: (now,) for name, now in there.items()})
     about = dict(listing.about)

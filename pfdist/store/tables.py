@@ -35,7 +35,9 @@ _known = OrderedDict[Path, tuple[tuple[int, ...], str | None, pa.Table]]()
 _lock = threading.Lock()
 _MOST_KNOWN, _MOST_BYTES, _MOST_KEPT = 64, 400_000, 50_000  # files; bytes and values of a file
 
-_USUAL_VALUES, _MOST_VALUES_A_BYTE = 10_000_000, 100  # that a file may hold when it is unpacked
+# Values, and bytes of texts, that a file may hold when it is unpacked
+_USUAL_VALUES, _USUAL_TEXT, _MOST_VALUES_A_BYTE = 10_000_000, 50_000_000, 100
+_ROWS = 100_000  # whose texts are measured at once
 _LONGEST_NAME = 64  # a search's name and a number of measurements
 _NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
 
@@ -121,9 +123,12 @@ def read_file(
                 )
         if wrong := wrong_columns(about, table):
             raise StoreError(f"{path} {wrong}; {REMEDY}")
-        values = sum(chunk.num_values for chunk in column_chunks(unpacked))
-        if values > max(_USUAL_VALUES, _MOST_VALUES_A_BYTE * len(content)):
-            raise ValueError(f"{len(content):,} bytes must not hold {values:,} values")
+        values = check_unpacked(
+            content,
+            unpacked,
+            max(_USUAL_VALUES, _MOST_VALUES_A_BYTE * len(content)),
+            max(_USUAL_TEXT, _MOST_VALUES_A_BYTE * len(content)),
+        )
 
         def read(**chosen: Any) -> pa.Table:  # each thread would keep its own memory
             return pq.read_table(
@@ -145,6 +150,36 @@ def column_chunks(about: pq.FileMetaData) -> Iterator[pq.ColumnChunkMetaData]:
     """Describe each column of a Parquet file in each group of rows, before it is unpacked."""
     for group in map(about.row_group, range(about.num_row_groups)):
         yield from map(group.column, range(group.num_columns))
+
+
+def check_unpacked(content: bytes, about: pq.FileMetaData, most_values: int, most_text: int) -> int:
+    """The number of values in a Parquet file, which memory can hold; else a `ValueError`.
+
+    Rows may share a text, so texts are measured in dictionary form, before they are repeated.
+    """
+    chunks, size = [*column_chunks(about)], f"{len(content):,} bytes"
+    values: int = sum(chunk.num_values for chunk in chunks)
+    packed = sum(chunk.total_uncompressed_size for chunk in chunks)
+    if values > most_values:
+        raise ValueError(f"{size} must not hold {values:,} values")
+    texts = sorted({c.path_in_schema for c in chunks if "BYTE_ARRAY" in c.physical_type})
+    total = max(0, packed - 8 * most_values)
+    with pq.ParquetFile(pa.BufferReader(content), metadata=about, read_dictionary=texts) as file:
+        for batch in file.iter_batches(_ROWS, columns=texts) if total <= most_text else ():
+            total += sum(lengths_of_texts(column)[1] for column in batch.columns)
+    if total > most_text:
+        raise ValueError(f"{size} must not hold {total:,} bytes of texts")
+    return values
+
+
+def lengths_of_texts(column: pa.Array) -> tuple[int, int]:
+    """The bytes of the longest of a column's texts in dictionary form, and of all texts."""
+    while pa.types.is_list(column.type):
+        column = column.flatten()
+    column = column.dictionary_encode()
+    lengths = pc.cast(pc.binary_length(column.dictionary), pa.int64())
+    longest, total = pc.max(lengths), pc.sum(lengths.take(column.indices))
+    return longest.as_py() or 0, total.as_py() or 0
 
 
 def signed(table: pa.Table, run_key: str | None) -> pa.Table:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -22,7 +21,7 @@ from pfdist.common.nearest import must_be
 from pfdist.common.parsing import as_text
 from pfdist.errors import PfdistError, shown
 from pfdist.store.files import begins_with, check_replaceable, write_file
-from pfdist.store.tables import column_chunks, holds_table, write_table
+from pfdist.store.tables import column_chunks, holds_table, lengths_of_texts, write_table
 
 Array = NDArray[np.float64]
 
@@ -210,8 +209,7 @@ def _in_parquet(
         with pq.ParquetFile(file, metadata=about, read_dictionary=texts) as table:
             for batch in table.iter_batches(_CELLS // len(kept), columns=kept):
                 for name in texts:
-                    values = batch.column(name).dictionary_encode().dictionary
-                    if (longest := pc.max(pc.binary_length(values)).as_py() or 0) > _LONGEST_TEXT:
+                    if (longest := lengths_of_texts(batch.column(name))[0]) > _LONGEST_TEXT:
                         rule = f"a text must have at most {_LONGEST_TEXT} bytes, got {longest:,}"
                         raise ValueError(f"{rule} in column {shown(name)}")
                 yield batch.to_pandas(ignore_metadata=True)

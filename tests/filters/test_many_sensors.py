@@ -8,8 +8,11 @@ import pytest
 from pfdist import Sensor, StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.filters import kalman, particle_filter, plain
+from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import GUIDED, Estimation
 from pfdist.kernels.prefixes import plan_prefixes
+from pfdist.kernels.rules import Rule
 
 MOST = 64
 SETS = (
@@ -79,3 +82,21 @@ def test_65_sensors_are_one_clean_error() -> None:
     with pytest.raises(ModelError, match=r"^model watched: sensors must be at most 64, got 65$"):
         _walk(MOST + 1)
     assert len(replace(WALK, name="other").parts) == MOST
+
+
+def test_the_ninth_sensor_guides_and_is_chosen_by_a_rule_as_any_other() -> None:
+    """Sets of more than 8 sensors take two bytes an instant; only the second one is not 0 here."""
+    model, infinite = _walk(9), float("inf")
+    draws, times = simulate(model, 5, range(40), 3), (17, 36)  # t = 1 by the ninth, t = 4
+    guided = filter_checked_draws(model, draws, times, 5, Estimation(4000, proposal=GUIDED), True)
+    exact = kalman.filter_draws(model, draws, times, 1, 5, trajectories=True)
+    apart = np.mean((guided.estimate - exact.estimate) ** 2)
+    assert apart < 5 * np.mean(exact.variance) / 4000
+    rule = Rule((infinite,) * 8 + (1.5,))
+    found = filter_checked_draws(model, draws, range(54), 5, Estimation(70, rule=rule))
+    for draw, own in enumerate(found.measured):
+        chosen = tuple(np.flatnonzero(own).tolist())
+        assert chosen
+        assert all(point % 9 == 8 for point in chosen)
+        fixed = filter_checked_draws(model, draws[draw : draw + 1], chosen, 5, Estimation(70))
+        assert fixed.mse == found.mse[draw]

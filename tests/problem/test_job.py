@@ -89,6 +89,18 @@ def test_constraints_are_spelt_as_times_or_as_ranges(write, price, forbidden):
     )
 
 
+@in_turn("constraint", ["forbidden = {}", "allowed = {}", "required = {}",
+                        "visits = {{ most = 3, allowed = {} }}"])  # fmt: skip
+def test_ranges_that_name_the_same_times_again_and_again_take_no_memory(write, constraint):
+    """2,000 of them once took 3 GB: a limit counts what entries become."""
+    ranges = ["0:31000"] * 2000
+    path = write("horizon = 10", f"horizon = 32000\n{constraint.format(ranges)}")
+    with pytest.raises(
+        JobError, match=r"at most 1,000,000 times, those of ranges|one after another"
+    ):
+        load_job(path)
+
+
 def test_a_search_is_named_after_its_method_unless_it_has_a_name(write):
     job = load_job(write('method = "random"', 'method = "genetic"\nname = "second"'))
     assert [search.name for search in job.search] == ["genetic", "second"]

@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -13,7 +14,8 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.in_turn import in_turn
-from pfdist import Job
+from oracles.three_sensors import SYSTEMS
+from pfdist import Job, Problem
 from pfdist.cli.main import main
 from pfdist.common.percent import particle_loss_text
 from pfdist.common.rounding import rounded
@@ -268,3 +270,45 @@ def test_other_searches_are_refused(small_job: Job) -> None:
     small_job.path.write_text(f"{text}\n[budget]\nleast = 2\nmost = 3\n")
     with pytest.raises(JobError, match=f"search of method '{DEFAULT_METHOD}', got genetic, random"):
         pfdist.load_job(small_job.path)
+
+
+CHEAP = {"near": {"price": 1}, "far": {"price": 2}, "both": {"price": 3}}
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"sensors": {"both": {"most": 1}}},
+        pytest.param({"sensors": {"both": {"minimum_spacing": 4}}}, marks=pytest.mark.slow),
+        pytest.param({"sensors": {"near": {"together": "a"}, "both": {"together": "a"}}},
+                     marks=pytest.mark.slow),
+        pytest.param({"minimum_spacing": 3}, marks=pytest.mark.slow),
+        pytest.param({"required": ["5 near"]}, marks=pytest.mark.slow),
+        pytest.param({"required": ["5 near"], "sensors": {"both": {"most": 1}}}),
+        pytest.param({"forbidden": ["0:2"]}, marks=pytest.mark.slow),
+        pytest.param({"sensors": {"both": {"most": 1, "forbidden": ["0:3"]}}},
+                     marks=pytest.mark.slow),
+        pytest.param({"total_price": 5, "sensors": CHEAP}, marks=pytest.mark.slow),
+        pytest.param({"total_price": 5, "sensors": CHEAP | {"near": {"price": 1, "most": 1}}}),
+        pytest.param({"total_price": 5, "sensors": CHEAP | {"far": {"price": 2, "install": 1}}},
+                     marks=pytest.mark.slow),
+        pytest.param({"total_price": 5, "sensors": CHEAP, "visits": {"price": 1, "within": 2}},
+                     marks=pytest.mark.slow),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_both_numbers_with_any_constraint_are_those_of_enumeration(
+    kind: dict[str, Any], tmp_path: Path
+) -> None:
+    """Two measurements are not a repaired path of three: each number has its own limits."""
+    model, numbers = SYSTEMS[0].as_model(), (4, 5) if "total_price" in kind else (2, 3)
+    counted = {} if "total_price" in kind else {"measurement_budget": 3}
+    sensors = {name: {} for name in model.sensors} | kind.get("sensors", {})
+    problem = Problem(model, horizon=8, engine="kalman", **counted, **kind | {"sensors": sensors})
+    given = {"draws": 100, "bound_draws": 0, "figures": False, "pool": "serial"}
+    run = pfdist.budget(problem, {*numbers}, tmp_path / "run", **given)
+    found = run.table("sets").query("kind == 'found'").set_index("budget")["search_mse"]
+    for number in numbers:
+        sets = [*problem.job().feasible(number).every()]
+        assert found[number] == pytest.approx(expected_mse(model, 8, sets).min(), rel=1e-9), number

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import pfdist
-from oracles.listed import forget
+from oracles.listed import forget, rewrite
 from pfdist.errors import StoreError
 from pfdist.store import held
 
@@ -136,6 +136,20 @@ def test_a_damaged_run_is_a_row_that_says_what_is_wrong(
     assert str(tmp_path) not in bad["fault"]
     assert "\n" not in bad["fault"]
     assert (good["state"], good["fault"]) == ("finished", None)
+
+
+def test_a_forged_run_does_not_end_a_list(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its files are as old as they say, and its job has texts for numbers."""
+    for name in ("bad", "good"):
+        shutil.copytree(runs / "plain", tmp_path / name)
+    job = tmp_path / "bad" / "job.toml"
+    rewrite(job, job.read_text().replace("\ndraws = 60", '\ndraws = "many"'))
+    monkeypatch.setattr("pfdist.questions.list_runs.extent", lambda folder: (1, 9e11))
+    frame = pfdist.list_runs(tmp_path)
+    assert frame["state"].tolist() == ["unreadable", "finished"]
+    assert {*frame["changed"].dt.year} == {9999}
 
 
 def test_a_folder_without_runs_gives_an_empty_table_and_a_missing_folder_an_error(

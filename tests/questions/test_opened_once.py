@@ -1,6 +1,10 @@
-"""A command opens its run once, and passes on what it has read."""
+"""A command opens its run once, reads listed files only, and passes on what it has read."""
 
+import json
+import os
+import sys
 from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +14,12 @@ import pfdist
 from oracles.guided import sharp_walk
 from pfdist import Job, Problem
 from pfdist.filters.work import GUIDED, PLAIN
+from pfdist.kernels.rules import Rule
+from pfdist.problem.feasible import Feasible
+from pfdist.questions.rule import keep_rule, rule_json
 from pfdist.runner import build as builds
 from pfdist.store import listing
+from pfdist.store.tables import _known as tables
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -65,3 +73,50 @@ def test_a_command_that_chooses_the_proposal_records_its_models_once(
     run = pfdist.run(job, tmp_path / "run", bound_draws=0, pool="serial", figures=False)
     assert run.job["filter"]["proposal"] == proposal
     assert counted == {"recorded": 1} | ({} if model == "ungm" else {"checked": 1})
+
+
+_watching = list[set[str]]()
+
+
+def _watch(event: str, given: tuple[Any, ...]) -> None:
+    """Python calls this function for ever, for whatever it opens."""
+    if _watching and event == "open" and isinstance(given[0], str | bytes | os.PathLike):
+        _watching[0].add(os.path.realpath(os.fsdecode(given[0])))
+
+
+@pytest.fixture
+def opened() -> Iterator[set[str]]:
+    """The paths of all files that Python opens."""
+    if not hasattr(sys, "_pfdist_watched"):
+        sys._pfdist_watched = True  # type: ignore[attr-defined]
+        sys.addaudithook(_watch)
+    _watching.append(set())
+    yield _watching[0]
+    _watching.clear()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_commands_open_no_file_of_a_run_that_files_json_does_not_list(
+    small_run: pfdist.Run, tmp_path: Path, said: Callable[..., str], opened: set[str]
+) -> None:
+    """Whatever is not listed with its hash may have come from anybody, or be half written."""
+    run, table = small_run.path, tmp_path / "one.csv"
+    table.write_text("t,y0\n1,0.5\n")
+    keep_rule(run, {"rule": rule_json(Rule((1.0,)), Feasible(horizon=12, measurement_budget=4))})
+    said("report", run)
+    tables.clear()
+    listing._known.clear()
+    opened.clear()
+    words = [("status", run), ("list", tmp_path), ("table", run), ("verify", run), ("plot", run),
+             ("next", run, table, "--rule"), ("filter", run, table, "--no-report"),
+             ("evaluate", run / "job.toml", "--times", "1,2,3,4", "--draws", "20"),
+             ("why", run, "--draws", "20")]  # fmt: skip
+    for each in words:
+        said(*each)
+    files = {Path(name) for name in opened if not Path(name).is_dir()}
+    inside = {file.relative_to(run.resolve()) for file in files if run.resolve() in file.parents}
+    content = json.loads((run / "files.json").read_text())
+    listed = {"files.json", ".lock", *content["about"], *content["files"], *content["pages"]}
+    written = {name for name in inside if name.suffix == ".tmp" or name.parts[0] == "parts"}
+    assert {"rule.json", "sets.parquet", "model.json"} <= set(map(str, inside))
+    assert set(map(str, inside - written)) - listed == set()

@@ -7,7 +7,12 @@ from typing import Any
 import pytest
 
 import pfdist
-from pfdist.errors import ArgumentError
+from pfdist.cli.words import WORDS, Word
+from pfdist.common.arguments import columns_argument, names_argument, paths_argument, sets_argument
+from pfdist.errors import ArgumentError, JobError
+from pfdist.problem.problem import as_job
+from pfdist.problem.sweep import read_sweep
+from pfdist.questions.budget import _section
 from pfdist.questions.options import Options
 
 FUNCTIONS = [
@@ -31,3 +36,62 @@ def test_an_unknown_option_is_refused_with_the_nearest(function: Callable[..., A
     assert "\n" not in str(refused.value)
     can_change = "changes" in inspect.signature(function).parameters
     assert ("changes=['KEY=VALUE'] changes a key of the job" in str(refused.value)) == can_change
+
+
+WALK = pfdist.Problem("random_walk", horizon=12, measurement_budget=4, engine="kalman")
+AS_LISTS: dict[str, Callable[[], bool]] = {
+    "also": lambda: (
+        names_argument("also", ["information", "quantile 0.9"])
+        == names_argument("also", 'information,"quantile 0.9"')
+    ),
+    "columns": lambda: (
+        columns_argument(["t=Time", "y0 = a=b"])
+        == columns_argument("t=Time,y0=a=b")
+        == columns_argument({"t": "Time", "y0": "a=b"})
+    ),
+    "times": lambda: sets_argument(["a=0,6", "regular"]) == {"a": "0,6", "regular": "regular"},
+    "budget.measurements": lambda: _section([2, 5]) == _section({5, 2}) != _section((2, 5)),
+    "over": lambda: (
+        read_sweep(WALK, ["seed=1:3"], (), (), {}).points
+        == read_sweep(WALK, {"seed": [1, 2, 3]}, (), (), {}).points
+    ),
+    "changes": lambda: as_job(WALK, ["seed=3"]).seed == 3,
+    "reuse": lambda: paths_argument("reuse", ["a"]) == paths_argument("reuse", "a"),
+}
+LISTS = {"also", "columns", "reuse", "budget.measurements"} | {
+    name for name, word in WORDS.items() if isinstance(word, Word) and word.settings.n_tokens == -1
+}
+
+
+def test_every_option_that_is_a_list_on_the_command_line_takes_a_list_in_python() -> None:
+    assert LISTS - {"evaluate.times"} <= AS_LISTS.keys()
+    for name, agrees in AS_LISTS.items():
+        assert agrees(), name
+
+
+def test_questions_take_lists_of_criteria_sets_and_columns(tmp_path: Any) -> None:
+    """As the command line and mappings: the same answers."""
+    draws = {"draws": 20}
+    listed = pfdist.evaluate(WALK, ["a=0,6", "b=3,9"], **draws, also=["information"])
+    named = pfdist.evaluate(WALK, {"a": [0, 6], "b": "3,9"}, **draws, also="information")
+    assert {name: each.expected_mse for name, each in listed.items()} == {
+        name: each.expected_mse for name, each in named.items()
+    }
+    assert listed["a"].also == named["a"].also != {}
+    options = {"draws": 20, "figures": False, "pool": "serial", "also": ["worst_instant"]}
+    run = pfdist.compare(WALK, times=["a=0,6", "b=3,9"], results=tmp_path / "both", **options)
+    assert list(run.sets) == ["a", "b"]
+    assert "worst_instant" in run.table("sets")
+    for wrong in ([5], ["a"], 5, ["=3"]):
+        with pytest.raises(JobError, match="times"):
+            pfdist.compare(WALK, times=wrong, results=tmp_path / "none", **options)
+        with pytest.raises(ArgumentError, match="columns must be"):
+            columns_argument(wrong)
+
+
+def test_the_section_of_the_only_sensor_beside_those_of_sensors_is_one_line() -> None:
+    with pytest.raises(JobError, match=r"sensor must be left out with .*sensors, got both"):
+        pfdist.Problem(
+            "two_compartments", horizon=10, measurement_budget=2, sensor={"fails": 0.1},
+            sensors={"immunoassay": {}, "chromatography": {}},
+        )  # fmt: skip

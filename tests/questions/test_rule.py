@@ -19,9 +19,19 @@ from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
 from pfdist.kernels.rules import Rule
 from pfdist.problem.feasible import Feasible
-from pfdist.questions.rule import NextByRule, Ruled, _draw, check_rule, rule_json, rule_of, unit_of
+from pfdist.questions.rule import (
+    NextByRule,
+    Ruled,
+    _draw,
+    check_rule,
+    keep_rule,
+    rule_json,
+    rule_of,
+    unit_of,
+)  # fmt: skip
 from pfdist.runner import ruling
 from pfdist.runner.build import build
+from pfdist.store.verify import verify_run
 
 SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
 COUNTED = Feasible(horizon=12, measurement_budget=4)
@@ -209,8 +219,7 @@ def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
         (Rule((1.2, 1.6), 0.0, 3.0), 2, "3 cheap"),  # 1 is left, and the sharp one costs 2
         (Rule((np.inf, 1.6), 0.0, 3.0), 2, None),
     ):
-        answer = json.dumps({"rule": rule_json(rule, feasible)})
-        (run.path / "rule.json").write_text(answer, encoding="utf-8")
+        keep_rule(run.path, {"rule": rule_json(rule, feasible)})
         found = pfdist.next_time(run, table, rule=True, now=now)
         assert isinstance(found, NextByRule)
         assert (found.measured, found.next) == (("0 sharp",), following)
@@ -310,12 +319,41 @@ def test_next_measures_where_the_filter_of_the_run_would(
     table.to_csv(tmp_path / "one.csv", index=False)
     assert main(["next", str(run.path), str(tmp_path / "one.csv"), "--rule", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["next"] == found.next
-    (run.path / "rule.json").write_text("{}")
-    with pytest.raises(StoreError, match="damaged"):
-        pfdist.next_time(run.path / "job.toml", table, **given)
-    spent = Rule((1.0,), 0.5, 1)
-    (run.path / "rule.json").write_text(json.dumps({"rule": rule_json(spent, COUNTED)}))
+    keep_rule(run.path, {"rule": rule_json(Rule((1.0,), 0.5, 1), COUNTED)})
     assert pfdist.next_time(run.path / "job.toml", table, **given).next is None
+
+
+def test_a_rule_is_read_only_as_it_was_written(
+    finished: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Listed with its hash, a plain file, of finite numbers that are not negative."""
+    run = shutil.copytree(finished(), tmp_path / "run")
+    right, file = rule_json(Rule((2.0,), 0.5, 4), COUNTED), run / "rule.json"
+    wrong = {"threshold": ["1e999", "2", -5, True, [2.0], {"": 2.0}], "exponent": [-1, None],
+             "limit": ["inf", -3], "more": [1]}  # fmt: skip
+    for name, value in [(name, value) for name, values in wrong.items() for value in values]:
+        keep_rule(run, {"rule": right | {name: value}})
+        with pytest.raises(StoreError, match=r"rule\.json is damaged: `pfdist rule"):
+            rule_of(run, COUNTED)
+    for answer in ([], {}, {"rule": None}, {"rule": {}}):
+        keep_rule(run, answer)  # type: ignore[arg-type]
+        with pytest.raises(StoreError, match="is damaged"):
+            rule_of(run, COUNTED)
+    keep_rule(run, {"rule": right})
+    assert rule_of(run, COUNTED) == Rule((2.0,), 0.5, 4)
+    file.write_text(file.read_text().replace("2.0", "3.0"))
+    with pytest.raises(StoreError, match=r"damaged: its content has another hash"):
+        rule_of(run, COUNTED)
+    assert ["rule.json" in fault for fault in verify_run(run)] == [True]
+    file.rename(tmp_path / "else.json")
+    file.symlink_to(tmp_path / "else.json")
+    with pytest.raises(StoreError, match="must be a plain file, got a link"):
+        rule_of(run, COUNTED)
+    with pytest.raises(StoreError, match="must be a plain file, got a link"):
+        pfdist.open_run(run)
+    file.unlink()
+    with pytest.raises(StoreError, match="has no rule"):
+        rule_of(run, COUNTED)
 
 
 def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacing(
@@ -323,7 +361,7 @@ def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacin
 ) -> None:
     given = finished("problem.sensor.fails=0.2", "problem.minimum_spacing=3")
     run = shutil.copytree(given, tmp_path / "run")
-    (run / "rule.json").write_text(json.dumps({"rule": rule_json(Rule((1e-3,), 1.0, 4), COUNTED)}))
+    keep_rule(run, {"rule": rule_json(Rule((1e-3,), 1.0, 4), COUNTED)})
     table = pd.DataFrame({"t": [1, 4], "y0": [0.5, np.nan]})
     found = pfdist.next_time(run, table, rule=True)
     assert isinstance(found, NextByRule)

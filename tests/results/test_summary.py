@@ -14,7 +14,7 @@ import pfdist
 from pfdist.cli.own import verify
 from pfdist.errors import StoreError
 from pfdist.results.runs_table import runs_table
-from pfdist.results.sets import is_wrong_summary, publish_sets, rows_of_sets
+from pfdist.results.sets import fault_of_summary, publish_sets, rows_of_sets
 from pfdist.results.summary import summary_of
 from pfdist.store.folder import SUMMARY
 from pfdist.store.listing import change_listing, read_listing, record_pages
@@ -102,10 +102,17 @@ def _of_another(table: pa.Table) -> pa.Table:
     return table.set_column(place, "expected_mse", pc.multiply(table["expected_mse"], 2.0))
 
 
+def _of_one_long_text(table: pa.Table) -> pa.Table:
+    place, rows = table.column_names.index("label"), pa.array([0] * 30)
+    text = pa.DictionaryArray.from_arrays(rows, pa.array(["x" * 2**20]))
+    return table.take(rows).set_column(place, "label", text)
+
+
 @pytest.mark.parametrize(
     "change",
-    [_many, _of_wrong_type, _without(b"made_of"), _without(b"worker_seconds"), lambda t: t[:0]],
-)
+    [_many, _of_wrong_type, _of_one_long_text, _without(b"made_of"), _without(b"worker_seconds"),
+     lambda t: t[:0]],
+)  # fmt: skip
 def test_a_forged_summary_costs_nothing_and_is_not_read(
     change: Callable[[pa.Table], pa.Table], finished: Finished, tmp_path: Path
 ) -> None:
@@ -113,10 +120,12 @@ def test_a_forged_summary_costs_nothing_and_is_not_read(
     forged = _forged(change, finished, tmp_path)
     assert summary_of(forged) is None
     assert forged.table("sets")["expected_mse"].notna().all()
+    with pytest.raises(StoreError, match=r"sets\.parquet cannot be used: .*: remove it"):
+        list(verify(str(forged.path)))
 
 
 def test_verify_compares_a_summary_with_the_tables(finished: Finished, tmp_path: Path) -> None:
-    assert not is_wrong_summary(pfdist.open_run(finished()))
+    assert fault_of_summary(pfdist.open_run(finished())) == ""
     forged = _forged(_of_another, finished, tmp_path)
     assert summary_of(forged) is not None
     with pytest.raises(StoreError, match="something else than the tables: remove it"):

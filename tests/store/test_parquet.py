@@ -320,6 +320,29 @@ def test_a_small_file_of_far_too_many_values_is_not_unpacked(
     assert len(store.read("draws")) == 500
 
 
+def test_a_text_that_many_rows_share_is_measured_before_it_is_repeated(tmp_path: Path) -> None:
+    """A file of some kilobytes becomes gigabytes in no more memory than its text takes once."""
+    rows, text = pa.array([0] * 300), pa.array(["x" * 5_000_000])
+    shared = pa.DictionaryArray.from_arrays(rows, text)
+    nested = pa.ListArray.from_arrays(pa.array(range(301), pa.int32()), shared)
+    for column in (shared, nested):
+        path = tmp_path / "shared.parquet"
+        tables.write_table(pa.table({"label": column}), path)
+        content, about = path.read_bytes(), pq.read_metadata(path)
+        assert len(content) < 5000
+        before = pa.default_memory_pool().max_memory()
+        with pytest.raises(ValueError, match="must not hold 1,500,000,000 bytes of texts"):
+            tables.check_unpacked(content, about, 10_000_000, 50_000_000)
+        assert pa.default_memory_pool().max_memory() < max(before, 100_000_000)
+        assert tables.check_unpacked(content, about, 10_000_000, 1_500_000_000) == 300
+    few = pa.table({"label": ["a", None, "bcd"], "sets": [["a", "b"], [], None], "mse": [1.0] * 3})
+    tables.write_table(few, path)
+    content, about = path.read_bytes(), pq.read_metadata(path)
+    assert tables.check_unpacked(content, about, 100, 6) == 10
+    with pytest.raises(ValueError, match="must not hold 6 bytes of texts"):
+        tables.check_unpacked(content, about, 100, 5)
+
+
 @pytest.mark.parametrize("count", [1, 3, 4, 100])
 def test_cut_rows_keeps_all_rows_in_order(count: int) -> None:
     pieces = [_draws("a", 0, 5), _draws("a", 5, 6), _draws("a", 6, 17)]

@@ -1,0 +1,151 @@
+"""A work whole, in pieces and in single draws: no bit of a draw depends on its company.
+
+So the tables of a run do not depend on workers, which decide how draws are cut into tasks.
+"""
+
+import random
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from oracles.kalman import SCALAR
+from pfdist import StateSpaceModel, densities, where
+from pfdist.common.sensing import Sensing
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.interface import EACH_DRAW
+from pfdist.filters.work import GUIDED, PLAIN, Estimation
+from pfdist.kernels.batch import FilterArrays
+from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.rules import Rule
+from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL
+from pfdist.models.sensed import sensed
+
+HORIZON, DRAWS = 9, 45
+WALK = StateSpaceModel(
+    name="walk",
+    initial=lambda w, p: (2.0 * w[0],),
+    transition=lambda x, t, w, p: (x[0] + w[0],),
+    measurement=lambda x, t, v, p: (x[0] + 0.7 * v[0],),
+    # some measurements tell nothing, and no particle explains others
+    log_likelihood=lambda y, x, t, p: where(
+        abs(y[0]) < 0.5, 0.0, where(y[0] > 5.0, -np.inf, densities.normal_logpdf(y[0], x[0], 0.7))
+    ),
+    log_tails=lambda y, x, t, p: densities.normal_log_tails(y[0], x[0], 0.7),
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+)
+SENSINGS = {
+    "as it is": Sensing(),
+    "limits": Sensing(low=-1.0, high=1.0),
+    "fails": Sensing(fails=0.4),
+    "repeats": Sensing(repeats=9),
+    "delay": Sensing(delay=2),
+    "all": Sensing(-1.0, 1.0, 0.4, 2, 1),
+}
+RULES = None, Rule((1.5,)), Rule((1.0,), 0.5, 3.0)
+LAGS = 0, 3, HORIZON, (0, 3, 2, 1) * 2 + (1, 0)
+SETTINGS: dict[str, tuple[Any, ...]] = {
+    "sensing": tuple(SENSINGS),
+    "lag": LAGS,
+    "resampling": tuple(ALL_SCHEMES),
+    "threshold": (ALWAYS, 0.6),
+    "proposal": (PLAIN, GUIDED),
+    "rule": RULES,
+    "estimator": tuple(ESTIMATORS),
+}
+
+
+def possible(sensing: str, **given: Any) -> bool:
+    """Whether a job can ask for these settings together."""
+    if SENSINGS[sensing].repeats > 1 and given["threshold"] < ALWAYS:
+        return False
+    weights = ESTIMATORS[given["estimator"]].weights
+    if weights.evidence and (given["lag"] != 0 or given["threshold"] < ALWAYS):
+        return False
+    if given["rule"] and ESTIMATORS[given["estimator"]].filters > 1:
+        return False
+    is_own = given["resampling"] != CONDITIONAL.name
+    return is_own or (given["rule"] is None and given["threshold"] == ALWAYS)
+
+
+def check(evaluator: Evaluator, settings: Estimation) -> None:
+    """Compare all arrays of the filter with those of pieces of 37 and of single draws."""
+    points = range(evaluator.points.first(HORIZON + 1))
+    sets = [tuple(points), tuple(points[1::5]), tuple(points[1::3]), ()]
+    sets = sets[:1] if settings.rule else sets
+
+    def found(draws: range) -> Iterator[FilterArrays]:
+        drawn = evaluator.draws(draws, 7)
+        ends = [HORIZON] * len(sets)
+        yield evaluator.filter_sets(drawn, sets, ends, 9, settings, EACH_DRAW)
+        yield from evaluator.filter_each(drawn, sets[-2:][:1], [9], settings)
+
+    whole = [*found(range(DRAWS))]
+    for size in (37, 1):
+        pieces = [[*found(range(d, min(d + size, DRAWS)))] for d in range(0, DRAWS, size)]
+        for arrays, parts in zip(whole, zip(*pieces, strict=True), strict=True):
+            for name, array in arrays._asdict().items():
+                if array.size:
+                    axis = array.shape.index(DRAWS)
+                    joined = np.concatenate([getattr(part, name) for part in parts], axis)
+                    assert joined.tobytes() == array.tobytes(), (name, size)
+
+
+def check_settings(sensing: str, **given: Any) -> None:
+    """The same for one choice of each of `SETTINGS`."""
+    model = sensed(WALK, {"": SENSINGS[sensing]})
+    evaluator = Evaluator(model, HORIZON, lag=given.pop("lag"))
+    if given["rule"] is not None:
+        levels = given["rule"].thresholds * len(model.parts)
+        given["rule"] = given["rule"]._replace(thresholds=levels)
+    settings = Estimation(40, **given)
+    try:
+        check(evaluator.estimating(settings), settings)
+    except AssertionError as error:
+        error.add_note(f"{sensing}, lag {evaluator.lag}, {settings}")
+        raise
+
+
+def choices_at_random() -> list[dict[str, Any]]:
+    choices = (dict(zip(SETTINGS, values, strict=True)) for values in product(*SETTINGS.values()))
+    shuffled = [choice for choice in choices if possible(**choice)]
+    random.Random(1).shuffle(shuffled)
+    return shuffled
+
+
+def test_no_bit_of_a_draw_depends_on_the_draws_beside_it() -> None:
+    """Choices at random, until they have most pairs of values of two settings."""
+    met = set[frozenset[tuple[str, str]]]()
+    for choice in choices_at_random():
+        items = [(name, str(value)) for name, value in choice.items()]
+        pairs = {frozenset(pair) for pair in combinations(items, 2)}
+        takes_long = choice["proposal"] == GUIDED and SENSINGS[choice["sensing"]].high < np.inf
+        if len(pairs - met) >= 11 and not takes_long:  # to derive
+            met |= pairs
+            check_settings(**choice)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(4))
+def test_no_bit_depends_on_company_with_many_settings_together(part: int) -> None:
+    for choice in choices_at_random()[part:400:4]:
+        check_settings(**choice)
+
+
+@pytest.mark.parametrize(
+    ("engine", "lag"),
+    [
+        ("numpy", 3),
+        ("kalman", 3),
+        *(pytest.param(e, 0, marks=pytest.mark.slow) for e in ("numpy", "kalman")),
+    ],
+)
+def test_no_bit_depends_on_company_with_the_other_engines(engine: str, lag: int) -> None:
+    model = replace(SCALAR.as_model(), linear_gaussian=True)
+    check(Evaluator(model, HORIZON, engine=engine, lag=lag), Estimation(4))
