@@ -31,7 +31,7 @@ COMMANDS = {
         " --set comparison.draws=2000 --results {run}"
     ),
     "plan": _PLAN,
-    "smoothed": f"{_PLAN} --set problem.estimate=smoothed",
+    "smoothed": f"{_PLAN} --bound-draws 0 --set problem.estimate=smoothed",
     "two sensors": (
         "plan {jobs}/two_compartments.toml --set filter.particles=30 --set comparison.draws=2000"
         " --results {run}"
@@ -39,7 +39,7 @@ COMMANDS = {
     "run": "run {jobs}/quick.toml --set filter.particles=30 --results {run}",
     "budget": (
         "budget {jobs}/plan.toml --measurements 5:20:5 --set filter.particles=30"
-        " --set comparison.draws=2000 --results {run}"
+        " --draws 2000 --results {run}"
     ),
     "compare": (
         "compare {jobs}/plan.toml --times a=0:60:3 --times b=0:20 --set filter.particles=30"
@@ -69,7 +69,7 @@ def test_the_work_of_a_command_is_that_of_the_table(
 
 def _worked(name: str, folder: Path) -> dict[str, int]:
     measurements, counts = folder / "measured.csv", folder / "counts.json"
-    measurements.write_text("t,y\n2,1.5\n5,3.0\n")
+    measurements.write_text("t,y0\n2,1.5\n5,3.0\n")
     places = {"jobs": ROOT / "jobs", "run": folder / "run", "measurements": measurements}
     if name in _OF_A_RUN:
         _count(COMMANDS["run"].format(**places), counts)
@@ -80,8 +80,9 @@ def _worked(name: str, folder: Path) -> dict[str, int]:
 
 def _count(command: str, counts: Path) -> None:
     word, *words = command.split()
-    pool = [] if word in _WITHOUT_POOL else ["--pool", "serial", "--no-report"]
-    program = [sys.executable, COUNTS, counts, word, *words, *pool]
+    options = ["--no-report"] * (word not in (*_OF_A_RUN, *_WITHOUT_POOL))
+    options += ["--pool", "serial"] * (word not in _WITHOUT_POOL)
+    program = [sys.executable, COUNTS, counts, word, *words, *options]
     ended = subprocess.run(program, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
 
