@@ -13,8 +13,9 @@ The steps of a batch, in this order, and the cost of a kill at each:
 3. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
    kill of the driver costs the rows that wait. The driver learns the sums of a block when those of
    its draws are there.
-4. Waiting rows are committed with the first result after `COMMIT_SECONDS` (five times as long in a
-   run of minutes), and at the end of a batch unless more follows. A commit writes a file under a
+4. Waiting rows are committed after so many particle-steps as `COMMIT_SECONDS` says (five times as
+   many in a run of minutes), and at the end of a batch unless more follows. Steps are counted, so a
+   busy machine makes no more commits. A commit writes a file under a
    temporary name, flushes it and gives it its name: a kill before the last step leaves a temporary
    file, which the next start removes. The timings of the tasks follow in a separate file: a kill
    between the two costs these timings.
@@ -55,8 +56,9 @@ from pfdist.runner.progress import Reporter, Show
 from pfdist.search.programme import Programme
 from pfdist.store import QUESTIONS, Store, schema
 
-# Between two commits. A kill loses about so much work, and the tasks in flight:
-COMMIT_SECONDS = 1.0  # between two commits; up to five times as long after minutes
+# Between two commits: the particle-steps that all workers do in about so many seconds, at a usual
+# speed. A kill loses about so much work, and the tasks in flight.
+COMMIT_SECONDS = 1.0
 COMMIT_ROWS = 100_000  # largest number of rows that wait in memory, however fast a model is
 EVALUATIONS = "evaluations"
 """The table whose rows are committed last: an evaluation in it has all its draws in others."""
@@ -243,10 +245,10 @@ class RunSession:
         self._outcomes: dict[str, list[tuple[Outcome, Part, int]]] = {}
         self._exact = Counter[tuple[str, Part]]()  # instants that wait for the next commit
         self._later: list[Callable[[], None]] = []
-        self._began = self._last_commit = time.monotonic()
         self._waiting = 0
         # The first programmes of phases, for later drivers: rows of this session are not looked up.
         self.known = dict[str, Programme]()
+        self._steps = self._committed = 0  # particle-steps of all tasks, and at the last commit
 
     def keep(self, phase: str, table: str, rows: pa.Table) -> None:
         """Keep rows for the next commit."""
@@ -288,6 +290,7 @@ class RunSession:
 
     def learn_pace(self, steps: int, seconds: float) -> None:
         """Update the speed with a task of so many particle-steps that took so many seconds."""
+        self._steps += steps
         if self._pace is not None:
             self._pace.learn(steps, seconds)
 
@@ -304,13 +307,13 @@ class RunSession:
         self._later.append(write)
 
     def commit_if_late(self) -> None:
-        """Commit about once a second, later every five seconds, or sooner if there are many rows.
+        """Commit after so many particle-steps, later after five times as many, or after many rows.
 
         So a run of hours has fewer files in ``parts``, which helps network file systems.
         """
-        now = time.monotonic()
-        interval = COMMIT_SECONDS * min(5.0, max(1.0, (now - self._began) / 100))
-        if now - self._last_commit >= interval or self._waiting >= COMMIT_ROWS:
+        least = 0.0 if self._pace is None else self._pace.in_seconds(COMMIT_SECONDS)
+        most = min(5 * least, max(least, self._steps / 100))
+        if self._steps - self._committed >= most or self._waiting >= COMMIT_ROWS:
             self.commit()
 
     def commit(self) -> None:
@@ -335,7 +338,7 @@ class RunSession:
         with self.store.together():
             for write in later:
                 write()
-        self._last_commit = time.monotonic()
+        self._committed = self._steps
 
     def _timings(self, phase: str, outcomes: list[tuple[Outcome, Part, int]]) -> pa.Table:
         rows = [

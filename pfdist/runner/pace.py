@@ -22,6 +22,7 @@ SERVING_SECONDS = 0.001  # the share of the driver and of Ray in its process, fo
 LONGEST_SECONDS = 2.0  # however many workers there are
 FIRST_SECONDS = 180.0  # that a draw may take while nothing is known of a model's speed
 MOST_ROWS = 50_000  # per-draw errors of a task, which lie in memory however fast a model is
+_SLOWER = 4  # times the guess takes a usual model
 _SHARE = 2  # so many tasks for each worker: two are queued at each worker at any time
 
 
@@ -35,7 +36,7 @@ class Pace:
     def __init__(
         self, seconds: float, workers: int, *, learnt: bool = False, is_shared: bool = False
     ) -> None:
-        self.seconds = seconds
+        self.seconds, self._usual = seconds, _SLOWER * seconds
         self._least_learnt = LEAST_SHARED_SECONDS if is_shared else LEAST_SECONDS
         self._workers, self._learnt = workers, learnt
 
@@ -47,6 +48,14 @@ class Pace:
     def expected(self, steps: int) -> float:
         """Seconds that a task of so many particle-steps takes; many before the first has ended."""
         return steps * self.seconds if self._learnt else FIRST_SECONDS
+
+    def in_seconds(self, seconds: float) -> float:
+        """Particle-steps of all workers in about so many seconds, at a usual speed.
+
+        Speeds differ too little to change it, unless the model is many times as slow.
+        """
+        slower = max(0, math.floor(math.log10(self.seconds / self._usual)) - 1)
+        return self._workers * seconds / self._usual / 10.0**slower
 
     def size(self, remaining: int) -> int:
         """Particle-steps of the next task, given the particle-steps that remain.

@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -55,22 +54,31 @@ def test_points_beside_a_point_that_fails_compute_what_it_has_not(
     assert len(pfdist.sweep(small_job, ALIKE, **options).runs) == 2
 
 
-def test_a_run_commits_every_second_and_after_minutes_every_five(
-    session: RunSession, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("busy", [1.0, 4.0])
+def test_a_run_commits_after_counted_work_and_later_after_five_times_as_much(
+    busy: float, session: RunSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now, commits = 0.0, list[float]()
-    monkeypatch.setattr(door, "time", SimpleNamespace(monotonic=lambda: now))
-    monkeypatch.setattr(session.store, "commit", lambda *_: commits.append(now))
-    session._began = session._last_commit = now
+    """A busy machine, whose tasks take four times as long, makes no more commits."""
+    tasks, commits = 0, list[int]()
+    monkeypatch.setattr(session.store, "commit", lambda *_: commits.append(tasks))
+    session.pace(2, is_shared=False)
+    a_second = session._pace.in_seconds(door.COMMIT_SECONDS)
     rows = pa.table({"draw": [0]})
-    for tenth in range(30_000):
-        now = tenth / 10
+    while tasks < 30_000:
+        tasks += 1
         session.keep("phase", "draws", rows)
+        session.learn_pace(round(a_second / 10), busy * 0.1)
         session.commit_if_late()
     gaps = np.diff(commits)
-    assert gaps[:50] == pytest.approx(1.0)
-    assert gaps[-50:] == pytest.approx(5.0)
+    assert gaps[:50] == pytest.approx(10)
+    assert gaps[-50:] == pytest.approx(50)
     assert len(commits) < 1000
+
+
+def test_a_model_that_is_many_times_as_slow_commits_after_less_work(session: RunSession) -> None:
+    usual = session.pace(2, is_shared=False).in_seconds(1.0)
+    session.learn_pace(1000, 2.0)  # 2 ms a particle-step
+    assert session.pace(2, is_shared=False).in_seconds(1.0) < 1e-4 * usual
 
 
 def test_a_sweep_without_workers_ends_with_one_line(
