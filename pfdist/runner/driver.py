@@ -23,8 +23,8 @@ from pfdist.runner.comparison_phase import (
     ways_out,
 )
 from pfdist.runner.door import Part, RunSession, WorkBatch
-from pfdist.runner.evenly_spaced import best_evenly_spaced, opponent_steps
 from pfdist.runner.online_work import OnlineWork
+from pfdist.runner.opponent import best_evenly_spaced, opponent_steps
 from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover
 from pfdist.runner.row_formats import RowsByDraw

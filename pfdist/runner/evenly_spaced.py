@@ -1,271 +1,28 @@
-"""The best evenly spaced sets: the opponent of a plan, and how many of them do as well.
-
-The first programme of the relaxation ranks all evenly spaced sets by the sums of their windows, for
-the work of some eighty evaluations. A race on fresh draws decides between the best of this ranking.
-Where no relaxation adds up the errors of instants, sets are evaluated from coarse to fine. With
-exact errors there is no race. Particle-steps are limited, at any horizon and number.
-"""
+"""How many evenly spaced measurements do as well as the plan: a quick estimate."""
 
 import math
-from collections.abc import Generator, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from collections.abc import Generator
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
-from pfdist.common.measurement_times import EVEN, MOST_REGULAR, REGULAR, Times
+from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.streams import stream_of
-from pfdist.errors import JobError
-from pfdist.filters.work import BLOCK, FilterWork, Result
-from pfdist.kernels.estimators import FILTER_VARIANCE, TWO_CLOUDS
+from pfdist.filters.work import FilterWork, Result
 from pfdist.problem.even_sets import EvenSets
-from pfdist.problem.feasible import Feasible
-from pfdist.problem.search_section import CommonNoiseSettings
 from pfdist.results import Run
 from pfdist.results.evenly_spaced import AS_WELL, sign_of
 from pfdist.results.moments import controlled_mse
 from pfdist.results.stored_run import measured_of
-from pfdist.runner.block_sums import evaluated_by_errors
 from pfdist.runner.build import Built
-from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import RunSession, WorkBatch
-from pfdist.runner.phase import Phase, run_phase
+from pfdist.runner.opponent import EvenSearch, most_if_exact, most_steps, settings_of
 from pfdist.runner.progress import Detail
-from pfdist.runner.search_phase import search_steps
-from pfdist.runner.searches import Settings, coarse_of, shortlist_of
-from pfdist.search import Candidate, Race, Refine
 from pfdist.search.programme import Programme
-from pfdist.search.state_space_relaxation import first_relaxation
 from pfdist.store import EVEN_PHASE, schema
-
-SHARE = 0.05
-"""Largest share of the particle-steps of search, comparison and proof, for each of two answers."""
-_PROVED = 2  # with a proof, all of them take about so many times the search and the comparison
-
-_RANKED = 100_000  # lines of a ranking; the paper's problem has 39,627 sets
-_EXACTLY = 200_000, 20, 1000  # instants of the sets with exact errors; least and most sets
-_NEAR, _LEVELS = 16, 3  # lines near which others are ranked, and how often, if not all are
-_RANKING_DRAWS = 2 * BLOCK
-_RACING, _KEPT, _UNTIL, _FIRST = 20, 12, 600, 150  # sets of a race; those kept until so many draws
-_ROUNDS = 2.4  # the work of a whole race, over that of `_KEPT` sets on `_UNTIL` draws
-_COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
-
-
-# --- the opponent ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Opponent:
-    """The best evenly spaced set that was found, and the best of all opponents."""
-
-    times: Times
-    tried: int  # number of evenly spaced sets that were looked at; 0: all that there are
-    best: str  # name of the best opponent
-
-
-@dataclass(frozen=True)
-class EvenSearch:
-    """The search for the best of the evenly spaced sets of some feasible sets."""
-
-    built: Built
-    name: str  # of the opponent
-    feasible: Feasible
-    given: Mapping[str, Times]  # the user's own opponents, by name; they take part in the race
-
-    @cached_property
-    def even(self) -> EvenSets:
-        """All candidates."""
-        return EvenSets(self.feasible)
-
-    @property
-    def steps(self) -> float:
-        """The most particle-steps that the search may take."""
-        return most_steps(self.built) / len(self.built.study.each)
-
-    @cached_property
-    def phase(self) -> Phase:
-        """The phase of the race, whose sets are still open."""
-        settings, built = settings_of(self.built), self.built
-        return Phase(
-            shortlist_of(self.name), Race((), _FIRST), "shortlist", settings, built,
-            built.job.criterion, part="opponent",
-        )  # fmt: skip
-
-    @property
-    def _a_draw(self) -> float:
-        """Particle-steps of a set in a draw."""
-        instants = self.feasible.horizon + 1
-        return (
-            self.phase.settings.estimation.steps_an_instant * instants * self.phase.criterion.apart
-        )
-
-    def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
-        """The best of the candidates and the given sets, by a race on draws of its own."""
-        given, tried = dict.fromkeys(self.given.values()), 0
-        is_single = self.built.job.budget is None and self.feasible.counted
-        if is_single and self.feasible.total <= MOST_REGULAR:
-            ranked = [self.feasible.regular()]  # every set is evenly spaced
-        elif self.built.evaluator.exact:
-            ranked, tried = yield from self._candidates(session)
-        else:
-            ranked, tried = yield from self._ranked(session)
-            ranked = ranked[:_RACING]
-        ranked = ranked or [self.feasible.regular()]
-        order = [*dict.fromkeys((*given, *ranked))]
-        if len(order) > 1:
-            order = yield from self._raced(session, order)
-        even = next(times for times in order if times in {*ranked})
-        names = (name for name, times in self.given.items() if times == order[0] != even)
-        return Opponent(even, tried, next(names, self.name))
-
-    def _raced(
-        self, session: RunSession, sets: list[Times]
-    ) -> Generator[WorkBatch, None, list[Times]]:
-        """The sets, the best first: by exact errors, or by a race."""
-        errors = self.built.evaluator.expected_mse(sets, criterion=self.built.job.criterion)
-        if errors is not None:
-            instants = len(sets) * (self.feasible.horizon + 1)
-            session.count_exact(self.phase.name, "opponent", instants)
-            return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
-        scale = min(1.0, self.steps / 2 / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
-        draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
-        race = Race(tuple(sets), draws, _KEPT, math.ceil(scale * _UNTIL))
-        raced = yield from run_phase(self._with(race, race.draws), session)
-        return [each.measurement_times for each in raced]
-
-    def _candidates(
-        self, session: RunSession
-    ) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
-        """The candidates for exact errors, and their number: all, or the best of the ranking."""
-        most = most_if_exact(self.feasible)
-        lines = self.even.lines(most * 10)
-        sets = [] if any(line.apart for line in lines) else [*self.even.of(lines)]
-        if 0 < len(sets) <= most:
-            return sets, 0
-        ranked, tried = yield from self._ranked(session)
-        return ranked[:most], tried
-
-    def _ranked(self, session: RunSession) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
-        """Candidates, the best first, and how many there were; 0 if these are all."""
-        programme = yield from self.programme(session)
-        if programme is not None:
-            return ranking(self.even, programme, _RANKED)
-        spread = int(self.steps / 2 / (_COARSE_DRAWS * self._a_draw * 2.5))
-        refine = Refine(self.even, max(8, min(spread, 60)))
-        draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
-        coarse = replace(self._with(refine, draws), name=coarse_of(self.name))
-        found = yield from run_phase(coarse, session)
-        return [each.measurement_times for each in found], len(found)
-
-    def programme(self, session: RunSession) -> Generator[WorkBatch, None, Programme | None]:
-        """The first programme of the relaxation; None if there is none, or it takes too long."""
-        built, phase, feasible = self.built, self.phase, self.feasible
-        if phase.name in session.known:
-            return session.known[phase.name]
-        if not built.job.criterion.additive or built.job.criterion.by_instant:
-            return None
-        blocks = _RANKING_DRAWS // BLOCK
-        most = int(self.steps / 2 / (_RANKING_DRAWS * self._a_draw) * (feasible.horizon + 1))
-        try:
-            relaxation = first_relaxation(
-                feasible, feasible.measurements, built.evaluator.lag, most
-            )
-        except JobError:
-            return None
-        if relaxation.offsets[-1] > most and not built.evaluator.exact:
-            return None
-        counted = np.flatnonzero(np.diff(relaxation.offsets)).tolist()
-        windows = [
-            Candidate(
-                relaxation.filtered(relaxation.windows[number]),
-                int(relaxation.ends[number]),
-                since=int(relaxation.first[number]),
-            )
-            for number in counted
-        ]
-        evaluations, _ = yield from evaluated_by_errors(
-            windows, session, phase.sums, blocks, phase.purpose
-        )
-        errors = np.concatenate([each.errors_of_instants for each in evaluations])
-        session.later(partial(session.store.settle, "error_sums", phase.name))
-        programme = Programme(relaxation, np.nan_to_num(errors, nan=np.inf), relaxation.total)
-        session.known[phase.name] = programme
-        return programme
-
-    def _with(self, optimiser: Race | Refine, draws: int) -> Phase:
-        return replace(
-            self.phase, optimiser=optimiser, settings=replace(self.phase.settings, draws=draws)
-        )
-
-
-def most_if_exact(feasible: Feasible) -> int:
-    """The number of sets whose exact errors are compared."""
-    instants, least, most = _EXACTLY
-    return min(most, max(least, instants // (feasible.horizon + 1)))
-
-
-def ranking(even: EvenSets, programme: Programme, most: int) -> tuple[list[Times], int]:
-    """The sets of all lines or of most lines near good ones, the best first, and their number."""
-    lines = even.lines(most)
-    found, errors = even.of(lines), dict[Times, float]()
-    for level in range(1 + _LEVELS):
-        new = [times for times in found if times not in errors]
-        errors.update(zip(new, programme.of_sets(new).tolist(), strict=True))
-        best = sorted(found, key=errors.__getitem__)[:_NEAR]
-        near = [each for times in best for each in even.near(found[times])]
-        if not near or level == _LEVELS:
-            break
-        found = {**even.of(near), **found}
-    ranked = sorted(errors, key=errors.__getitem__)
-    return ranked, len(ranked) if any(line.apart for line in lines) else 0
-
-
-def settings_of(built: Built) -> Settings:
-    """The settings of the race: those by which a search polishes its plan."""
-    job = built.job
-    by_variance = built.evaluator.variance_is_error and not job.criterion.needs_draws
-    settings = Settings.from_job(job, CommonNoiseSettings(draws=_FIRST), by_variance)
-    estimator = settings.estimation.estimator
-    if estimator == FILTER_VARIANCE.name:  # it does not see that a cloud collapses
-        estimator = TWO_CLOUDS.name
-    return replace(
-        settings,
-        common_noise=True,
-        degenerate_policy="continue",
-        estimation=replace(settings.estimation, estimator=estimator),
-    )
-
-
-def most_steps(built: Built) -> float:
-    """The most particle-steps of the opponents; the scan of numbers may take as many again."""
-    planned = sum(search_steps(built, search) for search in built.searches)
-    proved = _PROVED if built.job.criterion.bound != "none" else 1
-    return SHARE * proved * (planned + comparison_steps(built))
-
-
-def opponent_steps(built: Built) -> float:
-    """Approximate number of particle-steps of all opponents."""
-    return most_steps(built) if built.study.even and built.evaluator.has_particles else 0.0
-
-
-def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Opponent]:
-    """The best evenly spaced set of this name."""
-    return (yield from _search_of(session.built, name).best(session))
-
-
-def _search_of(built: Built, name: str) -> EvenSearch:
-    given = {
-        each: times
-        for each, times in built.job.given_sets.items()
-        if times is not None and built.study.even[name].allows(times)
-    }
-    return EvenSearch(built, name, built.study.even[name], {} if built.job.budget else given)
-
-
-# --- how many do as well --------------------------------------------------------------------------
 
 DRAWS, _WITH_CONTROL = 1000, 400  # at most: the first of the comparison
 _FEW = 250  # of a look; they also judge, if the difference is so clear

@@ -52,7 +52,9 @@ SITUATIONS: dict[str, tuple[Any, dict[str, Any], float]] = {
     "prices": (ONE, {"horizon": T, "price": [1] * 12 + [2] * 13, "total_price": 8}, 0.038650),
     "repeats": ("random_walk", {**WALK, "sensor": {"repeats": 2}}, 0.0),
     "a model that ships": (
-        "two_compartments", {**WALK, "time_step": 1, "sensors": ["immunoassay", "chromatography"]}, 0.0,
+        "two_compartments",
+        {**WALK, "time_step": 1, "sensors": ["immunoassay", "chromatography"]},
+        0.0,
     ),
     "required": (
         "random_walk", {"horizon": 60, "measurement_budget": 24, "required": ["0:20"]}, 0.0,

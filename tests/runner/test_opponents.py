@@ -19,7 +19,7 @@ from pfdist.problem.job import Job
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.run_of_job import searched_by
 from pfdist.runner.build import Built, build
-from pfdist.runner.evenly_spaced import best_evenly_spaced
+from pfdist.runner.opponent import best_evenly_spaced
 
 SYSTEMS = 6
 CLOCK = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22)
