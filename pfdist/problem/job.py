@@ -79,10 +79,9 @@ def override(data: dict[str, Any], change: str) -> None:
     if path[0] == "search" and len(path) > 1:
         section, path = _search_named(data, path[1], change), path[2:]
     for part in path[:-1]:
-        if section.get(part) and is_list_of(
-            section[part], str
-        ):  # names of sections without keys, as of sensors
-            section[part] = {name: {} for name in section[part]}
+        own = section.get(part)
+        if own and is_list_of(own, str):  # names of sections without keys, as of sensors
+            section[part] = {name: {} for name in own}
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
             raise _wrong(change, f"{shown_text(part)} is not a section and has no keys")

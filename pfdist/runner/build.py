@@ -375,7 +375,7 @@ def _sensed(
                 f"filter.engine = {job.filter.engine!r} needs sensors without fails and limits, "
                 f"which are not linear, got some in {key}: 'compiled' takes them ({job.path})"
             )
-        return truth, truth if believed is model else sensed(believed, job.problem.sensings)
+        return truth, truth if believed == model else sensed(believed, job.problem.sensings)
     except ModelError as error:
         raise ModelError(f"{key}: {error}") from error
 

@@ -345,5 +345,7 @@ def test_a_backtest_of_angles_is_the_same_a_turn_later() -> None:
     for column in ("real", "foreseen", "covered"):
         assert second[column].to_numpy() == pytest.approx(first[column].to_numpy(), rel=1e-9)
     assert found[0].improbable == found[1].improbable == 0.0
-    for one, other in zip(found[0].shown, found[1].shown, strict=True):  # what the figure shows
-        assert other.measured == pytest.approx(one.measured, abs=1e-9, nan_ok=True)
+    for first_shown, other in zip(
+        found[0].shown, found[1].shown, strict=True
+    ):  # what the figure shows
+        assert other.measured == pytest.approx(first_shown.measured, abs=1e-9, nan_ok=True)

@@ -227,6 +227,6 @@ def test_matrices_of_all_instants_are_those_of_each(monkeypatch: pytest.MonkeyPa
     assert len(calls) == 4
     for t, each in enumerate(alone):
         for name in ("transition", "measurement", "quantity_of_interest"):
-            one, other = getattr(each, name)[0], getattr(together, name)[t]
-            assert other.offset == pytest.approx(one.offset, rel=1e-14)
-            assert other.matrix == pytest.approx(one.matrix, rel=1e-14)
+            single, other = getattr(each, name)[0], getattr(together, name)[t]
+            assert other.offset == pytest.approx(single.offset, rel=1e-14)
+            assert other.matrix == pytest.approx(single.matrix, rel=1e-14)

@@ -23,7 +23,7 @@ from pfdist.errors import JobError, MeasurementTimesError, ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.models.base import formula_of_each_sensor as _EACH
+from pfdist.models.base import formula_of_each_sensor
 from pfdist.models.sensed import sensed
 from pfdist.pages.terminal import lines_of
 from pfdist.pages.times_axis import forbidden_times
@@ -407,12 +407,16 @@ def test_a_refusal_names_its_cause_and_what_works() -> None:
     """Failures, not the model, are what the Kalman filter cannot take."""
     linear = Problem(walk(), horizon=6, measurement_budget=2, engine="kalman")
     for sensor in ({"fails": 0.2}, {"limit": 0.0}):
-        with pytest.raises(JobError, match="sensors without fails and limits.*'compiled' takes"):
+        with pytest.raises(JobError, match=r"sensors without fails and limits.*'compiled' takes"):
             pfdist.evaluate(linear.with_changes(sensor=sensor), [1, 2])
     two = Sensor(walk().measurement, walk().log_likelihood, ("normal",))
     fields: dict[str, Any] = {"measurement_noise": (), "log_tails": None}
     lab = replace(
-        walk(), **fields, measurement=_EACH, log_likelihood=_EACH, sensors={"a": two, "b": two}
+        walk(),
+        **fields,
+        measurement=formula_of_each_sensor,
+        log_likelihood=formula_of_each_sensor,
+        sensors={"a": two, "b": two},
     )
     job = Problem(lab, horizon=6, measurement_budget=2).job()
     data = {"problem": {"horizon": 6, "measurement_budget": 2, "sensors": ["a", "b"]}}
@@ -421,7 +425,7 @@ def test_a_refusal_names_its_cause_and_what_works() -> None:
     ]  # fmt: skip
     override(data, "problem.sensors.a.repeats=2")  # names alone are sections, too
     assert data["problem"]["sensors"] == {"a": {"repeats": 2}, "b": {}}
-    with pytest.raises(JobError, match="unless the estimate waits .*: estimate = 'smoothed'"):
+    with pytest.raises(JobError, match=r"unless the estimate waits .*: estimate = 'smoothed'"):
         Problem(
             walk(), horizon=6, total_price=9, price=[1] * 7, sensor={"delay": 1},
             visits={"price": 1, "within": 1},

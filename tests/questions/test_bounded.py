@@ -257,6 +257,7 @@ def test_a_right_model_whose_sensor_fails_is_right() -> None:
     problem = Problem(model, horizon=6, measurement_budget=2, particles=100, sensor={"fails": 0.2})
     found = by_name(problem)
     assert "missing components" not in found
+    assert not [name for name in found if name.startswith("filter: ")]  # it is the same model
     assert not [name for name, (state, _) in found.items() if state == "wrong"], found
     with_nan = replace(model, missing_components=True)  # its log_likelihood takes no NaN
     state, text = by_name(problem.with_changes(model=with_nan))["missing components"]

@@ -5,6 +5,7 @@ of real first and last targets (`oracles.even`).
 """
 
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -150,3 +151,29 @@ def test_no_evenly_spaced_set_does_better(kind: str, seed: int) -> None:
     least = min(evaluator.expected_mse(own))
     (found,) = evaluator.expected_mse([_opponent(built)])
     assert found <= least * (1 + 1e-9)
+
+
+@pytest.mark.statistics
+def test_intervals_contain_the_gain_over_the_true_best(tmp_path: Path) -> None:
+    """The opponent is chosen by chance, and the interval does not know it: its regret is small.
+
+    Of 100 intervals of 95 % at least 88 contain the true gain (binomial, 0.2 %). The number of
+    draws makes half an interval at least four times the regret that is allowed, 0.5 %.
+    """
+    exact, contained, halves = _built(3, 12, measurement_budget=4), 0, list[float]()
+    evaluator = exact.evaluator
+    least = min(evaluator.expected_mse([*_free(exact.job, 4)]))
+    problem = pfdist.Problem(_model(3, 12), horizon=12, measurement_budget=4, particles=100)
+    for seed in range(1, 101):
+        changes = [f"seed={seed}", "comparison.draws=1000"]
+        run = pfdist.plan(
+            problem, tmp_path / f"{seed}", changes=changes, bound_draws=0, figures=False,
+            pool="serial",
+        )  # fmt: skip
+        row = run.table("sets").set_index("label").loc["plan"]
+        (plan,) = evaluator.expected_mse([tuple(row["measurement_times"])])
+        low, high = row["gain_of_means_low"], row["gain_of_means_high"]
+        contained += low <= 1 - plan / least <= high
+        halves.append((high - low) / 2)
+    assert np.median(halves) >= 4 * 0.005
+    assert contained >= 88
