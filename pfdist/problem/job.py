@@ -163,6 +163,7 @@ class Origin(NamedTuple):
 
 
 _NO_FILE = Origin()
+_EXACT_DRAWS = 2000  # by default beside exact errors, for shares of draws and for pictures
 
 
 class Job(JobSection):
@@ -381,6 +382,16 @@ class Job(JobSection):
         if not self.is_controlled:
             return self
         return self.with_changes(settings={"comparison": {"control": True}})
+
+    @model_validator(mode="after")
+    def _simulates_few_draws_beside_exact_errors(self) -> Self:
+        """Compare few draws by default, if neither errors nor the criteria come from them."""
+        needs_draws = any(each.needs_draws for each in self.judging.values())
+        is_given = "draws" in self.comparison.model_fields_set
+        if is_exact(self.filter.engine) and not (is_given or needs_draws or self.scenarios):
+            comparison = self.comparison.model_copy(update={"draws": _EXACT_DRAWS})
+            object.__setattr__(self, "comparison", comparison)
+        return self
 
     @model_validator(mode="after")
     def _compares_references(self) -> Self:

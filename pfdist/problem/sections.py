@@ -202,7 +202,8 @@ class Comparison(JobSection):
     Parameters
     ----------
     draws : int
-        Number of fresh draws on which all sets are compared.
+        Number of fresh draws on which all sets are compared. By default 2,000 with an exact engine,
+        whose expected errors need none, unless there are scenarios or a quantile.
     reference : str or list of times, clock
         The set with which the others are compared.
     sets : dict of str to times, clock

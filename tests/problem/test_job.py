@@ -420,3 +420,22 @@ def test_a_lag_on_uneven_steps_has_as_many_instants_as_its_duration(write):
 def test_later_measurements_need_sets_or_gaps_that_are_compared(write, change, message):
     with pytest.raises(JobError, match=rf"^problem.estimate = 'smoothed' needs .*{message}"):
         load_job(write(), ["problem.estimate=smoothed", change])
+
+
+def test_exact_errors_need_few_draws_unless_draws_decide_or_are_given(tmp_path: Path) -> None:
+    """Shares of draws and pictures are all that draws give then."""
+    path = tmp_path / "job.toml"
+    path.write_text(
+        'seed = 1\nmodel.name = "linear_gaussian"\nproblem = {horizon = 4, measurement_budget = 2}'
+    )
+    exact = "filter.engine=kalman"
+    for draws, changes in {
+        100_000: [],
+        2000: [exact],
+        500: [exact, "comparison.draws=500"],
+    }.items():
+        job = load_job(path, changes)
+        assert job.comparison.draws == draws
+        assert job.identity()["comparison"]["draws"] == draws
+    for change in ('problem.criterion="quantile 0.9"', 'comparison.also=["quantile 0.9"]'):
+        assert load_job(path, [exact, change]).comparison.draws == 100_000
