@@ -239,9 +239,8 @@ class Clock:
         for row, time in enumerate(given, 1):
             if math.isnan(time):
                 raise ValueError(f"{_NO_TIME} (row {row})")
-        for each in (
-            (1.0, 1000.0) if self.calendar and given and min(given) > 2 * last - first else ()
-        ):
+        is_late = self.calendar and given and min(given) > 2 * last - first
+        for each in (1.0, 1000.0) if is_late else ():
             seconds = [cast("Calendar", self.calendar).since_epoch(t / each) for t in given]
             if first - self.slack <= min(seconds) and max(seconds) <= last + self.slack:
                 if each == 1.0:

@@ -197,7 +197,7 @@ def test_a_file_that_is_none_or_too_large_is_not_read(
         with monkeypatch.context() as less:
             less.setattr(user_tables, "MOST_NUMBERS", 5)
             with pytest.raises(
-                MeasurementsError, match="of 3 columns must have at most 1 rows, got (more|2)"
+                MeasurementsError, match=r"of 3 columns must have at most 1 rows, got (more|2)"
             ):
                 read_measurements(path, ship, Clock.counting(10))
         with monkeypatch.context() as less:
