@@ -37,7 +37,6 @@ if TYPE_CHECKING:  # the help of the program imports none of what a command need
 
 # Exit codes. 75 is EX_TEMPFAIL: a batch script may start the same command again.
 _DONE, _ERROR, _WRONG_WORDS, _INTERRUPTED, _AGAIN = 0, 1, 2, 130, 75
-_SAVED = " Finished work is saved; run the same command to resume."
 _LONGEST = 1200  # characters of an error's line; longer lines lose their middle
 
 
@@ -115,7 +114,7 @@ def _run(line: "Line", *, ends: bool) -> int:
         stopping.check()  # the exit code shows a signal that was received, even at the very end
     except KeyboardInterrupt:
         resumes = COMMANDS[line.name].resumes and not line.options.get("dry_run")
-        print(f"pfdist: Stopped.{_SAVED if resumes else ''}", file=sys.stderr)
+        print(f"pfdist: Stopped.{stopping.SAVED if resumes else ''}", file=sys.stderr)
         return stopping.exit_code() or _INTERRUPTED
     except BrokenPipeError:
         return _unread()

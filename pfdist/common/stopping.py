@@ -9,11 +9,12 @@ Loops call `check`. In Python and in notebooks it does nothing, and Ctrl-C raise
 KeyboardInterrupt.
 """
 
+import contextlib
 import os
 import signal
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 from pfdist.common.parent import become_child, received, report_code, say
 
@@ -26,6 +27,8 @@ _CTRL_C_SECONDS = 2.5  # for the commit of finished work; nobody at a terminal w
 _heard = threading.Event()  # `check` raises
 _at_work = threading.Event()  # `check` was called
 _received = list[int]()
+_noting = list[Callable[[], object]]()
+SAVED = " Finished work is saved; run the same command to resume."
 
 
 def check() -> None:
@@ -37,6 +40,20 @@ def check() -> None:
     _at_work.set()
     if _heard.is_set() and threading.current_thread() is threading.main_thread():
         raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def saved(note: Callable[[], object]) -> Iterator[None]:
+    """A context of a command that saves its work: a stop says so, and notes that it is a stop.
+
+    `note` is called at the signal, and again before the process ends in whatever way, because this
+    thread may still be at work. So a later kill is no crash.
+    """
+    _noting.append(note)
+    try:
+        yield
+    finally:
+        _noting.remove(note)
 
 
 def sleep(seconds: float) -> None:
@@ -79,6 +96,7 @@ def _listen(numbers: Iterable[int]) -> None:
     if is_at_work:
         say(_STOPPING)  # before the command can end
     _received.append(number)
+    _note()
     if is_at_work:
         _heard.set()
         most = _CTRL_C_SECONDS if number == signal.SIGINT else _NOTICE_SECONDS
@@ -90,5 +108,12 @@ def _listen(numbers: Iterable[int]) -> None:
 
 def _end_after(seconds: float) -> None:
     time.sleep(seconds)
-    say("Stopped.")
+    _note()
+    say(f"Stopped.{SAVED if _noting else ''}")
     os._exit(report_code(_CODES[_received[0]]))
+
+
+def _note() -> None:
+    for note in [*_noting]:
+        with contextlib.suppress(Exception):  # whatever is wrong, the process ends
+            note()

@@ -15,8 +15,9 @@ NeurIPS 2016 (both sides of an evidence).
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -310,11 +311,39 @@ class Quantile(Judging):
 
     def _again(self, mse: Array, resamples: int) -> Array:
         """The quantiles of resampled draws, the same for all sets, (S, resamples)."""
-        rng, count = np.random.default_rng(0), mse.shape[1]
-        resampled = (mse[:, rng.integers(0, count, count)] for _ in range(resamples))
-        return np.stack([self._values(each) for each in resampled], axis=1)
+        count, again = mse.shape[1], np.empty((len(mse), resamples))
+        rank = max(0, math.ceil(self.share * count) - 1)
+        # No resample has its quantile before this one of the ordered draws.
+        first = max(0, rank - _SPREADS * math.isqrt(count))
+        orders = np.argsort(mse, axis=1)[:, first:]
+        for k, times in enumerate(_resampled(resamples, count)):
+            for s, order in enumerate(orders):
+                number = np.cumsum(times[order], dtype=np.int64)
+                place = np.searchsorted(number, rank - (count - number[-1]), "right")
+                again[s, k] = mse[s, order[place]]
+        return again
 
 
+def _resampled(resamples: int, count: int) -> Iterable[NDArray[np.uint8]]:
+    """How often each draw comes in each resample; a search asks for the same ones very often."""
+    if resamples * count <= _KEPT:
+        return _kept_resamples(resamples, count)
+    rng = np.random.default_rng(0)
+    return (_times(rng, count) for _ in range(resamples))
+
+
+@lru_cache(maxsize=2)
+def _kept_resamples(resamples: int, count: int) -> NDArray[np.uint8]:
+    rng = np.random.default_rng(0)
+    return np.stack([_times(rng, count) for _ in range(resamples)])
+
+
+def _times(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
+    return np.bincount(rng.integers(0, count, count), minlength=count).astype(np.uint8)
+
+
+_KEPT = 50_000_000  # bytes of resamples
+_SPREADS = 6  # the number of a resample's draws up to a quantile varies by sqrt(count) / 2
 _SIDES = (1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2
 _RESAMPLES, _FEW_RESAMPLES = 500, 100  # of a bootstrap, for an answer and in a search
 _NORMAL = 1.96  # half the width of a 95 % interval, in standard errors

@@ -23,6 +23,8 @@ from pfdist.problem.calendar import SECONDS, Calendar, groups
 
 Time = int | float
 
+_MISSING = ("", "nan", "nat", "none", "null", "na")  # texts of a cell without a date
+_NO_TIME = "t must not be empty, got nothing"
 _ROUNDING = 1e-11
 """Rounding to 12 digits changes a time by less than this part of it."""
 _FLOAT_ROUNDING = 1e-15
@@ -208,6 +210,8 @@ class Clock:
             return {}
 
         def read(text: str) -> float:
+            if text.lower() in _MISSING:
+                raise MeasurementTimesError(_NO_TIME)
             time = calendar.elapsed(text)  # raises if a cell has anything else than a date
             return time if between else self.times[self.instant(text, "t")]
 
@@ -227,12 +231,24 @@ class Clock:
         return [int(np.abs(own - time).argmin()) for time in times]
 
     def of_table(self, times: Sequence[float]) -> list[float]:
-        """The times of a user's table in the clock's unit, if all can only be epoch seconds."""
+        """The times of a user's table in the clock's unit, if all can only be epoch seconds.
+
+        Raises ValueError if a time is missing, or if they are epoch milliseconds.
+        """
         first, last, given = self.times[0], self.times[-1], [*times]
-        if self.calendar and given and min(given) > 2 * last - first:
-            seconds = [self.calendar.since_epoch(t) for t in given]
+        for row, time in enumerate(given, 1):
+            if math.isnan(time):
+                raise ValueError(f"{_NO_TIME} (row {row})")
+        is_late = self.calendar and given and min(given) > 2 * last - first
+        for each in (1.0, 1000.0) if is_late else ():
+            seconds = [cast("Calendar", self.calendar).since_epoch(t / each) for t in given]
             if first - self.slack <= min(seconds) and max(seconds) <= last + self.slack:
-                return seconds
+                if each == 1.0:
+                    return seconds
+                raise ValueError(
+                    f"t must be dates or seconds since 1970, got {given[0]:.15g}, which is in "
+                    "milliseconds: divide t by 1,000"
+                )
         return given
 
     def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:

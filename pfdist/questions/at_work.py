@@ -3,8 +3,10 @@
 import contextlib
 import os
 from collections.abc import Iterable, Iterator
+from functools import partial
 from time import perf_counter
 
+from pfdist.common import stopping
 from pfdist.errors import SilenceError
 from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.pools.base import Pool
@@ -67,10 +69,12 @@ def noted(session: RunSession) -> Iterator[None]:
     execution, _ = chosen_pool(session.built.job.execution, threaded=threaded)
     if not POOLS[execution.pool].isolated:
         write_file(begun, lambda path: path.write_text(_SAYS, encoding="utf-8"))
+    forget = partial(remove_file, begun)
     try:
-        yield
+        with stopping.saved(forget):  # a stop is no crash, in whatever way the process ends
+            yield
     finally:
-        remove_file(begun)
+        forget()
 
 
 def release_the_lock(engines: Iterable[str]) -> bool:

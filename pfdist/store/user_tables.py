@@ -34,7 +34,7 @@ _NONE: Mapping[str, Sequence[str]] = {}  # no column holds texts
 NO_READERS: Mapping[str, Callable[[str], float]] = {}  # all numbers are written as numbers
 NO_NAMES: Mapping[str, str] = {}  # all columns have the names that pfdist reads
 _DECIMAL = r"[+-]?\d*[.,]\d+(?:[eE][+-]?\d+)?"  # a number with a decimal point or comma
-_GROUPED = r"[+-]?\d{1,3}[.,]\d{3}"  # such a number that may be a whole one, in thousands
+_GROUPED = r"[+-]?[1-9]\d{0,2}[.,]\d{3}"  # such a number that may be a whole one, in thousands
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 SEPARATORS = "columns must be separated by commas; decimals have a point"
 
@@ -88,11 +88,13 @@ def read_user_table(
                 raise ValueError(f"{rule}, got {shown(name)} twice")
         return [each for each in header if not only or back.get(each, each) in only]
 
+    is_whole = isinstance(source, pd.DataFrame)
     columns, rows = defaultdict[Any, list[NDArray[Any]]](list), 0
     for part in _parts(source, wanted, most_rows):
         table = part.set_axis(pd.RangeIndex(rows, rows + len(part))).rename(columns=back)
         rows += len(table)
-        _check_rows(rows, table.shape[1], most_rows)
+        # A CSV file is read only until it has too many.
+        _check_rows(rows, table.shape[1], most_rows, f"{rows:,}" if is_whole else "more")
         for name in table.columns:
             columns[name].append(
                 _texts(name, table[name])
@@ -234,11 +236,10 @@ def _first_line(error: Exception) -> str:
     return str(error).strip().partition("\n")[0]
 
 
-def _check_rows(rows: int, columns: int, most_rows: int) -> None:
+def _check_rows(rows: int, columns: int, most_rows: int, got: str = "") -> None:
     if rows > (most := min(most_rows, MOST_NUMBERS // columns)):
-        raise ValueError(
-            f"a table of {columns} columns must have at most {most:,} rows, got {rows:,}"
-        )
+        rule = f"a table of {columns} columns must have at most {most:,} rows"
+        raise ValueError(f"{rule}, got {got or f'{rows:,}'}")
 
 
 def _texts(name: str, column: "pd.Series[Any]") -> NDArray[Any]:

@@ -4,11 +4,16 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from pfdist.cli.main import main
 from pfdist.common import stopping
+from pfdist.problem.sections import Execution
+from pfdist.questions.at_work import noted
 
 CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
 STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now\n"
@@ -94,6 +99,38 @@ time.sleep(600)
 def test_after_the_notice_of_a_batch_system_the_process_ends_whatever_it_does() -> None:
     lines = "heard(signal.SIGUSR1); time.sleep(600)"
     assert done(lines, "stopping._NOTICE_SECONDS = 0.1") == (75, "", STOPPING + STOPPED)
+
+
+def test_a_stop_in_the_middle_of_long_work_is_noted_and_says_that_work_is_saved() -> None:
+    """At once, so that even a kill after it is no crash; and before the process ends."""
+    lines = """
+with stopping.saved(lambda: print("noted", flush=True)), stopping.saved(lambda: 1 / 0):
+    heard(signal.SIGINT)
+    time.sleep(600)
+"""
+    saved = STOPPED.rstrip() + stopping.SAVED + "\n"
+    once = "stopping._CTRL_C_SECONDS = 0.1"
+    assert done(lines, once) == (130, "noted\n" * 2, STOPPING + saved)
+    by_kill = "with stopping.saved(lambda: os.kill(os.getpid(), 9)): heard(signal.SIGTERM)"
+    assert done(by_kill)[0] == -signal.SIGKILL  # it was noted before anything else
+
+
+def test_the_mark_of_a_process_at_work_is_gone_once_it_was_stopped(tmp_path: Path) -> None:
+    job, said = SimpleNamespace(execution=Execution(pool="serial")), list[str]()
+    built = SimpleNamespace(evaluator=SimpleNamespace(engine="compiled"), job=job)
+    store = SimpleNamespace(path=tmp_path)
+    session: Any = SimpleNamespace(store=store, built=built, say=said.append)
+    with noted(session):
+        assert (tmp_path / ".begun").exists()
+        stopping._note()
+        assert not (tmp_path / ".begun").exists()
+    with noted(session):
+        pass
+    assert said == []
+    (tmp_path / ".begun").touch()
+    with noted(session):
+        pass
+    assert "ended without a message" in said[0]
 
 
 def test_a_signal_that_is_ignored_stays_ignored() -> None:

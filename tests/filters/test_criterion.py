@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.walks import SCENARIOS, WALK, WEIGHTS
 from pfdist.common.estimate import Estimate
 from pfdist.errors import JobError
@@ -286,3 +287,15 @@ def test_the_upper_end_holds_if_both_sides_are_of_the_same_draws() -> None:
     judged = [NATS.judged(Sample(each, information=5.0 + each, gap=1.0 + each)) for each in draws]
     for found, own in zip(judged, draws, strict=True):
         assert found.high == pytest.approx(Estimate.of_mean(6.0 + 2.0 * own).interval()[1])
+
+
+@in_turn("draws", [1, 5, 24, 1000])
+@in_turn("share", [0.05, 0.5, 0.9, 0.99])
+def test_the_bootstrap_of_a_quantile_is_that_of_resampled_draws(draws: int, share: float) -> None:
+    """The same values as with each resample written out, with ties and infinite errors, too."""
+    criterion, mse = Quantile(share=share), np.random.default_rng(1).exponential(size=(3, draws))
+    mse[1], mse[2, : draws // 3] = np.round(mse[1], 1), np.inf
+    rng = np.random.default_rng(0)
+    drawn = [mse[:, rng.integers(0, draws, draws)] for _ in range(100)]
+    expected = np.stack([criterion._values(each) for each in drawn], axis=1)
+    np.testing.assert_array_equal(criterion._again(mse, 100), expected)

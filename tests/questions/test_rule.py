@@ -14,6 +14,7 @@ import pytest
 
 import pfdist
 from oracles import beliefs, watched
+from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
@@ -31,6 +32,7 @@ from pfdist.questions.rule import (
 )  # fmt: skip
 from pfdist.runner import ruling
 from pfdist.runner.build import build
+from pfdist.store import listing
 from pfdist.store.verify import verify_run
 
 SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
@@ -354,6 +356,27 @@ def test_a_rule_is_read_only_as_it_was_written(
     file.unlink()
     with pytest.raises(StoreError, match="has no rule"):
         rule_of(run, COUNTED)
+
+
+@pytest.mark.parametrize("fault", ["ended", "ENOSPC", "EIO", "EROFS"])
+def test_a_kill_or_a_full_disk_leaves_the_former_rule_or_the_new_one(
+    fault: str, finished: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At each operation on a file; then the rule can be written again."""
+    run, rules = shutil.copytree(finished(), tmp_path / "run"), (Rule((1.0,)), Rule((2.0,)))
+    answers = [{"rule": rule_json(rule, COUNTED)} for rule in rules]
+    layer = FileLayer(monkeypatch, tmp_path)
+    keep_rule(run, answers[0])
+    count = layer.run(lambda: keep_rule(run, answers[1]))
+    for at in range(count):
+        keep_rule(run, answers[0])
+        with pytest.raises((Ended, StoreError)):
+            layer.run(lambda: keep_rule(run, answers[1]), fault, at)
+        listing._known.clear()
+        assert rule_of(run, COUNTED) in rules
+        keep_rule(run, answers[1])
+        assert rule_of(run, COUNTED) == rules[1]
+        assert list(verify_run(run)) == []
 
 
 def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacing(
