@@ -27,15 +27,16 @@ def test_the_steps_of_all_tasks_are_counted_and_a_resumed_run_adds_what_it_compu
         return results(evaluator, works)
 
     monkeypatch.setattr(Evaluator, "results", counting)
+    small_job = small_job.with_changes(["problem.horizon=8"])
     run = pfdist.run(small_job, tmp_path / "run", bound_draws=480, figures=False)
     before = work_of(run)
     assert sum(before.values()) == sum(steps)
     assert before.keys() <= {*get_args(Part)}
-    assert before["comparison"] == 3 * 250 * 13 * 40  # sets, draws, instants, particles
-    assert before["other estimate"] == 3 * 50 * 13 * 40
+    assert before["comparison"] == 3 * 250 * 9 * 40  # sets, draws, instants, particles
+    assert before["other estimate"] == 3 * 50 * 9 * 40
     more = small_job.with_changes(["comparison.draws=300"])
     after = work_of(pfdist.run(more, tmp_path / "run", figures=False))
-    assert after["comparison"] == 3 * 300 * 13 * 40
+    assert after["comparison"] == 3 * 300 * 9 * 40
     assert after["search"] == before["search"]
     assert sum(after.values()) == sum(steps)
 
@@ -54,7 +55,7 @@ def test_an_exact_engine_counts_instants_of_sets(
 def test_a_plan_is_foreseen_about_as_it_is_done(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    few = ["problem.horizon=20", "comparison.draws=500"]
+    few = ["problem.horizon=8", "filter.particles=20"]
     words = ["plan", str(small_job.path), *(f"--set={each}" for each in few)]
     assert main([*words, "--dry-run"]) == 0
     text = capsys.readouterr().out
