@@ -163,6 +163,7 @@ def columns() -> str:
     """Give the tables of all columns of the tables of a run."""
     schemas = {
         "compared": schema("compared", "exact_mse", "exact_information", "exact_other_mse"),
+        "timings": schema("timings", "part", "particle_steps"),
         "evenly_spaced": schema("evenly_spaced", "plan_mse"),
         "bound": schema("bound", "shares"),
         "comparison": comparison_schema(["SET"], with_control=True, with_scenarios=True),

@@ -9,13 +9,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from functools import partial
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pfdist import __version__
 from pfdist.problem.set_key import labels_of_sets
 from pfdist.results.columns import COLUMNS, Row
 from pfdist.results.stored_run import StoredRun, evaluations_of
@@ -135,5 +135,5 @@ def _fingerprint(run: StoredRun) -> bytes:
     if listing is None or run._store.has_parts(without=QUESTIONS):
         return b""
     files = (file for file in sorted(listing.files) if f"/{WHY_PHASE}-" not in file)
-    text = "\n".join((version("pfdist"), *files))
+    text = "\n".join((__version__, *files))
     return hashlib.sha256(text.encode()).hexdigest().encode()

@@ -5,7 +5,6 @@ may lead out of the folder, and opening a pipe may wait for ever. So a caller ch
 (`check_entries`) before it opens the first file, and only plain files of tables are opened.
 """
 
-import contextlib
 import os
 import re
 import stat
@@ -108,13 +107,19 @@ def check_entries(folder: Path) -> None:
         (stat.S_ISDIR, "folder", ("tables", "parts", FIGURES_FOLDER, *below)),
     ):
         for name in names:
-            path = folder / name
-            with reading(path), contextlib.suppress(FileNotFoundError, NotADirectoryError):
-                if not is_right(path.lstat().st_mode):
-                    raise StoreError(
-                        f"{path} must be a plain {what}, got {_kind(path.lstat().st_mode)}: remove "
-                        "it, and run the same command again"
-                    )
+            path = f"{folder}/{name}"  # a `Path` takes longer than the look
+            try:
+                mode = os.lstat(path).st_mode
+            except (FileNotFoundError, NotADirectoryError):
+                continue
+            except OSError:
+                with reading(Path(path)):
+                    raise
+            if not is_right(mode):
+                raise StoreError(
+                    f"{path} must be a plain {what}, got {_kind(mode)}: remove it, and run the "
+                    "same command again"
+                )
 
 
 def _kind(mode: int) -> str:

@@ -1,9 +1,9 @@
 """Commands do as much work as `work.csv` says: whoever makes one dearer changes a number there.
 
-Each command runs in a process of its own, whose work `oracles.worked` counts: particle-steps by what
-they are for (instants of sets for an exact engine), tasks, commits, files, formulas traced, code
-that is compiled or loaded, and calls of functions of pfdist. Jobs have few particles: numbers of
-steps are in proportion. `pytest -m golden -k work --keep-golden` writes the table anew.
+Each command runs in a process of its own, whose work `oracles.worked` counts: particle-steps by
+what they are for (instants of sets for an exact engine), tasks, commits, files, formulas traced,
+code that is compiled or loaded, and calls of functions of pfdist. Jobs have few particles: numbers
+of steps are in proportion. `pytest -m golden -k work --keep-golden` writes the table anew.
 """
 
 import csv

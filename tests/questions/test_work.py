@@ -1,0 +1,77 @@
+"""Work is counted by what it is for, once, and foreseen before it is done."""
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.filters.evaluator import Evaluator
+from pfdist.questions.sweep import foreseen_work
+from pfdist.results.stored_run import work_of
+from pfdist.runner.door import Part
+
+
+def test_the_steps_of_all_tasks_are_counted_and_a_resumed_run_adds_what_it_computes(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps, results = list[int](), Evaluator.results
+
+    def counting(evaluator: Evaluator, works: Any) -> Any:
+        steps.extend(work.steps for work in works)
+        return results(evaluator, works)
+
+    monkeypatch.setattr(Evaluator, "results", counting)
+    small_job = small_job.with_changes(["problem.horizon=8"])
+    run = pfdist.run(small_job, tmp_path / "run", bound_draws=480, figures=False)
+    before = work_of(run)
+    assert sum(before.values()) == sum(steps)
+    assert before.keys() <= {*get_args(Part)}
+    assert before["comparison"] == 3 * 250 * 9 * 40  # sets, draws, instants, particles
+    assert before["other estimate"] == 3 * 50 * 9 * 40
+    more = small_job.with_changes(["comparison.draws=300"])
+    after = work_of(pfdist.run(more, tmp_path / "run", figures=False))
+    assert after["comparison"] == 3 * 300 * 9 * 40
+    assert after["search"] == before["search"]
+    assert sum(after.values()) == sum(steps)
+
+
+def test_an_exact_engine_counts_instants_of_sets(
+    finished: Callable[..., Path],
+) -> None:
+    changes = ["model.name=linear_gaussian", "filter.engine=kalman", "filter.proposal=auto"]
+    done = work_of(pfdist.open_run(finished(*changes)))
+    # each set on each draw, whose errors are shown, and its exact error
+    assert done["comparison"] == 3 * (250 + 1) * 13
+    assert done["search"] % 13 == 0
+    assert done["other estimate"] == 3 * 13
+
+
+def test_a_plan_is_foreseen_about_as_it_is_done(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = ["problem.horizon=8", "filter.particles=20"]
+    words = ["plan", str(small_job.path), *(f"--set={each}" for each in few)]
+    assert main([*words, "--dry-run"]) == 0
+    text = capsys.readouterr().out
+    rows = foreseen_work(small_job.path, "relaxation", few, None)
+    foreseen = dict(zip(rows["part"], rows["steps"], strict=True))
+    shown = dict(re.findall(r"^(.*?)  +(\S+e\+\d+|\d+) ", text, re.MULTILINE))
+    assert shown.pop("all") == f"{sum(foreseen.values()):.3g}"
+    assert shown == {part: f"{steps:.3g}" for part, steps in foreseen.items()}
+    assert (rows["minutes"] > 0).all()
+    run = tmp_path / "run"
+    assert main([*words, "--results", str(run), "--no-report", "--pool", "serial"]) == 0
+    capsys.readouterr()
+    done = Counter(work_of(pfdist.open_run(run)))
+    for part in ("comparison", "other estimate"):
+        assert done[part] == foreseen[part]
+    for part in ("search", "proof", "likelihood", "statistics"):
+        assert foreseen[part] / 4 < done[part] < 2 * foreseen[part], part
+    assert main(["status", str(run)]) == 0
+    assert f"particle-steps: {done.total():.3g} (" in capsys.readouterr().out
