@@ -10,6 +10,7 @@ Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2
 
 import math
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from pfdist.errors import PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import filter_blocks
-from pfdist.filters.interface import SUMS, all_or_none, checking
+from pfdist.filters.interface import SUMS, all_or_none, checking, weighed
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import FilterArrays, FilterRequest
@@ -95,7 +96,11 @@ def filter_checked_sets(
     """
     planned, columns, givers = _planned(draws, sets, ends)
     shape: tuple[int, ...] = len(planned.measured), draws.z.shape[1] if errors else 0
-    if errors != SUMS:
+    weights = ESTIMATORS[settings.estimator].weights
+    # The kernel adds a term of all draws before the next one: then a sum would depend on the draws
+    # that are filtered together, so each draw's terms are added up first.
+    by_draw = errors == SUMS and (sum(map(bool, weights)) > 1 or bool(weights.distance))
+    if errors != SUMS or by_draw:
         shape = (len(draws.index), *shape)
     found = _filter(model, draws, planned, stream, settings, errors=np.zeros(shape))
     mse, degenerate = found.mse[:, columns], found.degenerate[:, columns]
@@ -103,6 +108,9 @@ def filter_checked_sets(
     for row, (giver, begin) in enumerate(shared):
         found.errors[..., row, :begin] = found.errors[..., giver, :begin]
     of_instants = found.errors[..., columns, :]
+    if by_draw:
+        nothing = np.zeros(of_instants.shape[1:])
+        of_instants = reduce(np.add, weighed(of_instants, draws.instant_weights), nothing)
     if errors == SUMS:
         of_instants[~np.isfinite(mse).all(axis=0)] = np.nan
     else:

@@ -16,8 +16,8 @@ from oracles.kalman import SCALAR
 from pfdist import StateSpaceModel, densities, where
 from pfdist.common.sensing import Sensing
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.interface import EACH_DRAW
-from pfdist.filters.work import GUIDED, PLAIN, Estimation
+from pfdist.filters.interface import EACH_DRAW, SUMS
+from pfdist.filters.work import BLOCK, GUIDED, PLAIN, Estimation, sum_of_draws
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.rules import Rule
@@ -85,6 +85,14 @@ def check(evaluator: Evaluator, settings: Estimation) -> None:
         ends = [HORIZON] * len(sets)
         yield evaluator.filter_sets(drawn, sets, ends, 9, settings, EACH_DRAW)
         yield from evaluator.filter_each(drawn, sets[-2:][:1], [9], settings)
+
+    def sums(draws: range) -> Any:
+        drawn, ends = evaluator.draws(draws, 7), [HORIZON] * len(sets)
+        return evaluator.filter_sets(drawn, sets, ends, 9, settings, SUMS).errors
+
+    if not settings.rule:
+        singles = [sums(range(draw, draw + 1)) for draw in range(BLOCK)]
+        assert sum_of_draws(singles).tobytes() == sums(range(BLOCK)).tobytes(), "sums"
 
     whole = [*found(range(DRAWS))]
     for size in (37, 1):
