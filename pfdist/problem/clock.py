@@ -137,7 +137,7 @@ class Clock:
         """
         if text in self._written:
             return [self._written[text]]
-        found = joined(name, (self._where_all_hold(words, name) for words in groups(text)))
+        found = joined_times(name, (self._where_all_hold(words, name) for words in groups(text)))
         if not found:
             raise MeasurementTimesError(f"{name} must name dates, got {shown(text)}")
         return found
@@ -370,7 +370,7 @@ class Clock:
         return replace(self, times=self.times[first:], counts=self.counts and not first)
 
 
-def joined(name: str, parts: Iterable[Iterable[int]], most: int = 0) -> list[int]:
+def joined_times(name: str, parts: Iterable[Iterable[int]], most: int = 0) -> list[int]:
     """The instants or points of several entries: few of them may name very many, time and again."""
     found = list[int]()
     for part in parts:

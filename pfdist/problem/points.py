@@ -17,7 +17,7 @@ from pfdist.common.parsing import as_text
 from pfdist.common.points import PointNumbers
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.calendar import groups
-from pfdist.problem.clock import Clock, Time, joined
+from pfdist.problem.clock import Clock, Time, joined_times
 from pfdist.problem.written import SEPARATOR, instants_written
 
 
@@ -165,7 +165,7 @@ class Points(PointNumbers):
             return tuple(self._arriving(instants, range(1), name, of_all=of_all))
         if isinstance(written, Iterable) and not isinstance(written, str):
             parts = (self.read(each, name, of_all=of_all) for each in written)
-            return tuple(joined(name, parts, 4 * self.number))
+            return tuple(joined_times(name, parts, 4 * self.number))
         ways = self._ways | ({"": range(self.ways)} if of_all else {})
         found, waiting = list[int](), list[str]()
         for word in [*self._words(str(as_text(written))), ""]:

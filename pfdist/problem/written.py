@@ -10,7 +10,7 @@ import numpy as np
 from pfdist.common.parsing import as_text, finite_number, ranges, whole_numbers
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.calendar import names_dates
-from pfdist.problem.clock import Clock, joined
+from pfdist.problem.clock import Clock, joined_times
 
 RANGES = "'20:30', '0:60:3' or '20-30'"
 """Examples of ranges, for errors and help."""
@@ -39,7 +39,7 @@ def instants_written(written: Any, clock: Clock, name: str = "measurement_times"
             *_instants_of_text(written, clock, name)
         ]  # fmt: skip
     if isinstance(written, Iterable):
-        return joined(name, (instants_written(entry, clock, name) for entry in written))
+        return joined_times(name, (instants_written(entry, clock, name) for entry in written))
     is_number = isinstance(written, _NUMBER) and not isinstance(written, bool)
     if not is_number or (clock.counts and not float(written).is_integer()):
         raise MeasurementTimesError(

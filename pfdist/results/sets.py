@@ -89,7 +89,7 @@ def publish_sets(run: StoredRun) -> None:
 
 
 def fault_of_summary(run: StoredRun) -> str:
-    """What is wrong with the listed file of the table of sets; empty if nothing is."""
+    """The fault in the listed file of the table of sets; empty if there is none."""
     try:
         known = read_summary(run)
     except Exception as error:  # the same errors as in `summary_of`
