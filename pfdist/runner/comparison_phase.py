@@ -44,6 +44,7 @@ from pfdist.runner.build import Built
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.progress import SetGain
 from pfdist.runner.row_formats import RowsByDraw
+from pfdist.runner.search_phase import search_steps
 from pfdist.store import (
     ROWS_IN_A_FILE,
     Store,
@@ -268,7 +269,8 @@ class InterimGains:
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
 REPEATED = 2000  # draws that the reference filters twice
-OTHERS = 5  # one draw in so many is also filtered for the other estimate
+OTHERS = 5  # one draw in so many is also filtered for the other estimate, if its share is small
+_MOST_OF_OTHER = 0.1
 LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
 
 
@@ -345,8 +347,13 @@ def first_draws_again(built: Built, work: FilterWork) -> FirstDraws:
 
 
 def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
-    """MSE of the other estimate with each set: smoothed, or that of the filter; same noise."""
-    draws = built.job.comparison.draws // OTHERS
+    """MSE of the other estimate with each set: smoothed, or that of the filter; same noise.
+
+    It takes at most a tenth of the work of searches and comparison.
+    """
+    core = comparison_steps(built) + sum(search_steps(built, each) for each in built.searches)
+    most = int(_MOST_OF_OTHER * core / work.steps_a_draw)
+    draws = min(built.job.comparison.draws // OTHERS, most)
     if built.evaluator.exact or not built.study.has_details or not draws:
         return None
     rows = other_schema(built.job.problem.other_estimate, work.ids)
