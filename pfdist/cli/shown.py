@@ -97,7 +97,8 @@ def _show_text(answer: Any, line: Line) -> None:
             _print_page(answer_of(answer, line.options.get("target"), details=line.verbose), line)
             if line.name == "status" and (done := work_of(answer)):
                 parts = ", ".join(f"{part} {steps:.3g}" for part, steps in done.items())
-                print(one_line(f"particle-steps: {sum(done.values()):.3g} ({parts})"))
+                text = f"{sum(done.values()):.3g} ({parts})"
+                print("\n".join(wrapped(text, "particle-steps: ")))
             for name, at in _places(answer).items():
                 print(one_line(f"{name}: {at}"))
         case pd.DataFrame() if (out := line.options.get("out")) is not None:

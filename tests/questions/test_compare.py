@@ -142,8 +142,11 @@ def test_sets_that_do_not_differ_clearly_are_all_named(few: Job, tmp_path: Path)
 def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     compared: Run, said: Callable[..., str]
 ) -> None:
-    *lines, place, files = said("status", compared.path).splitlines()
+    whole, _, done = said("status", compared.path).partition("particle-steps: ")
+    *lines, place = whole.splitlines()
+    *parts, files = done.splitlines()
     assert place.startswith(f"{compared.path}: finished, ")
+    assert max(map(len, parts)) <= 80
     assert files.startswith("tables: ")
     assert [line for line in lines if len(line) > 80] == []
     text = " ".join(" ".join(lines).split())

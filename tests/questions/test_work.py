@@ -14,7 +14,11 @@ from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
 from pfdist.questions.sweep import foreseen_work
 from pfdist.results.stored_run import work_of
+from pfdist.runner.bound_settings import BoundSettings
+from pfdist.runner.build import build
 from pfdist.runner.door import Part
+from pfdist.runner.driver import core_steps, foreseen_by_part
+from pfdist.runner.information_prover import prover_of
 
 
 def test_the_steps_of_all_tasks_are_counted_and_a_resumed_run_adds_what_it_computes(
@@ -50,6 +54,20 @@ def test_an_exact_engine_counts_instants_of_sets(
     assert done["comparison"] == 3 * (250 + 1) * 13
     assert done["search"] % 13 == 0
     assert done["other estimate"] == 3 * 13
+
+
+@pytest.mark.parametrize("search", [True, False])
+def test_the_other_estimate_takes_at_most_a_tenth_and_checks_a_twentieth(
+    search: bool, small_job: Job
+) -> None:
+    alone = {"search": [], "comparison": {"draws": 250, "sets": {"a": (0, 5), "b": (3, 8)}}}
+    for horizon in (8, 100):
+        changes = [f"problem.horizon={horizon}"]
+        job = small_job.with_changes(changes, sections={} if search else alone)
+        built = build(job, Path("none"))
+        foreseen = foreseen_by_part(built, prover_of(built, BoundSettings(draws=480)))
+        assert 0 < foreseen["other estimate"] <= 0.1 * core_steps(built)
+        assert 0 < foreseen["likelihood"] <= 0.05 * foreseen["proof"]
 
 
 def test_a_plan_is_foreseen_about_as_it_is_done(
