@@ -77,8 +77,8 @@ def range_of(low: str, high: str) -> str:
 _ROUNDING = 1e-9  # error of exact values
 _IDLE, _IDLE_NATS = 0.8, 4.0  # a gap from which a bound says nothing: others are five times better
 _HELP = {
-    "relaxation": "More work of the proof helps: `pfdist bound JOB --work N`",
-    "estimate": "More filter.particles help",
+    "relaxation": "More work of the proof helps (pfdist bound)",
+    "estimate": "More particles help",
     "filter_model": "A filter with the true model helps",
 }
 """What makes each part of a gap smaller."""
@@ -150,9 +150,9 @@ def idle_bound(gap: Mapping[str, Any]) -> str:
 
     >>> gap = {"bound_error": 1.0, "gap": 0.93, "gap_at_most": 1.0, "estimate": 0.6}
     >>> idle_bound(gap).replace("\xa0", " ")
-    'The bound says nothing yet: other times may be 100 % better. More filter.particles help.'
+    'The bound says nothing yet: other times may be 100 % better. More particles help.'
     >>> idle_bound({**gap, "gap": 0.3}).partition("better. ")[2]
-    'More draws help: `pfdist bound JOB --draws N`.'
+    'More draws of the proof help (pfdist bound).'
     >>> idle_bound({**gap, "gap_at_most": 0.79})
     ''
     """
@@ -162,7 +162,7 @@ def idle_bound(gap: Mapping[str, Any]) -> str:
     parts = {part: gap.get(part) or 0.0 for part in _HELP}
     help_ = _HELP[max(parts, key=lambda part: parts[part])]
     if gap["bound_error"] and gap["gap"] < limit / 2:  # it is chance
-        help_ = "More draws help: `pfdist bound JOB --draws N`"
+        help_ = "More draws of the proof help (pfdist bound)"
     better = f"other times may be {_percent(min(1.0, limit))} better"
     return f"The bound says nothing yet: {better}. {help_}."
 
@@ -193,7 +193,7 @@ def nats_sentence(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool 
     if gap["gap_at_most"] >= _IDLE_NATS:
         return (
             "The bound says nothing yet: others may give over five times as many nats. More "
-            "filter.particles help."
+            "particles help."
         )
     more = rounded(rounded_up(-gap["expected_mse"] * gap["gap_at_most"]), 2)
     sure = f" ({100 * gap['confidence']:.3g} % confidence)" if gap["bound_error"] else ""

@@ -86,7 +86,7 @@ def with_sides(value: float | None, low: float | None, high: float | None, unit:
     Parameters
     ----------
     value : float or None
-        Of the lower side.
+        That of the lower side.
     low, high : float or None
         Lower 95 % limit of the lower side, and upper one of the upper side.
     unit : str

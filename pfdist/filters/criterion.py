@@ -469,7 +469,7 @@ def criterion_named(written: str) -> Criterion:
     raise ValueError(f"a criterion must be {CRITERIA}, got {written!r}")
 
 
-def unit_of(name: str) -> str:
+def unit_of_criterion(name: str) -> str:
     """The unit of the criterion of this name; empty for that of errors."""
     return _NAMED.get(name, MEAN).unit
 

@@ -15,7 +15,7 @@ from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.shown import Shown
-from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample, unit_of
+from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample, unit_of_criterion
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -186,7 +186,8 @@ class Evaluation(Shown):
         count = len(self.measurement_times)
         on = "exact" if isinstance(self.criterion, Exact) else f"on {self.draws:,} draws"
         also = {
-            name.replace("_", " "): judged.text(unit_of(name)) for name, judged in self.also.items()
+            name.replace("_", " "): judged.text(unit_of_criterion(name))
+            for name, judged in self.also.items()
         }
         told = [f"{name} {text}" for name, text in also.items()] + [f"{self.criterion.label} {mse}"]
         title = f"evaluation of {count} measurement{'s' * (count != 1)}: {', '.join(told)}, {on}"

@@ -167,8 +167,8 @@ class Evaluator:
         """The estimation of `other_estimate`.
 
         A smoothed estimate comes from few ancestors, whose part two filters take out of its error.
-        What is left falls with the number of particles, as the variance of a draw does where that
-        is due to particles: so more of them are worth fewer draws.
+        The rest falls with the number of particles, as the variance of a draw does where that is
+        due to particles: so more of them are worth fewer draws.
         """
         if self.lag or not self.has_particle_loss:
             return own

@@ -128,8 +128,8 @@ def _found(run: Run) -> dict[str, Any]:
         reference = next(row.label for row in rows if row.name == best.reference)
         words = f"{best.label}: {share} {reference}"
         if not form.is_mean and not form.unit:
-            by = form.of_errors if best.criterion_gain is None else form
-            words += f" by the {'mean over scenarios' if by == form.of_errors else form.label}"
+            label = "mean over scenarios" if best.criterion_gain is None else form.label
+            words += f" by the {label}"
         found |= {"best": best.name, "reference": best.reference}
         found |= {"gain_of_means": gain, "found": words}
     elif found["has_budget"]:

@@ -18,7 +18,7 @@ from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
 from pfdist.common.rounding import unrounded, with_error, with_interval, with_sides
 from pfdist.errors import relative
-from pfdist.filters.criterion import unit_of
+from pfdist.filters.criterion import unit_of_criterion
 from pfdist.results.moments import QUANTILES, quantile_name
 
 if TYPE_CHECKING:
@@ -52,10 +52,11 @@ class Row(SimpleNamespace):
     def __repr__(self) -> str:
         if not {"label", "expected_mse", "measurement_times"} <= {*vars(self)}:
             return super().__repr__()
+        judged = [name for name in CRITERIA_SHOWN if vars(self).get(name) is not None]
+        texts = {name: COLUMNS[name].cell(self).text for name in judged}
         told = [
-            f"{name.replace('_', ' ')} {COLUMNS[name].cell(self).text} {unit_of(name)}".rstrip()
-            for name in CRITERIA_SHOWN
-            if vars(self).get(name) is not None
+            f"{name.replace('_', ' ')} {text} {unit_of_criterion(name)}".rstrip()
+            for name, text in texts.items()
         ]
         told.append(f"expected MSE {with_error(self.expected_mse, self.standard_error)}")
         about = f"{self.label}: {self.measurements} measurements, {', '.join(told)}"
@@ -357,7 +358,9 @@ def frame_of_sets(rows: Iterable[Row]) -> pd.DataFrame:
         order.remove(name)
         order.insert(order.index("expected_mse"), name)
     table = pd.DataFrame([*map(vars, rows)], columns=order)
-    table.attrs["units"] = {name: unit_of(name) for name in judged if unit_of(name)}
+    table.attrs["units"] = {
+        name: unit_of_criterion(name) for name in judged if unit_of_criterion(name)
+    }
     for name, column in COLUMNS.items():
         if column.dtype == "object":
             table[name] = table[name].astype(object).where(table[name].notna(), None)

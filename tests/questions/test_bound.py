@@ -518,14 +518,14 @@ def test_a_bound_from_80_percent_on_is_no_proof() -> None:
     row = {"budget": 4, "bound_error": 1.0, "confidence": 0.95, "gap": 0.7, "relaxation": 0.6}
     assert gap_sentence(row | {"gap_at_most": 0.79}, 4).startswith("Proved: ")
     for part, text in (
-        ("relaxation", "--work"),
+        ("relaxation", "work of the proof"),
         ("estimate", "particles"),
         ("filter_model", "mod"),
     ):
         sentence = gap_sentence(row | {"gap_at_most": 0.801, part: 0.65}, 4)
         assert sentence.startswith("The bound says nothing yet: ")
         assert text in sentence
-    assert "--draws" in gap_sentence(row | {"gap_at_most": 1.0, "gap": 0.2}, 4)
+    assert "draws of the proof" in gap_sentence(row | {"gap_at_most": 1.0, "gap": 0.2}, 4)
     exact = gap_sentence(row | {"bound_error": 0.0, "gap": 0.9, "gap_at_most": 0.9}, 4)
     assert exact.startswith("The bound says nothing yet: ")
     nats = {"expected_mse": -2.0, "budget": 4, "bound_error": 0.1, "gap_at_most": 4.0}

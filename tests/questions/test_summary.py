@@ -152,7 +152,7 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
 def test_heavy_tails_are_said_and_light_ones_are_not() -> None:
     """The largest 1 % of log-normal errors with log-sd 2 carries Phi(2 - z) = 0.37 of their mean.
 
-    z is the normal quantile of 99 %. Of exponential errors it is 0.01 (1 + log 100) = 0.056.
+    z is the normal quantile of 99 %. For exponential errors it is 0.01 (1 + log 100) = 0.056.
     """
     random = np.random.default_rng(1)
     for draws in (250, 1000, 8000):
