@@ -270,7 +270,7 @@ class InterimGains:
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
 REPEATED = 2000  # draws that the reference filters twice
 OTHERS = 5  # one draw in so many is also filtered for the other estimate, if its share is small
-_MOST_OF_OTHER = 0.1
+_TENTH = 10
 LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
 
 
@@ -352,7 +352,7 @@ def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
     It takes at most a tenth of the work of searches and comparison.
     """
     core = comparison_steps(built) + sum(search_steps(built, each) for each in built.searches)
-    most = int(_MOST_OF_OTHER * core / work.steps_a_draw)
+    most = int(core // (_TENTH * work.steps_a_draw))
     draws = min(built.job.comparison.draws // OTHERS, most)
     if built.evaluator.exact or not built.study.has_details or not draws:
         return None
