@@ -35,7 +35,7 @@ _MOST_LEFT_OUT = 3  # as many targets for each measurement may fall into gaps
 _OF_VISITS = 3000  # lines of visits, which are moved to visits one by one
 
 
-class Line(NamedTuple):
+class EvenLine(NamedTuple):
     """The targets a + k d of a family, and the distances to its neighbours among the lines."""
 
     family: int
@@ -44,7 +44,7 @@ class Line(NamedTuple):
     apart: float = 0.0  # of the first targets, and of the last ones; 0 if no line lies between
 
 
-class Family(NamedTuple):
+class EvenFamily(NamedTuple):
     """Lines with the same number of targets, on the same ruler, with the same sensors."""
 
     targets: int
@@ -66,24 +66,24 @@ class Family(NamedTuple):
 class EvenSets:
     """The evenly spaced sets of a problem.
 
-    >>> sets = EvenSets(Feasible(horizon=11, measurement_budget=4))
-    >>> found = sets.of(sets.lines(1000))
+    >>> even = EvenSets(Feasible(horizon=11, measurement_budget=4))
+    >>> found = even.sets_of(even.lines(1000))
     >>> (0, 4, 7, 11) in found, (0, 3, 6, 9) in found, (0, 1, 6, 9) in found, len(found)
     (True, True, False, 99)
     """
 
     feasible: Feasible
 
-    def lines(self, most: int) -> list[Line]:
+    def lines(self, most: int) -> list[EvenLine]:
         """One line of each set, or about `most` lines that are spread over all of them."""
         own = max(1, most // max(1, len(self.families)))
         return [
-            Line(number, *values)
+            EvenLine(number, *values)
             for number, family in enumerate(self.families)
             for values in _lines(family, min(own, _OF_VISITS) if self.feasible.visits else own)
         ]
 
-    def near(self, line: Line) -> list[Line]:
+    def near(self, line: EvenLine) -> list[EvenLine]:
         """Lines between a line and its neighbours, with a third of their distance."""
         number, first, step, apart = line
         family = self.families[number]
@@ -91,15 +91,15 @@ class EvenSets:
         low, high = family.edges[[0, -1]]
         moved = apart / 3 * np.arange(-2, 3)
         return [
-            Line(number, a, (b - a) / steps, apart / 3)
+            EvenLine(number, a, (b - a) / steps, apart / 3)
             for a in (first + moved).tolist()
             for b in ((last + moved).tolist() if family.targets > 1 else [a])
             if apart and low < a <= b < high
         ]
 
-    def of(self, lines: list[Line]) -> dict[Times, Line]:
+    def sets_of(self, lines: list[EvenLine]) -> dict[Times, EvenLine]:
         """The set of each line, once; a line without one is left out."""
-        found = dict[Times, Line]()
+        found = dict[Times, EvenLine]()
         families = np.array([line.family for line in lines])
         for number, family in enumerate(self.families):
             own = [lines[place] for place in np.flatnonzero(families == number)]
@@ -110,11 +110,11 @@ class EvenSets:
         return found
 
     @cached_property
-    def families(self) -> list[Family]:
+    def families(self) -> list[EvenFamily]:
         """All families that may have a set."""
         return [*self._families()]
 
-    def _families(self) -> Iterator[Family]:
+    def _families(self) -> Iterator[EvenFamily]:
         feasible, points = self.feasible, self.feasible.points
         times = np.array(points.clock.times, np.float64)
         every = np.arange(times.size)
@@ -127,7 +127,7 @@ class EvenSets:
                 rulers.append((made, _cut(times, made)))
             for number in self._numbers:
                 if feasible.visits:
-                    yield Family(number, turn[:1] * number, every, times)
+                    yield EvenFamily(number, turn[:1] * number, every, times)
                     continue
                 targets, rest = divmod(number, len(turn[0]))
                 if rest:
@@ -138,7 +138,7 @@ class EvenSets:
                     is_cut = instants.size == made.size
                     for all_targets in range(targets, (targets if is_cut else most) + 1):
                         in_turn = tuple(turn[k % len(turn)] for k in range(all_targets))
-                        yield Family(all_targets, in_turn, instants, positions)
+                        yield EvenFamily(all_targets, in_turn, instants, positions)
 
     @property
     def _turns(self) -> Iterator[tuple[Times, ...]]:
@@ -169,7 +169,7 @@ class EvenSets:
     def _optional(self) -> Times:
         return tuple(t for t in self.feasible.optional if self.feasible.points.made_at(t) >= 0)
 
-    def _sets(self, family: Family, lines: list[Line]) -> list[Times | None]:
+    def _sets(self, family: EvenFamily, lines: list[EvenLine]) -> list[Times | None]:
         """The set of each line of a family; None if it is none."""
         feasible, points = self.feasible, self.feasible.points
         first, step = (
@@ -209,7 +209,7 @@ def _cut(times: Array, instants: NDArray[np.int64]) -> Array:
     return positions
 
 
-def _lines(family: Family, most: int) -> list[tuple[float, float, float]]:
+def _lines(family: EvenFamily, most: int) -> list[tuple[float, float, float]]:
     """The first target and the step of lines of a family, and their distance from others."""
     edges, targets = family.edges, family.targets
     if targets > family.positions.size:
@@ -235,7 +235,7 @@ def _lines(family: Family, most: int) -> list[tuple[float, float, float]]:
 
 
 def _spread(
-    family: Family, most: int, shortest: float, longest: float
+    family: EvenFamily, most: int, shortest: float, longest: float
 ) -> list[tuple[float, float, float]]:
     """About `most` lines whose first and last targets lie at equal distances."""
     low, high = family.edges[[0, -1]].tolist()

@@ -209,7 +209,7 @@ class Comparison(JobSection):
     sets : dict of str to times, clock
         At most 100 sets by name; names are lower-case letters, digits and underscores.
     labels : dict of str to str
-        What answers call these sets, as "30 min and 1 h after meals"; by default their names.
+        The names of these sets in answers, as "30 min and 1 h after meals".
     control : bool
         Whether a second filter, with the truth among its particles, reduces the variance of means
         for twice the work. By default, `compare`, `budget` and `why` use it where the filter's

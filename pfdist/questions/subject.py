@@ -182,8 +182,8 @@ class Subject:
         phrase = phrase_of(row.label)
         if row.label == EVENLY_SPACED:
             tried = self.evenly_spaced_tried
-            of = f"{number_of(tried, 'evenly spaced set')} that were tried" if tried else ""
-            phrase = f"the best of {of}" if tried else f"the best {phrase}"
+            counted = f"of {number_of(tried, 'evenly spaced set')} that were tried"
+            phrase = f"the best {counted if tried else phrase}"
         return f"{phrase} (t = {', '.join(listed)})"
 
     @property

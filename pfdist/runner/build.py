@@ -71,7 +71,9 @@ class Built:
     @property
     def phases(self) -> list[str]:
         """Names of all phases that choose sets."""
-        references = (of(name) for name in self.study.even for of in (coarse_of, shortlist_of))
+        references = (
+            name for each in self.study.even for name in (coarse_of(each), shortlist_of(each))
+        )
         return [*references, *(phase for search in self.searches for phase in search.phases)]
 
     @property

@@ -129,7 +129,7 @@ class EvenSearch:
         """The candidates for exact errors, and their number: all, or the best of the ranking."""
         most = most_if_exact(self.feasible)
         lines = self.even.lines(most * 10)
-        sets = [] if any(line.apart for line in lines) else [*self.even.of(lines)]
+        sets = [] if any(line.apart for line in lines) else [*self.even.sets_of(lines)]
         if 0 < len(sets) <= most:
             return sets, 0
         ranked, tried = yield from self._ranked(session)
@@ -197,7 +197,7 @@ def most_if_exact(feasible: Feasible) -> int:
 def ranking(even: EvenSets, programme: Programme, most: int) -> tuple[list[Times], int]:
     """The sets of all lines or of most lines near good ones, the best first, and their number."""
     lines = even.lines(most)
-    found, errors = even.of(lines), dict[Times, float]()
+    found, errors = even.sets_of(lines), dict[Times, float]()
     for level in range(1 + _LEVELS):
         new = [times for times in found if times not in errors]
         errors.update(zip(new, programme.of_sets(new).tolist(), strict=True))
@@ -205,7 +205,7 @@ def ranking(even: EvenSets, programme: Programme, most: int) -> tuple[list[Times
         near = [each for times in best for each in even.near(found[times])]
         if not near or level == _LEVELS:
             break
-        found = {**even.of(near), **found}
+        found = {**even.sets_of(near), **found}
     ranked = sorted(errors, key=errors.__getitem__)
     return ranked, len(ranked) if any(line.apart for line in lines) else 0
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
-from pfdist.problem.even_sets import EvenSets, Line
+from pfdist.problem.even_sets import EvenLine, EvenSets
 from pfdist.search.base import Candidate
 
 _LEVELS = 3
@@ -18,8 +18,8 @@ _SHARE = 20  # new sets near another, about
 class RefineState:
     """Progress of the search."""
 
-    lines: dict[Times, Line]  # of the sets to be evaluated next
-    known: tuple[tuple[Evaluation, Line], ...] = ()  # the best first
+    lines: dict[Times, EvenLine]  # of the sets to be evaluated next
+    known: tuple[tuple[Evaluation, EvenLine], ...] = ()  # the best first
     level: int = 0
 
 
@@ -42,7 +42,7 @@ class Refine:
 
     def init(self) -> RefineState:
         """The state before the first generation."""
-        return RefineState(self.even.of(self.even.lines(self.spread)))
+        return RefineState(self.even.sets_of(self.even.lines(self.spread)))
 
     def ask(self, state: RefineState, rng: np.random.Generator) -> list[Candidate]:
         """The sets of the next level."""
@@ -53,7 +53,7 @@ class Refine:
         new = zip(evaluations, state.lines.values(), strict=True)
         known = sorted([*state.known, *new], key=lambda pair: pair[0].expected_mse)
         best = [line for _, line in known[: max(1, self.spread // 2 // _SHARE)]]
-        lines = self.even.of([near for line in best for near in self.even.near(line)])
+        lines = self.even.sets_of([near for line in best for near in self.even.near(line)])
         for evaluation, _ in known:
             lines.pop(evaluation.measurement_times, None)
         return RefineState(lines, tuple(known), state.level + 1)

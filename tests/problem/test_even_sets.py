@@ -15,7 +15,7 @@ EVERY = 1_000_000
 
 def _found(feasible: Feasible, most: int = EVERY) -> set[tuple[int, ...]]:
     even = EvenSets(feasible)
-    return {*even.of(even.lines(most))}
+    return {*even.sets_of(even.lines(most))}
 
 
 @pytest.mark.parametrize(("horizon", "number"), [(11, 4), (14, 5), (9, 10), (12, 2), (20, 3)])
@@ -81,7 +81,7 @@ def test_few_lines_lie_near_all_sets() -> None:
     """Lines near the nearest of few lines are nearer: an optimiser goes from coarse to fine."""
     even = EvenSets(Feasible(horizon=200, measurement_budget=40))
     lines, goal = even.lines(400), (7.3, 7.3 + 39 * 4.11)
-    assert 300 <= len(even.of(lines)) <= 500
+    assert 300 <= len(even.sets_of(lines)) <= 500
 
     def distance(line) -> float:
         return abs(line.first - goal[0]) + abs(line.first + 39 * line.step - goal[1])

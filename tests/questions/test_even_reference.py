@@ -19,7 +19,7 @@ EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=2",
 
 def _grids(feasible: Feasible) -> list[tuple[int, ...]]:
     even = EvenSets(feasible)
-    return [*even.of(even.lines(10_000))]
+    return [*even.sets_of(even.lines(10_000))]
 
 
 def test_of_exact_errors_the_least_is_taken(small_job: Job, tmp_path: Path) -> None:

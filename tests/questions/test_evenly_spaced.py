@@ -58,7 +58,8 @@ def test_the_first_number_and_larger_ones_that_do_worse_are_named(
     is_even = reference == "evenly spaced"
     evens = [EvenSets(job.feasible(each)) for each in numbers]
     grids = [
-        [*even.of(even.lines(10_000))] if is_even else [even.feasible.regular()] for even in evens
+        [*even.sets_of(even.lines(10_000))] if is_even else [even.feasible.regular()]
+        for even in evens
     ]
     errors = [min(evaluator.expected_mse(each)) for each in grids]
     as_well = [

@@ -38,11 +38,11 @@ def _systems() -> tuple[StateSpaceModel, StateSpaceModel]:
         lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / p.s[t]) ** 2,
         ("normal",),
     )
-    one = StateSpaceModel(
+    single = StateSpaceModel(
         name="one", measurement=a.measurement, log_likelihood=a.log_likelihood,
         measurement_noise=("normal",), **common,
     )  # fmt: skip
-    return one, StateSpaceModel(name="two", sensors={"a": a, "b": b}, **common)
+    return single, StateSpaceModel(name="two", sensors={"a": a, "b": b}, **common)
 
 
 ONE, TWO = _systems()
@@ -64,7 +64,7 @@ SITUATIONS: dict[str, tuple[Any, dict[str, Any], float]] = {
 
 @pytest.mark.parametrize("situation", SITUATIONS)
 def test_the_gain_is_that_over_the_best_evenly_spaced_set(situation: str, tmp_path: Path) -> None:
-    """By two independent enumerations with exact errors."""
+    """Two independent enumerations with exact errors found these gains."""
     model, keys, gain = SITUATIONS[situation]
     problem = pfdist.Problem(model, engine="kalman", **keys)
     run = pfdist.plan(

@@ -157,7 +157,7 @@ def test_no_evenly_spaced_set_does_better(kind: str, seed: int) -> None:
 def test_intervals_contain_the_gain_over_the_true_best(tmp_path: Path) -> None:
     """The opponent is chosen by chance, and the interval does not know it: its regret is small.
 
-    Of 100 intervals of 95 % at least 88 contain the true gain (binomial, 0.2 %). The number of
+    At least 88 of 100 intervals of 95 % contain the true gain (binomial, 0.2 %). The number of
     draws makes half an interval at least four times the regret that is allowed, 0.5 %.
     """
     exact, contained, halves = _built(3, 12, measurement_budget=4), 0, list[float]()
