@@ -353,8 +353,8 @@ def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
     estimation = built.evaluator.estimating_other(work.estimation)
     of_sets = replace(work, other_estimate=True, estimation=estimation)
     steps = comparison_steps(built) + sum(search_steps(built, each) for each in built.searches)
-    share = _OTHER_SHARE * steps / of_sets.steps_a_draw
-    draws = int(min(built.job.comparison.draws // OTHERS, share))
+    a_draw = (sum(work.ends) + len(work.ends)) * estimation.steps_an_instant  # nothing is shared
+    draws = min(built.job.comparison.draws // OTHERS, int(_OTHER_SHARE * steps // a_draw))
     if built.evaluator.exact or not built.study.has_details or not draws:
         return None
     rows, columns = other_schema(built.job.problem.other_estimate, work.ids), _columns_by_set
