@@ -97,7 +97,6 @@ _ROWS = {
     "compared": "each compared set",
     "comparison": "each draw, with a column for each SET; all sets filter the same draws",
     "range_sums": "each compared set and range of draws, about 32 to 64 ranges for each set",
-    "repeated": "up to 2,000 of these draws: the reference under other noise",
     "other_estimate": "each of the first draws, at most a fifth of them, with a column for each "
     "SET: `filtered_SET` if the job's own estimate is smoothed",
     "filter_distance": "up to 1,000 of these draws, with a column for each SET",

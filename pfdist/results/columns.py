@@ -281,11 +281,6 @@ _DECLARED = [
         "percentage points, beyond their intervals",
     ),
     Column(
-        name="gain_over_itself", has_interval=True, is_percent=True,
-        meaning="mean relative gain of a reference over itself by filter noise alone",
-    ),
-    Column(name="gain_over_itself_draws", dtype="Int64", meaning="draws of gain_over_itself"),
-    Column(
         name="search_mse", error="search_standard_error",
         head="estimated by the search ± standard error",
         meaning="expected MSE of the set, or criterion_value, as its search estimated it",

@@ -239,22 +239,6 @@ def relative_gain(mse: Array, reference: Array) -> Array:
         return 1.0 - mse / reference
 
 
-def gain_over_itself(mse: Array, again: Array) -> Moments:
-    """Moments of the relative gain of a set over itself under other filter noise.
-
-    The mean is the effect of filter noise on a mean relative gain. The two filters are
-    exchangeable, so both gains are averaged: -(mse - again)^2 / (2 mse again). The average has the
-    expectation of each gain and a far smaller error.
-
-    Parameters
-    ----------
-    mse, again : array of float64, (D,)
-        Per-draw MSE on the same draws.
-    """
-    both = (relative_gain(mse, again) + relative_gain(again, mse)) / 2
-    return Moments.of_values(both[~np.isnan(both)])
-
-
 @dataclass
 class Gain:
     """The gain of one set of times over the reference, on the draws added so far.

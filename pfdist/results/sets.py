@@ -24,7 +24,7 @@ from pfdist.results.budget_curve import FOUND, GIVEN, add_bounds, worse_than
 from pfdist.results.columns import COLUMNS, Results, Row, frame_of_sets
 from pfdist.results.criteria import columns_of_criteria
 from pfdist.results.evenly_spaced import columns_of_even_times
-from pfdist.results.moments import ComparisonStatistics, gain_over_itself, relative_gain
+from pfdist.results.moments import ComparisonStatistics, relative_gain
 from pfdist.results.particle_loss import hardly_measured, particle_losses_of
 from pfdist.results.stored_run import (
     StoredRun,
@@ -225,7 +225,6 @@ def _add_results(run: StoredRun, rows: dict[str, Row], statistics: ComparisonSta
         if row.standard_error == of_reference.standard_error == 0.0:
             gain = relative_gain(*(np.array(each.expected_mse) for each in (row, of_reference)))
             row.add(_exact("gain_of_means", float(gain)))
-    rows[run.names[0]].add(_gain_over_itself(run))
     _add_other_estimates(run, rows)
     for name, columns in columns_of_criteria(run):
         rows[name].add(columns)
@@ -368,21 +367,6 @@ def _add_particle_losses(
         said = loss.large if is_heavy else loss.warning
         warnings = [said, hardly if name in statistics.gains else ""]
         row.warnings += [text for text in warnings if text and worst in ("", name)]
-
-
-def _gain_over_itself(run: StoredRun) -> Results:
-    """The effect of filter noise alone on a gain, if the reference was filtered twice."""
-    if not run._store.has("repeated"):
-        return {}
-    both = on_common_draws(run, "repeated")
-    gain = gain_over_itself(both[f"mse_{run.names[0]}"].to_numpy(), both["mse"].to_numpy())
-    low, high = gain.estimate.interval()
-    return {
-        "gain_over_itself": gain.mean,
-        "gain_over_itself_low": low,
-        "gain_over_itself_high": high,
-        "gain_over_itself_draws": gain.count,
-    }
 
 
 def best_first(sets: Sequence[Row]) -> list[str]:

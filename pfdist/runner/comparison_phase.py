@@ -270,7 +270,6 @@ class InterimGains:
 
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
-REPEATED = 2000  # draws that the reference filters twice
 OTHERS, _OTHER_SHARE = 5, 0.1
 """At most one draw in so many gives the other estimate, and at most this share of all steps."""
 LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
@@ -318,9 +317,9 @@ class FirstDraws:
 def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[FirstDraws]:
     """All tables of first draws beside a comparison; by default that of sets still to be found."""
     work = work or _work(built, dict.fromkeys(built.names, built.job.problem.feasible.regular()))
-    details = (trajectories, first_draws_again) if built.study.has_details else ()
-    judged = (informations, information_gaps)
-    tables = (*details, other_estimates, *judged, distances, variances)
+    details = (trajectories,) if built.study.has_details else ()
+    others = (other_estimates, informations, information_gaps, distances, variances)
+    tables = (*details, *others)
     return [made for table in tables if (made := table(built, work)) is not None]
 
 
@@ -334,18 +333,6 @@ def trajectories(built: Built, work: FilterWork) -> FirstDraws:
         replace(work, draws=(0, draws), trajectories=True),
         partial(_trajectory_columns, model),
     )
-
-
-def first_draws_again(built: Built, work: FilterWork) -> FirstDraws:
-    """MSE of the reference on the first draws with other filter noise.
-
-    It shows how much filter noise alone changes a relative gain.
-    """
-    job, rows = built.job, schema("repeated")
-    stream = stream_of("comparison", job.seed, "filter", job.comparison.reference_name, "again")
-    reference = work.part((0, min(REPEATED, job.comparison.draws)), [0])
-    again = replace(reference, filter_streams=(stream,))
-    return FirstDraws("repeated", rows, again, partial(_columns_by_set, rows))
 
 
 def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:

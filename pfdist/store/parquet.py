@@ -459,8 +459,9 @@ class Store:
 
 def _files_in(folder: Path, table: str, start: str = "") -> Iterator[Path]:
     """Files of a table, or of all (``*``), by their names; other files belong to the user."""
+    known = TABLES if folder.name == "tables" else KEYS  # no command publishes parts of the others
     for name in _names_in(folder) if table == "*" else [table]:
-        for file in _names_in(folder / name) if name in TABLES else ():
+        for file in _names_in(folder / name) if name in known else ():
             if file.startswith(start) and NAME.fullmatch(file):
                 yield folder / name / file
 

@@ -49,7 +49,6 @@ KEYS: dict[str, list[str]] = {
     "compared": ["position"],
     "comparison": ["draw"],
     "range_sums": ["position", "draw", "draws"],
-    "repeated": ["draw"],
     "other_estimate": ["draw"],
     "filter_distance": ["draw"],
     "information": ["draw"],
@@ -67,7 +66,7 @@ KEYS: dict[str, list[str]] = {
 }
 """Columns that identify a row of each table."""
 
-TABLES = tuple(KEYS)
+TABLES = (*KEYS, "repeated")  # a table of older runs that nothing reads
 
 BOUND_PHASE, WHY_PHASE, EVEN_PHASE = "bound.proof", "why.measurements", "evenly.spaced"
 RULE_PHASE = "rule.draws"
@@ -156,10 +155,6 @@ _SCHEMAS = {
         _column("draw", pa.int64(), "", "the first draw of the range, as in comparison"),
         _column("draws", pa.int64(), "", "number of draws, a power of 2; 0: exact errors"),
         _column("sums", pa.list_(pa.float64()), _MSE, _SUMS),
-    ],
-    "repeated": [
-        _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
-        _column("mse", pa.float64(), _MSE, "of the reference under other noise"),
     ],
     "online": [
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
@@ -329,7 +324,7 @@ def schema(table: str, *optional: str) -> pa.Schema:
 def wrong_columns(columns: pa.Schema, table: str) -> str:
     """The fault in the columns of a table's file; empty if there is none."""
     declared = {column.name: column.type for column in _SCHEMAS.get(table, _BY_DRAW)}
-    for name in declared if table in _SCHEMAS else KEYS[table]:
+    for name in declared if table in _SCHEMAS else KEYS.get(table, ()):
         if name not in columns.names:
             return f"lacks the column {name}"
     known = declared | {name: column.type for name, column in _OPTIONAL.items()}

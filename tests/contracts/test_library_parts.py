@@ -1,9 +1,12 @@
-"""The package uses public parts of Numba, llvmlite and Ray alone."""
+"""The package uses public parts of Numba, llvmlite and Ray alone, in versions that CI tests."""
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 PROJECT = Path(__file__).parents[2]
 LIBRARIES = ("llvmlite", "numba", "ray")
@@ -65,3 +68,15 @@ def is_public(part: str) -> bool:
 def test_no_private_parts_are_used() -> None:
     private = {USED[part] for part in USED if not is_public(part)}
     assert private == set()
+
+
+@pytest.mark.parametrize("library", ["llvmlite", "numba"])
+def test_the_compiler_has_no_version_beyond_those_that_ci_tests(library: str) -> None:
+    """Both are released together and before 1.0, so each minor version may change what is used."""
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    tested = [
+        re.search(rf"^{library}==0\.(\d+)\.", (PROJECT / "requirements" / name).read_text(), re.M)
+        for name in ("lowest.txt", "locked.txt")
+    ]
+    lowest, locked = (int(found[1]) for found in tested if found is not None)
+    assert f"{library}>=0.{lowest},<0.{locked + 1}" in project["dependencies"]

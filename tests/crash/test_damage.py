@@ -41,7 +41,6 @@ def _small_files() -> Iterator[None]:
         patch.setattr(door, "COMMIT_SECONDS", 0.0)
         patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
         patch.setattr(comparison_phase, "TRAJECTORIES", 20)
-        patch.setattr(comparison_phase, "REPEATED", 10)
         patch.setattr(comparison_phase, "LOSS_DRAWS", 10)
         patch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
         patch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)

@@ -49,7 +49,6 @@ def layer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FileLayer:
     monkeypatch.setattr(door, "COMMIT_SECONDS", 0.0)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 150 * A_DRAW)
     monkeypatch.setattr(comparison_phase, "TRAJECTORIES", 30)
-    monkeypatch.setattr(comparison_phase, "REPEATED", 10)
     monkeypatch.setattr(comparison_phase, "LOSS_DRAWS", 10)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 120)

@@ -81,7 +81,7 @@ Make = Callable[..., list[str]]
 def command(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     """Make the command that runs a job whose model has a fault, in one draw or in all."""
 
-    for few in ("TRAJECTORIES", "REPEATED", "LOSS_DRAWS"):
+    for few in ("TRAJECTORIES", "LOSS_DRAWS"):
         monkeypatch.setattr(comparison_phase, few, 10)  # the fault is in none of these
 
     def make(fault: str, run: Path, *options: str, always: bool = False) -> list[str]:

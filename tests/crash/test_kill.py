@@ -182,7 +182,7 @@ def _committed(run: Path) -> int:
     counts = []
     for table, key in (
         ("draws", ["evaluation", "draw"]), ("comparison", ["draw"]), ("trajectories", ["draw"]),
-        ("repeated", ["draw"]), ("online", ["draw"]), ("filter_distance", ["draw"]),
+        ("online", ["draw"]), ("filter_distance", ["draw"]),
         ("filter_variance", ["draw"]), ("other_estimate", ["draw"]),
     ):  # fmt: skip
         files = list(run.glob(f"*/{table}/[!.]*.parquet"))

@@ -85,22 +85,6 @@ def test_a_program_that_would_search_otherwise_does_not_go_on(
         pfdist.run(small_job.path, raced.path, figures=False)
 
 
-def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pfdist.runner.comparison_phase.REPEATED", 100)
-    run = pfdist.run(small_job, tmp_path / "run", figures=False)
-    again, once = run.table("repeated"), run.table("comparison")[:100]
-    assert again["draw"].tolist() == list(range(100))
-    a, b = once["mse_regular"].to_numpy(), again["mse"].to_numpy()
-    assert (a != b).all()  # other noise,
-    assert np.corrcoef(a, b)[0, 1] > 4 / np.sqrt(100)  # the same draws
-    result = results_of(run)["regular"]
-    assert result.gain_over_itself == pytest.approx(np.mean(-((a - b) ** 2) / (2 * a * b)))
-    assert result.gain_over_itself_draws == 100
-    assert result.gain_over_itself_low < result.gain_over_itself < result.gain_over_itself_high
-
-
 @pytest.mark.parametrize("is_papers", [True, False])
 def test_the_papers_experiment_alone_shows_the_papers_figures(
     is_papers: bool, finished: Callable[..., Path]

@@ -18,7 +18,7 @@ from pfdist.results import (
     Moments,
     relative_gain,
 )
-from pfdist.results.moments import QUANTILES, disagree, gain_over_itself
+from pfdist.results.moments import QUANTILES, disagree
 from pfdist.results.particle_loss import top_percent_share
 
 Array = np.ndarray
@@ -106,21 +106,6 @@ def test_the_log_ratio_of_a_lognormal_is_its_mean_and_changes_sign_with_the_two(
     assert (high - low) / 2 == pytest.approx(half, rel=4 / np.sqrt(2 * 5000))
     assert back.mean_log10_ratio == pytest.approx(-there.mean_log10_ratio)
     assert back.mean_log10_ratio_interval == pytest.approx((-high, -low))
-
-
-def test_noise_gives_a_set_a_negative_gain_over_itself() -> None:
-    # E[1 - a/b] = 1 - exp(sd^2) where log a and log b err independently by sd
-    rng, sd = np.random.default_rng(4), 0.05
-    truth = rng.lognormal(3, 0.4, 5000)
-    mse, again = (truth * np.exp(rng.normal(0, sd, 5000)) for _ in range(2))
-    mse[7], again[8] = np.nan, np.nan
-    found = gain_over_itself(mse, again)
-    assert found.count == 4998
-    assert abs(found.mean - (1 - np.exp(sd**2))) < 4 * found.standard_error
-    one_way = figures_of(mse, again).mean_relative_gain_interval
-    low, high = found.estimate.interval()
-    assert high - low < (one_way[1] - one_way[0]) / 10
-    assert high < 0
 
 
 def test_no_draws_give_no_figures() -> None:

@@ -15,6 +15,7 @@ from pfdist import load_job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistWarning
 from pfdist.store import SCHEMA_VERSION
+from pfdist.store.verify import verify_run
 
 pytestmark = [pytest.mark.fault, pytest.mark.usefixtures("no_figures")]
 Record = Callable[[str, object], None]
@@ -45,11 +46,21 @@ def test_the_run_of_the_present_schema_is_verified_and_computed_again_to_the_las
     ).path
     tables = sorted(folder.name for folder in (kept / "tables").iterdir())
     assert len(tables) >= 6
-    assert {folder.name for folder in (again / "tables").iterdir()} >= {*tables}
-    for table in set(tables) - {"timings"}:
+    now = {folder.name for folder in (again / "tables").iterdir()}
+    assert {*tables} - now == {"repeated"}  # a table that is no longer written
+    for table in now - {"timings"}:
         old, new = (pd.read_parquet(run / "tables" / table) for run in (kept, again))
         pd.testing.assert_frame_equal(old, new, check_exact=True, obj=table)
     record_property("faults", f"{PROMISE}: 1")
+
+
+def test_a_run_with_a_former_table_is_mended(kept: Path) -> None:
+    (lost,) = (kept / "tables" / "comparison").iterdir()
+    lost.unlink()
+    run = pfdist.run(load_job(kept / "job.toml"), kept, pool="serial", figures=False)
+    assert run.state == "finished"
+    assert "repeated" not in run.tables
+    assert list(verify_run(kept)) == []
 
 
 @pytest.mark.filterwarnings("error")

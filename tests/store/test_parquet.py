@@ -34,7 +34,7 @@ from pfdist.store import (
     variance_schema,
 )
 from pfdist.store.listing import read_listing
-from pfdist.store.schema import KEYS, TABLES
+from pfdist.store.schema import KEYS
 from pfdist.store.tables import cut_rows
 
 
@@ -300,7 +300,7 @@ def test_tables_that_are_published_together_are_listed_at_the_end_or_not_at_all(
     assert read_listing(store.path) is None
     with store.together():
         store.settle("draws", "random")
-        store.publish("repeated", "comparison", [schema("repeated").empty_table()])
+        store.publish("online", "comparison", [schema("online").empty_table()])
     assert not store.has_parts()
     assert len(store.read("draws")) == 5
 
@@ -363,7 +363,7 @@ def test_every_column_says_its_unit_and_every_table_its_version(store: Store) ->
             ["regular"], numbered_components(2), numbered_components(1)
         ),
     }
-    for table in TABLES:
+    for table in KEYS:
         columns = variable.get(table) or schema(table)
         store.commit(table, "phase", columns.empty_table())
         (path,) = (store.path / "parts" / table).glob("phase-*.parquet")
