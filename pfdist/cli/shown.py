@@ -15,7 +15,7 @@ from pfdist.pages.terminal import lines_of, wrapped
 from pfdist.questions.run_page import answer_of
 from pfdist.results import Run, finite, reaching
 from pfdist.results.columns import records_of
-from pfdist.results.stored_run import work_of
+from pfdist.results.stored_run import work_done
 from pfdist.store import listed_pages
 from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in
 
@@ -95,7 +95,7 @@ def _show_text(answer: Any, line: Line) -> None:
             print(one_line(str(answer)))
         case Run():
             _print_page(answer_of(answer, line.options.get("target"), details=line.verbose), line)
-            if line.name == "status" and (done := work_of(answer)):
+            if line.name == "status" and (done := work_done(answer)):
                 parts = ", ".join(f"{part} {steps:.3g}" for part, steps in done.items())
                 text = f"{sum(done.values()):.3g} ({parts})"
                 print("\n".join(wrapped(text, "particle-steps: ")))

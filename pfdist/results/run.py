@@ -33,7 +33,7 @@ from pfdist.results.stored_run import (
     problem_of,
     scenarios_of,
     unproved,
-    work_of,
+    work_done,
 )
 from pfdist.store.schema import KEYS
 
@@ -185,7 +185,7 @@ class Run(StoredRun, Shown):
             "criterion_unit": criterion.unit,
             "time_unit": problem.clock.time_unit if problem.has_clock else None,
             "instant_weights": [*problem.weights] if problem.weights else None,
-            "particle_steps": work_of(self),
+            "particle_steps": work_done(self),
             "unproved": unproved(self),
             "sets": records_of(self.table("sets")) if "sets" in has else [],
             "pairs": records_of(self.table("pairs")) if named else None,

@@ -262,7 +262,7 @@ def evaluations_of(run: StoredRun) -> int:
     return sum(map(sum, copies_of(run).values()))
 
 
-def work_of(run: StoredRun) -> dict[str, int]:
+def work_done(run: StoredRun) -> dict[str, int]:
     """The particle-steps of all tasks that were computed, by what they are for; most first.
 
     With an exact engine, the instants of sets. Empty for a run of a version that did not count.

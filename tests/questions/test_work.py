@@ -13,7 +13,7 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
 from pfdist.questions.sweep import foreseen_work
-from pfdist.results.stored_run import work_of
+from pfdist.results.stored_run import work_done
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.door import Part
@@ -33,13 +33,13 @@ def test_the_steps_of_all_tasks_are_counted_and_a_resumed_run_adds_what_it_compu
     monkeypatch.setattr(Evaluator, "results", counting)
     small_job = small_job.with_changes(["problem.horizon=8"])
     run = pfdist.run(small_job, tmp_path / "run", bound_draws=480, figures=False)
-    before = work_of(run)
+    before = work_done(run)
     assert sum(before.values()) == sum(steps)
     assert before.keys() <= {*get_args(Part)}
     assert before["comparison"] == 3 * 250 * 9 * 40  # sets, draws, instants, particles
     assert before["other estimate"] == 3 * 50 * 9 * 40
     more = small_job.with_changes(["comparison.draws=300"])
-    after = work_of(pfdist.run(more, tmp_path / "run", figures=False))
+    after = work_done(pfdist.run(more, tmp_path / "run", figures=False))
     assert after["comparison"] == 3 * 300 * 9 * 40
     assert after["search"] == before["search"]
     assert sum(after.values()) == sum(steps)
@@ -49,7 +49,7 @@ def test_an_exact_engine_counts_instants_of_sets(
     finished: Callable[..., Path],
 ) -> None:
     changes = ["model.name=linear_gaussian", "filter.engine=kalman", "filter.proposal=auto"]
-    done = work_of(pfdist.open_run(finished(*changes)))
+    done = work_done(pfdist.open_run(finished(*changes)))
     # each set on each draw, whose errors are shown, and its exact error
     assert done["comparison"] == 3 * (250 + 1) * 13
     assert done["search"] % 13 == 0
@@ -86,7 +86,7 @@ def test_a_plan_is_foreseen_about_as_it_is_done(
     run = tmp_path / "run"
     assert main([*words, "--results", str(run), "--no-report", "--pool", "serial"]) == 0
     capsys.readouterr()
-    done = Counter(work_of(pfdist.open_run(run)))
+    done = Counter(work_done(pfdist.open_run(run)))
     for part in ("comparison", "other estimate"):
         assert done[part] == foreseen[part]
     for part in ("search", "proof", "likelihood", "statistics"):
