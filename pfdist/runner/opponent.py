@@ -40,7 +40,9 @@ _EXACTLY = 200_000, 20, 1000  # instants of the sets with exact errors; least an
 _NEAR, _LEVELS = 16, 3  # lines near which others are ranked, and how often, if not all are
 _RANKING_DRAWS = 2 * BLOCK
 _RACING, _KEPT, _UNTIL, _FIRST = 20, 12, 600, 150  # sets of a race; those kept until so many draws
-_ROUNDS = 2.4  # the work of a whole race, over that of `_KEPT` sets on `_UNTIL` draws
+_ROUNDS = (
+    1.5  # the work of a whole race, whose sets share much, over `_KEPT` sets on `_UNTIL` draws
+)
 _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
 
 
@@ -117,7 +119,7 @@ class EvenSearch:
             instants = len(sets) * (self.feasible.horizon + 1)
             session.count_exact(self.phase.name, "opponent", instants)
             return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
-        scale = min(1.0, self.steps / 2 / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
+        scale = min(1.0, 0.75 * self.steps / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
         draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
         race = Race(tuple(sets), draws, _KEPT, math.ceil(scale * _UNTIL))
         raced = yield from run_phase(self._with(race, race.draws), session)
