@@ -32,6 +32,7 @@ UNITS = {
     "filters/plain.py simulate": "draw: index t",
     "filters/plain.py _first": "draw: draws.index",
     "filters/plain.py step": "draw: draws t",
+    "filters/predicted.py circular_measurements": "nothing, it only looks for angles:",
     "filters/scenarios.py scenarios_of_draws": "block of draws: begins",
     "filters/work.py filter_streams": "draws: stream",
     "questions/evaluate.py prepare_evaluation": "draws: fresh",
