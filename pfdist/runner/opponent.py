@@ -238,13 +238,9 @@ def opponent_steps(built: Built) -> float:
 
 def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Opponent]:
     """The best evenly spaced set of this name."""
-    return (yield from _search_of(session.built, name).best(session))
-
-
-def _search_of(built: Built, name: str) -> EvenSearch:
+    job, feasible = session.built.job, session.built.study.even[name]
+    sets = {} if job.budget else job.given_sets
     given = {
-        each: times
-        for each, times in built.job.given_sets.items()
-        if times is not None and built.study.even[name].allows(times)
+        each: times for each, times in sets.items() if times is not None and feasible.allows(times)
     }
-    return EvenSearch(built, name, built.study.even[name], {} if built.job.budget else given)
+    return (yield from EvenSearch(session.built, name, feasible, given).best(session))

@@ -54,7 +54,7 @@ UNITS = {
     "runner/backtesting.py plan_of": "replicate: work.stream",
     "runner/block_sums.py grown": "draws:",
     "runner/build.py _with_long_gap": "nothing, it is one choice:",
-    "runner/comparison_phase.py _work": "draws: name",
+    "runner/comparison_phase.py _work": "draws: first times",
     "runner/comparison_phase.py _of_draws": "draws: table",
     "runner/door.py _cuts": "hash:",
     "runner/driver.py online_work": "draws: planner",
