@@ -57,7 +57,7 @@ UNITS = {
     "runner/comparison_phase.py _work": "draws: first times",
     "runner/comparison_phase.py _of_draws": "draws: table",
     "runner/door.py _cuts": "hash:",
-    "runner/driver.py online_work": "draws: planner",
+    "runner/driver.py online_work": "draws: name",
     "runner/evenly_spaced.py _Scan._judged": "draws: times",
     "runner/evenly_spaced.py _Scan._look": "draws:",
     "runner/gap_parts.py gap_parts": "draws:",
