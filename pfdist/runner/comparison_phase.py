@@ -317,9 +317,13 @@ class FirstDrawsTable:
 def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[FirstDrawsTable]:
     """All tables of first draws beside a comparison; by default that of sets still to be found."""
     work = work or _work(built, dict.fromkeys(built.names, built.job.problem.feasible.regular()))
-    details = (trajectories,) if built.study.has_details else ()
-    others = (other_estimates, informations, information_gaps, distances, variances)
-    tables = (*details, *others)
+    tables: list[Callable[[Built, FilterWork], FirstDrawsTable | None]] = [other_estimates]
+    if built.study.has_details:
+        tables.insert(0, trajectories)
+    if not built.evaluator.exact and INFORMATION.name in built.job.other_criteria:
+        tables += [informations, information_gaps]
+    if built.evaluator.has_particle_loss:
+        tables += [distances, variances]
     return [made for table in tables if (made := table(built, work)) is not None]
 
 
@@ -351,34 +355,32 @@ def other_estimates(built: Built, work: FilterWork) -> FirstDrawsTable | None:
     )
 
 
-def distances(built: Built, work: FilterWork) -> FirstDrawsTable | None:
+def distances(built: Built, work: FilterWork) -> FirstDrawsTable:
     """Half the squared distance of two filters with each set; see `pfdist.results.particle_loss`.
 
-    None unless the error is the squared norm and the engine has particles.
+    The error is the squared norm, and the engine has particles.
     """
     estimation = replace(work.estimation, estimator=FILTER_NOISE.name)
     schema = distance_schema(work.ids)
-    return _by_set("filter_distance", schema, built, work, estimation, knows_truth=False)
+    return _of_draws("filter_distance", schema, built, work, estimation, knows_truth=False)
 
 
 def variances(built: Built, work: FilterWork) -> FirstDrawsTable | None:
     """Variance of particles beside the truth, with each set and without any measurement.
 
-    None in the same cases as `distances`, and if the filter does not have the scenario of a draw:
-    then the difference of both filters is not a particle loss.
+    None if the filter does not have the scenario of a draw: then the difference of both filters is
+    not a particle loss.
     """
     if built.evaluator.scenarios and not built.evaluator.knows_scenario:
         return None
     own, schema = work.estimation, variance_schema(work.ids)
     estimation = with_truth(own.particles, own.proposal)
     work = replace(work, measurement_times=(*work.measurement_times, ()))
-    return _by_set("filter_variance", schema, built, work, estimation, knows_truth=True)
+    return _of_draws("filter_variance", schema, built, work, estimation, knows_truth=True)
 
 
-def informations(built: Built, work: FilterWork) -> FirstDrawsTable | None:
-    """Information of the measurements of each set, a lower side; None if it is not wanted."""
-    if built.evaluator.exact or INFORMATION.name not in built.job.other_criteria:
-        return None
+def informations(built: Built, work: FilterWork) -> FirstDrawsTable:
+    """Information of the measurements of each set, a lower side."""
     table = _of_draws(
         "information", information_schema(work.ids), built, work,
         information_estimation(work.estimation.particles),
@@ -387,19 +389,12 @@ def informations(built: Built, work: FilterWork) -> FirstDrawsTable | None:
     return replace(table, columns=partial(_columns_by_set, table.schema, sign=-1.0))
 
 
-def information_gaps(built: Built, work: FilterWork) -> FirstDrawsTable | None:
+def information_gaps(built: Built, work: FilterWork) -> FirstDrawsTable:
     """Distance of an upper side of the information from the lower side, on the first draws."""
-    if built.evaluator.exact or INFORMATION.name not in built.job.other_criteria:
-        return None
     estimation = Estimation(work.estimation.particles, estimator=EVIDENCE.name)
     work, rows = replace(work, controlled=True), information_gap_schema(work.ids)
     table = _of_draws("information_gap", rows, built, work, estimation, knows_truth=True)
     return replace(table, columns=partial(_columns_by_set, rows, sign=-1.0))
-
-
-def _by_set(*given: Any, knows_truth: bool) -> FirstDrawsTable | None:
-    has_loss = given[2].evaluator.has_particle_loss
-    return _of_draws(*given, knows_truth=knows_truth) if has_loss else None
 
 
 def _of_draws(
