@@ -139,8 +139,8 @@ def gap_sentence(
         return f"Proved: no other {times} {have} a lower expected MSE."
     if idle := idle_bound(gap):
         return idle
-    told = ", even with a filter that is told the scenario" if has_scenarios else ""
-    return f"Proved: no other {times} {lower} the expected MSE {at_most(gap, told)}."
+    even_with = ", even with a filter that is told the scenario" if has_scenarios else ""
+    return f"Proved: no other {times} {lower} the expected MSE {at_most(gap, even_with)}."
 
 
 def idle_bound(gap: Mapping[str, Any]) -> str:
@@ -200,11 +200,11 @@ def nats_sentence(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool 
     return f"Proved: no other {times} {gives} more than a further {more} nats{sure}."
 
 
-def at_most(gap: Mapping[str, Any], told: str = "") -> str:
+def at_most(gap: Mapping[str, Any], even_with: str = "") -> str:
     """The gap in words: first the proved limit, then its confidence and the estimate."""
     if not gap["bound_error"]:  # it is exact
-        return f"by more than a further {_percent(rounded_up(gap['gap']))}{told}"
-    limit = f"by more than a further {_percent(rounded_up(gap['gap_at_most']))}{told}"
+        return f"by more than a further {_percent(rounded_up(gap['gap']))}{even_with}"
+    limit = f"by more than a further {_percent(rounded_up(gap['gap_at_most']))}{even_with}"
     confidence = f"{100 * gap['confidence']:.3g}\xa0% confidence"
     return f"{limit} ({confidence}; estimate {_percent(gap['gap'])})"
 

@@ -27,7 +27,7 @@ from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, StoreError, reason_of
 from pfdist.explorer.filtered import Change, FilteredSets
-from pfdist.filters.criterion import Judging
+from pfdist.filters.criterion import OtherCriterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK
 from pfdist.problem.job import job_toml
@@ -82,7 +82,7 @@ class ExplorerSession:
 
     def __init__(self, source: JobSource | Run, say: Say = silent) -> None:
         self.run, self.built = _opened(source, say)
-        if isinstance(self.built.job.criterion, Judging):
+        if isinstance(self.built.job.criterion, OtherCriterion):
             raise other_criterion(self.built.job)
         self._source = source if isinstance(source, str | Path) else None
         self.job, self.feasible = self.built.job, self.built.feasible
@@ -91,7 +91,7 @@ class ExplorerSession:
         stream = stream_of("explore", self.job.seed)
         self.played = FilteredSets(self.built, stream)
         evaluator, own = self.built.evaluator, self.built.comparing
-        estimation = replace(evaluator.estimating_other(own), particles=own.particles)
+        estimation = replace(evaluator.other_estimation(own), particles=own.particles)
         other = replace(self.built, evaluator=evaluator.other_estimate)
         self._other = FilteredSets(other, stream, estimation)  # with errors of the other estimate
         self._lock = threading.Lock()

@@ -35,7 +35,7 @@ Bound = Literal["mean", "mixture", "submodular", "none"]
 ChosenDraws = slice | NDArray[np.bool_]
 
 
-class Judged(NamedTuple):
+class CriterionValue(NamedTuple):
     """A number, and the ends of its 95 % interval."""
 
     value: float
@@ -58,7 +58,7 @@ class Judged(NamedTuple):
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
-class Sides(Judged):
+class Sides(CriterionValue):
     """A lower side, from the lower end of its interval to the upper end of an upper side."""
 
     __slots__ = ()
@@ -113,7 +113,7 @@ class Criterion:
     bound : {"mean", "mixture", "submodular", "none"}
         Its lower bound: that of the mean; that of the mean with the shares of scenarios for which
         it is largest; that by the gains of single measurements; or none.
-    apart : int
+    scenario_count : int
         Number of scenarios that are each judged by separate draws.
     sign : int
         The number that is minimised is that of answers times this.
@@ -130,14 +130,14 @@ class Criterion:
     is_mean: bool = True
     additive: bool = True
     bound: Bound = "mean"
-    apart: int = 1
+    scenario_count: int = 1
     sign: int = 1
     by_instant: bool = False
     needs_draws: bool = False
     fewest: int = 1
 
     @property
-    def of_errors(self) -> "Criterion":
+    def mse_criterion(self) -> "Criterion":
         """The criterion by which MSEs alone are judged, if the job has this one."""
         return self
 
@@ -178,17 +178,17 @@ class Criterion:
             return first.estimate.plus(second.estimate.times(-1.0))
         return Estimate.of_mean(first.mse[both] - second.mse[both], first.clouds)
 
-    def shares(self, errors: Array, own: Sequence[float]) -> Array:
+    def shares(self, errors: Array, given: Sequence[float]) -> Array:
         """The share of each scenario in the exact value of each set, (C, S) or (C, 1).
 
         Parameters
         ----------
         errors : array of float64, (C, S)
             Exact errors of C scenarios.
-        own : sequence of float, (C,)
+        given : sequence of float, (C,)
             Shares of the scenarios, whose sum is 1.
         """
-        return np.array(own)[:, None]
+        return np.array(given)[:, None]
 
     def exactly(self, value: float) -> "Exact":
         """The criterion of a set whose value is known."""
@@ -220,7 +220,7 @@ class WorstScenario(Criterion):
         own, other = self.deciding(first), self.deciding(second)
         return own if np.array_equal(own, other) else None
 
-    def shares(self, errors: Array, own: Sequence[float]) -> Array:
+    def shares(self, errors: Array, given: Sequence[float]) -> Array:
         """1 for the worst scenario of each set, else 0."""
         return np.eye(len(errors))[:, errors.argmax(axis=0)]
 
@@ -240,7 +240,7 @@ class Exact(Criterion):
 
 
 @dataclass(frozen=True)
-class Judging(Criterion):
+class OtherCriterion(Criterion):
     """A criterion other than a mean of errors."""
 
     is_mean: bool = False
@@ -248,21 +248,21 @@ class Judging(Criterion):
     bound: Bound = "none"
 
     @property
-    def of_errors(self) -> Criterion:
+    def mse_criterion(self) -> Criterion:
         """The expected MSE."""
         return MEAN
 
-    def judged(self, sample: Sample) -> Judged:
+    def of_sample(self, sample: Sample) -> CriterionValue:
         """The number of a set."""
         raise NotImplementedError
 
-    def change(self, sample: Sample, other: Sample) -> Judged:
+    def change(self, sample: Sample, other: Sample) -> CriterionValue:
         """The share by which a set's number is lower than another's."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Quantile(Judging):
+class Quantile(OtherCriterion):
     """A quantile over the draws of the MSE: that of the bad draws."""
 
     needs_draws: bool = True
@@ -270,7 +270,7 @@ class Quantile(Judging):
 
     def value(self, errors: "Evaluation") -> Estimate:
         """The quantile; its standard error is that of a normal variate with the same interval."""
-        found = self.judged(Sample(errors.mse))
+        found = self.of_sample(Sample(errors.mse))
         if not math.isfinite(found.value):
             return Estimate(math.inf, math.inf)
         return Estimate(found.value, found.standard_error)
@@ -282,26 +282,30 @@ class Quantile(Judging):
         value, other = self._values(both)
         return Estimate(float(value - other), float(np.std(apart, ddof=1)))
 
-    def judged(self, sample: Sample) -> Judged:
+    def of_sample(self, sample: Sample) -> CriterionValue:
         """The quantile, and an interval from two order statistics for any distribution."""
         from scipy.stats import binom  # noqa: PLC0415  workers need no intervals
 
         count = sample.mse.size
         if not count:
-            return Judged(math.nan, *UNKNOWN)
+            return CriterionValue(math.nan, *UNKNOWN)
         low, high = (int(binom.ppf(side, count, self.share)) for side in _SIDES)
         ordered = np.concatenate([[0.0], np.sort(sample.mse), [math.inf]])
         (value,) = self._values(sample.mse[None])
-        return Judged(float(value), float(ordered[low]), float(ordered[min(high, count) + 1]))
+        return CriterionValue(
+            float(value), float(ordered[low]), float(ordered[min(high, count) + 1])
+        )
 
-    def change(self, sample: Sample, other: Sample) -> Judged:
+    def change(self, sample: Sample, other: Sample) -> CriterionValue:
         """The share by which a set's quantile is lower than another's, by a paired bootstrap."""
         both = np.stack([sample.mse, other.mse])
         value, of_other = self._values(both)
         again, of_other_again = self._again(both, _RESAMPLES)
         with np.errstate(divide="ignore", invalid="ignore"):
             changes = 1 - again / of_other_again
-            return Judged(float(1 - value / of_other), *np.quantile(changes, _SIDES).tolist())
+            return CriterionValue(
+                float(1 - value / of_other), *np.quantile(changes, _SIDES).tolist()
+            )
 
     def _values(self, mse: Array) -> Array:
         """The quantile of each set, (S,), of errors (S, D)."""
@@ -351,7 +355,7 @@ _IN_TAIL = 20  # draws beyond a quantile, or before it, from which on its standa
 
 
 @dataclass(frozen=True)
-class WorstInstant(Judging):
+class WorstInstant(OtherCriterion):
     """The largest expected error over the instants that count."""
 
     name: str = "worst_instant"
@@ -377,11 +381,11 @@ class WorstInstant(Judging):
         error = math.sqrt((count - 1) * np.var(apart))
         return Estimate(float(value - other), error, count - 1)
 
-    def judged(self, sample: Sample) -> Judged:
+    def of_sample(self, sample: Sample) -> CriterionValue:
         """The largest error, between the largest lower and the largest upper limit."""
         return self._between(sample, sample.errors.size)
 
-    def change(self, sample: Sample, other: Sample) -> Judged:
+    def change(self, sample: Sample, other: Sample) -> CriterionValue:
         """The share by which a set's largest error is lower, from limits that hold together.
 
         No error is below 0, even if a limit is.
@@ -391,21 +395,21 @@ class WorstInstant(Judging):
         of_other, least, most = self._between(other, limits)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = np.divide([value, high, max(low, 0.0)], [of_other, max(least, 0.0), most])
-        return Judged(*(1 - ratios).tolist())
+        return CriterionValue(*(1 - ratios).tolist())
 
-    def _between(self, sample: Sample, limits: int) -> Judged:
+    def _between(self, sample: Sample, limits: int) -> CriterionValue:
         if not sample.errors.size:
-            return Judged(math.nan, *UNKNOWN)
+            return CriterionValue(math.nan, *UNKNOWN)
         apart = sample.standard_errors
         if apart.any():
             share = (1 - CONFIDENCE) / 2 / limits  # Bonferroni
             apart = -student_quantile(share, sample.degrees) * apart
         ends = sample.errors, sample.errors - apart, sample.errors + apart
-        return Judged(*(float(each.max()) for each in ends))
+        return CriterionValue(*(float(each.max()) for each in ends))
 
 
 @dataclass(frozen=True)
-class Information(Judging):
+class Information(OtherCriterion):
     """The expected information of the measurements about the path, and what is learned, in nats.
 
     The number that is minimised is its negative.
@@ -422,26 +426,26 @@ class Information(Judging):
         """The unit of a natural logarithm."""
         return "nats"
 
-    def judged(self, sample: Sample) -> Judged:
+    def of_sample(self, sample: Sample) -> CriterionValue:
         """The lower side, from the lower end of its interval to the upper end of the upper side."""
         below = Estimate.of_mean(sample.information)
         return Sides(*self._between(below, below, _and_mean(sample.information, sample.gap)))
 
-    def change(self, sample: Sample, other: Sample) -> Judged:
+    def change(self, sample: Sample, other: Sample) -> CriterionValue:
         """The nats that a set gives more than another."""
         more = sample.information - other.information
         low, high = _and_mean(more, -other.gap), _and_mean(more, sample.gap)
         return self._between(Estimate.of_mean(more), low, high)
 
     @staticmethod
-    def _between(value: Estimate, below: Estimate, above: Estimate) -> Judged:
+    def _between(value: Estimate, below: Estimate, above: Estimate) -> CriterionValue:
         if value.degrees == math.inf:  # exact: a single draw
-            return Judged(value.value, value.value, value.value)
+            return CriterionValue(value.value, value.value, value.value)
         low, high = (
             each.interval()[place] if math.isfinite(each.value) else each.value
             for place, each in enumerate((below, above))
         )
-        return Judged(value.value, low, high)
+        return CriterionValue(value.value, low, high)
 
 
 def _and_mean(values: Array, others: Array) -> Estimate:
@@ -474,14 +478,16 @@ def unit_of_criterion(name: str) -> str:
     return _NAMED.get(name, MEAN).unit
 
 
-def judging_of(criterion: str | None, also: Sequence[str] | None) -> dict[str, Judging]:
+def other_criteria_of(
+    criterion: str | None, also: Sequence[str] | None
+) -> dict[str, OtherCriterion]:
     """The criteria of these written names but the expected MSE, by their own names.
 
     Raises ValueError if two of them have one name.
     """
     written = [*([criterion] if criterion else []), *(also or ())]
     named = {criterion_named(each) for each in written}
-    found = [each for each in named if isinstance(each, Judging)]
+    found = [each for each in named if isinstance(each, OtherCriterion)]
     if len({each.name for each in found}) < len(found):
         raise ValueError(f"one run has one quantile, got {', '.join(map(repr, written))}")
     return {each.name: each for each in sorted(found, key=lambda each: each.name)}

@@ -15,7 +15,14 @@ from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.shown import Shown
-from pfdist.filters.criterion import MEAN, Criterion, Exact, Judged, Sample, unit_of_criterion
+from pfdist.filters.criterion import (
+    MEAN,
+    Criterion,
+    CriterionValue,
+    Exact,
+    Sample,
+    unit_of_criterion,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +68,7 @@ class Evaluation(Shown):
         error and standard_error.
     few_lines : str
         A sentence if a smoothed estimate is that of few particles.
-    also : mapping of str to Judged
+    also : mapping of str to CriterionValue
         The numbers of further criteria by their names, if `pfdist.evaluate` was asked for them:
         value, and low and high of its 95 % interval.
     sample : Sample, optional
@@ -81,7 +88,7 @@ class Evaluation(Shown):
     clouds: int = 0
     profile: "pd.DataFrame | None" = None
     few_lines: str = ""
-    also: Mapping[str, Judged] = field(default_factory=dict)
+    also: Mapping[str, CriterionValue] = field(default_factory=dict)
     sample: Sample | None = None
 
     @property

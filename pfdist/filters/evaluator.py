@@ -78,12 +78,13 @@ class Evaluator:
     # Each draw has the parameters of one of these scenarios; none: of the model. If the filter is
     # told, it has the parameters of the draw's scenario, too.
     scenarios: tuple[Scenario, ...] = ()
-    told: bool = False
+    knows_scenario: bool = False
     scale: float = 1.0  # the squared errors are divided by it; see `Scenario`
     # The estimate of z(t) uses measurements until t + lag, in instants: 0 for that of the filter, T
     # for that from all measurements. See `Estimation`.
     lag: Lag = 0
-    informs: bool = False  # whether its error is minus the information, in nats; see `informing`
+    # whether its error is minus the information, in nats; see `of_information`
+    gives_information: bool = False
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
@@ -149,13 +150,13 @@ class Evaluator:
     @cached_property
     def truth(self) -> "Evaluator":
         """The same evaluator with a filter that has the true model and the draw's scenario."""
-        if self.believed == self.model and self.told == bool(self.scenarios):
+        if self.believed == self.model and self.knows_scenario == bool(self.scenarios):
             return self
         return replace(
             self,
             filter_model=None,
             estimations=(),
-            told=bool(self.scenarios),
+            knows_scenario=bool(self.scenarios),
         )
 
     @cached_property
@@ -163,7 +164,7 @@ class Evaluator:
         """The evaluator with the smoothed estimate; if this one has a lag, with the filter's."""
         return replace(self, lag=0 if self.lag else self.horizon, estimations=())
 
-    def estimating_other(self, own: Estimation) -> Estimation:
+    def other_estimation(self, estimation: Estimation) -> Estimation:
         """The estimation of `other_estimate`.
 
         A smoothed estimate comes from few ancestors, whose part two filters take out of its error.
@@ -171,10 +172,11 @@ class Evaluator:
         due to particles: so more of them are worth fewer draws.
         """
         if self.lag or not self.has_particle_loss:
-            return own
+            return estimation
         if not self.variance_is_error:
-            return replace(own, estimator=TWO_ERRORS.name)
-        return replace(own, particles=_MORE * own.particles, estimator=TWO_CLOUDS.name)
+            return replace(estimation, estimator=TWO_ERRORS.name)
+        particles = _MORE * estimation.particles
+        return replace(estimation, particles=particles, estimator=TWO_CLOUDS.name)
 
     @property
     def other_is_limit(self) -> bool:
@@ -182,18 +184,19 @@ class Evaluator:
         return not self.lag and self.has_particles and not self.has_particle_loss
 
     @cached_property
-    def informing(self) -> "Evaluator":
+    def of_information(self) -> "Evaluator":
         """The evaluator of the information; its "MSE" is minus the nats of a draw.
 
         The sum over all instants is a mean of errors that are scaled by their number.
         """
         instants = self.horizon + 1 - self.start
-        return replace(self, informs=True, lag=0, weights=None, scale=1 / instants, estimations=())
+        mean = replace(self, lag=0, weights=None, scale=1 / instants, estimations=())
+        return replace(mean, gives_information=True)
 
-    def estimating(self, estimation: Estimation) -> "Evaluator":
+    def for_estimation(self, estimation: Estimation) -> "Evaluator":
         """The evaluator of what an estimation estimates: the error, or the information."""
-        informs = ESTIMATORS[estimation.estimator].weights.evidence and not self.informs
-        return self.informing if informs else self
+        is_wanted = ESTIMATORS[estimation.estimator].weights.evidence != 0
+        return self.of_information if is_wanted and not self.gives_information else self
 
     @cached_property
     def of_scenarios(self) -> tuple["Evaluator", ...]:
@@ -205,15 +208,15 @@ class Evaluator:
         for scenario in self.scenarios:
             model, believed = self.model.with_parameters(scenario.parameters), self.believed
             check_lengths(scenario.parameters, self.horizon + 1, "", exactly=True)
-            if self.told:
+            if self.knows_scenario:
                 believed = believed.with_parameters(scenario.parameters)
             alone = replace(
                 self,
                 model=model,
                 filter_model=believed,
                 scenarios=(),
-                told=False,
-                scale=self.scale if self.informs else scenario.scale,
+                knows_scenario=False,
+                scale=self.scale if self.gives_information else scenario.scale,
             )
             evaluators.append(alone)
         return tuple(evaluators)
@@ -240,14 +243,14 @@ class Evaluator:
     @cached_property
     def self_consistent(self) -> "Evaluator":
         """The same evaluator with draws of the filter's model."""
-        if self.believed == self.model and self.told == bool(self.scenarios):
+        if self.believed == self.model and self.knows_scenario == bool(self.scenarios):
             return self
         return replace(
             self,
             model=self.believed,
             filter_model=None,
             estimations=(),
-            scenarios=self.scenarios if self.told else (),
+            scenarios=self.scenarios if self.knows_scenario else (),
         )
 
     @property
@@ -284,8 +287,8 @@ class Evaluator:
         """
         if not self.exact or criterion.needs_draws:
             return None
-        if isinstance(criterion, Information) and not self.informs:
-            return self.informing.expected_mse(sets, ends)
+        if isinstance(criterion, Information) and not self.gives_information:
+            return self.of_information.expected_mse(sets, ends)
         if criterion.by_instant:
             errors = self._exact_errors_of(self._shares, sets)
             worst: NDArray[np.float64] = errors[:, self.relative_weights > 0.0].max(axis=1)
@@ -306,7 +309,7 @@ class Evaluator:
 
     def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
         given = self.model, self.horizon, sets, self.prior
-        errors = kalman.expected_errors(*given, self.lag, informs=self.informs)
+        errors = kalman.expected_errors(*given, self.lag, gives_information=self.gives_information)
         if weighted and self.instant_weights is not None:
             return weighed(errors, self.instant_weights)
         return errors / self.scale
@@ -335,7 +338,9 @@ class Evaluator:
         parts = self.of_scenarios or (self,)
         return np.array(
             [
-                kalman.expected_mse(p.model, *given, p.instant_weights, self.lag, self.informs)
+                kalman.expected_mse(
+                    p.model, *given, p.instant_weights, self.lag, self.gives_information
+                )
                 for p in parts
             ]
         )
@@ -388,7 +393,7 @@ class Evaluator:
         The filter must have the true model, and be told the scenario if there are several. The
         error must be the squared norm.
         """
-        is_told = self.told or not self.scenarios
+        is_told = self.knows_scenario or not self.scenarios
         return is_told and self.believed == self.model and self.model.error is squared_error
 
     def id_of(self, estimation: Estimation, *parts: Any) -> str:
@@ -404,7 +409,7 @@ class Evaluator:
             self.engine,
             estimation.recorded,
             *(part for part in (self.times, self.weights) if part is not None),
-            *([[*map(vars, self.scenarios)], self.told] if self.scenarios else []),
+            *([[*map(vars, self.scenarios)], self.knows_scenario] if self.scenarios else []),
             *(["lag", self.lag] if self.lag else []),
             *parts,
         )
@@ -519,7 +524,7 @@ class Evaluator:
     def of_work(self, work: FilterWork) -> "Evaluator":
         """The evaluator with the filter's model of a work, and the estimate that it wants."""
         known = self.truth if work.knows_truth else self
-        known = known.estimating(work.estimation)
+        known = known.for_estimation(work.estimation)
         return known.other_estimate if work.other_estimate else known
 
     def pieces(self, work: FilterWork, seconds: float) -> list[FilterWork]:
@@ -589,7 +594,7 @@ def recorded_evaluator(
     horizon: int,
     times: tuple[float, ...] | None = None,
     others: Iterable[Mapping[str, Parameter]] = (),
-    told: bool = False,
+    knows_scenario: bool = False,
     **settings: Any,
 ) -> Evaluator:
     """The evaluator of recorded models, which fit the times and each other.
@@ -603,7 +608,7 @@ def recorded_evaluator(
         The time of each instant, which formulas read.
     others : iterable of mapping
         Further values of the truth's parameters: those of scenarios.
-    told : bool
+    knows_scenario : bool
         Whether the filter's model also has these values.
     settings
         Further fields of `Evaluator`.
@@ -624,7 +629,7 @@ def recorded_evaluator(
         check_same_functions(model, filter_model, instants)
     model = recorded(model, instants, known)
     if not is_same:
-        filter_model = recorded(filter_model, instants, known if told else ())
+        filter_model = recorded(filter_model, instants, known if knows_scenario else ())
     return Evaluator(model, horizon, model if is_same else filter_model, times=times, **settings)
 
 

@@ -184,7 +184,8 @@ def _errors(filters: Sequence[FilterArrays], draws: Draws, estimator: Estimator)
     errors = errors_by_variance(estimates, variances, estimator.weights, model.is_angle)
     if evidence := estimator.weights.evidence:
         (of_filter,) = filters
-        errors = evidence * of_filter.told[0] + estimator.weights.explained * of_filter.told[1]
+        log_evidence, explained = of_filter.log_likelihoods
+        errors = evidence * log_evidence + estimator.weights.explained * explained
     if estimator.weights.squared_error:
         error, shape = twin_of(model, draws.instants).error, (len(draws.index), 1)
         for estimate in estimates:

@@ -178,7 +178,7 @@ def expected_mse(
     prior: Prior | None = None,
     weights: Array | None = None,
     lag: Lag = 0,
-    informs: bool = False,
+    gives_information: bool = False,
 ) -> Array:
     """Exact expected MSE with each set of times, (S,): no draws are needed.
 
@@ -188,7 +188,7 @@ def expected_mse(
     instants have mean 1; by default all are 1. Raises MeasurementTimesError if a set lies outside
     these instants, and ModelError if the model is not linear-Gaussian.
     """
-    errors = expected_errors(model, horizon, sets, prior, lag, informs=informs)
+    errors = expected_errors(model, horizon, sets, prior, lag, gives_information=gives_information)
     start = horizon + 1 - errors.shape[1]
     last = [horizon - start] * len(sets) if ends is None else [end - start for end in ends]
     if weights is not None:
@@ -204,12 +204,12 @@ def expected_errors(
     prior: Prior | None = None,
     lag: Lag = 0,
     *,
-    informs: bool = False,
+    gives_information: bool = False,
 ) -> Array:
     """Exact expected error of each instant with each set of times, (S, T+1).
 
-    With a prior of x(s), the instants are s..T. If it informs, the error is minus the information
-    of an instant's measurements, in nats: log det(H P H' + R) / 2 - log det(R) / 2. Raises as
+    With a prior of x(s), the instants are s..T. If information is wanted, the error is minus
+    that of an instant's measurements, in nats: log det(H P H' + R) / 2 - log det(R) / 2. Raises as
     `expected_mse`.
     """
     start = 0 if prior is None else prior.t
@@ -224,11 +224,11 @@ def expected_errors(
     for t in range(start, horizon + 1):
         check()
         through, information = _unmeasured(matrices, t, start, covariance)
-        told = np.zeros(len(sets))
+        nats = np.zeros(len(sets))
         for place in points.at(t):
             here = measured[:, place]
-            if informs:
-                told[here] -= _information(covariance[here], matrices.measurement[place])
+            if gives_information:
+                nats[here] -= _information(covariance[here], matrices.measurement[place])
             gain, observation_matrix, weight = _gain(covariance[here], matrices.measurement[place])
             if lag:
                 seen = observation_matrix @ through[here]
@@ -238,8 +238,8 @@ def expected_errors(
         kept += [(covariance.copy(), through, information)] if lag else []
         h = matrices.quantity_of_interest[t].matrix
         errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
-        if informs:
-            errors[:, t - start] = told
+        if gives_information:
+            errors[:, t - start] = nats
         if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
     if lag:
@@ -443,8 +443,8 @@ def _information(covariance: Array, measurement: Affine) -> Array:
     observation_matrix = measurement.matrix[:, :states]
     noise = _square(measurement.matrix[:, states:])
     spread = observation_matrix @ covariance @ observation_matrix.T + noise
-    told: Array = (np.linalg.slogdet(spread)[1] - np.linalg.slogdet(noise)[1]) / 2
-    return told
+    information: Array = (np.linalg.slogdet(spread)[1] - np.linalg.slogdet(noise)[1]) / 2
+    return information
 
 
 def _propagated(covariance: Array, transition: Affine) -> Array:

@@ -89,7 +89,7 @@ def filter_checked_draws(
         ]
     return FilterArrays(
         *(
-            np.concatenate(parts, axis=1 if name in ("ranks", "told") else 0)
+            np.concatenate(parts, axis=1 if name in ("ranks", "log_likelihoods") else 0)
             for name, parts in zip(FilterArrays._fields, zip(*blocks, strict=True), strict=True)
         )
     )
@@ -109,7 +109,7 @@ def _filter(
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     ranks = np.full((2, *draws.z.shape), np.nan)
     sizes, lines = np.full((2, count, instants), np.nan)
-    told = np.zeros((2, count, instants))
+    log_likelihoods = np.zeros((2, count, instants))
     fails = np.zeros((count, instants), np.bool_)
     first_kept = first_smoothed(settings.lag, draws.instants)
     estimated = _estimated(model, draws.instants, times, settings.lag)
@@ -125,7 +125,7 @@ def _filter(
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
         x, weight, fails[:, k], weighs = _weighed(
-            model, draws, k, x, past, carried, times, stream, settings, told[:, :, k]
+            model, draws, k, x, past, carried, times, stream, settings, log_likelihoods[:, :, k]
         )
         share = weight / weight.sum(axis=1, keepdims=True)
         measured = t in model.points.instants(times)
@@ -161,7 +161,7 @@ def _filter(
     mse[degenerate & scheme.holds_truth] = np.nan
     return FilterArrays(
         mse, degenerate, mean, variance, sizes, np.empty((0, 0)), ranks, last, carried, lines,
-        line_z, line_weight, told, np.empty((count, 0), np.uint8),
+        line_z, line_weight, log_likelihoods, np.empty((count, 0), np.uint8),
     )  # fmt: skip
 
 
@@ -249,7 +249,7 @@ def _weighed(
     times: Times,
     stream: int,
     settings: Estimation,
-    told: Array,
+    log_likelihoods: Array,
 ) -> tuple[tuple[Array, ...], Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Particles and weights after the measurements at an instant, and which draws degenerate.
 
@@ -257,7 +257,7 @@ def _weighed(
     draws the last measurement has weighed. The sensors weigh in their order. The particles are
     resampled in between, but not propagated. `weight` has the carried weights, and `past` the
     earlier z along the particles' lines. The log evidence of each sensor's measurement, and the
-    particles' mean log-likelihood, are added to `told`, (2, D).
+    particles' mean log-likelihood, are added to `log_likelihoods`, (2, D).
     """
     count, particles = cloud = x[0].shape
     degenerate, weighs = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
@@ -271,13 +271,13 @@ def _weighed(
         new = weights_of(log_likelihood + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
         if ESTIMATORS[settings.estimator].weights.evidence:
-            told += _told(log_likelihood, new)
+            log_likelihoods += _log_likelihoods(log_likelihood, new)
         weight = np.where(weighs[:, None], new, weight)
         degenerate |= ~weighs
     return x, weight, degenerate, weighs
 
 
-def _told(log_likelihood: Array, weight: Array) -> Array:
+def _log_likelihoods(log_likelihood: Array, weight: Array) -> Array:
     """The log evidence of a measurement, and the mean log-likelihood of weighted particles: (2, D).
 
     The particles had equal weights before.

@@ -95,18 +95,18 @@ def with_truth(particles: int, proposal: str = PLAIN) -> Estimation:
     return Estimation(particles, CONDITIONAL.name, FILTER_VARIANCE.name, proposal=proposal)
 
 
-def informing(particles: int) -> Estimation:
+def information_estimation(particles: int) -> Estimation:
     """The estimation of the information, with so many particles, one of which is the truth."""
     return Estimation(particles, CONDITIONAL.name, INFORMATION.name)
 
 
-def control_of(own: Estimation) -> Estimation:
+def control_of(given: Estimation) -> Estimation:
     """The estimation of a filter's control variate, with as many particles beside the truth.
 
     Beside a log evidence, which is a lower side, it is the upper side.
     """
-    estimator = own.estimator if own.estimator == EVIDENCE.name else CONTROL.name
-    return Estimation(own.particles, CONDITIONAL.name, estimator, proposal=own.proposal)
+    estimator = EVIDENCE if given.estimator == EVIDENCE.name else CONTROL
+    return Estimation(given.particles, CONDITIONAL.name, estimator.name, proposal=given.proposal)
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ class FilterArrays(NamedTuple):
     line_weight: NDArray[np.float64] = np.empty((0, 0, 0))
     # (2, D, T+1), of the plain twin: log evidence of an instant's measurements, and the particles'
     # mean log-likelihood after them; 0 without a measurement
-    told: NDArray[np.float64] = np.empty((2, 0, 0))
+    log_likelihoods: NDArray[np.float64] = np.empty((2, 0, 0))
     # (D, (T+1) sensors): whether a rule measures each draw at each point; else empty. In the
     # kernel, bits as in `Plan.measured`
     measured: NDArray[np.uint8] = np.empty((0, 0), np.uint8)

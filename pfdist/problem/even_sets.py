@@ -41,7 +41,7 @@ class EvenLine(NamedTuple):
     family: int
     first: float  # a
     step: float  # d
-    apart: float = 0.0  # of the first targets, and of the last ones; 0 if no line lies between
+    distance: float = 0.0  # of the first targets, and of the last ones; 0 if no line lies between
 
 
 class EvenFamily(NamedTuple):
@@ -85,16 +85,16 @@ class EvenSets:
 
     def near(self, line: EvenLine) -> list[EvenLine]:
         """Lines between a line and its neighbours, with a third of their distance."""
-        number, first, step, apart = line
+        number, first, step, distance = line
         family = self.families[number]
         last, steps = first + (family.targets - 1) * step, max(1, family.targets - 1)
         low, high = family.edges[[0, -1]]
-        moved = apart / 3 * np.arange(-2, 3)
+        moved = distance / 3 * np.arange(-2, 3)
         return [
-            EvenLine(number, a, (b - a) / steps, apart / 3)
+            EvenLine(number, a, (b - a) / steps, distance / 3)
             for a in (first + moved).tolist()
             for b in ((last + moved).tolist() if family.targets > 1 else [a])
-            if apart and low < a <= b < high
+            if distance and low < a <= b < high
         ]
 
     def sets_of(self, lines: list[EvenLine]) -> dict[Times, EvenLine]:
@@ -241,8 +241,8 @@ def _spread(
     low, high = family.edges[[0, -1]].tolist()
     steps = family.targets - 1
     room = high - low - steps * shortest
-    apart = room / math.sqrt(2 * most)
-    count = max(1, math.ceil(room / apart))
+    distance = room / math.sqrt(2 * most)
+    count = max(1, math.ceil(room / distance))
     at = (np.arange(count) + 0.5) * room / count
     return [
         (low + a, (high - low - a - b) / steps, room / count)

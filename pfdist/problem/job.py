@@ -22,9 +22,9 @@ from pfdist.filters.criterion import (
     MEAN,
     Criterion,
     Information,
-    Judging,
+    OtherCriterion,
     criterion_named,
-    judging_of,
+    other_criteria_of,
 )
 from pfdist.filters.engines import is_exact
 from pfdist.problem.covariates import with_columns
@@ -284,7 +284,7 @@ class Job(JobSection):
                  "scenarios.criterion = 'mean', got 'worst'"),
                 *([] if self.criterion.additive else [self._compares_whole_sets]),
             )  # fmt: skip
-        if any(isinstance(each, Information) for each in self.judging.values()):
+        if any(isinstance(each, Information) for each in self.other_criteria.values()):
             believed, is_blind = self.model.filter, scenarios and scenarios.filter == "nominal"
             _needs(
                 "the criterion 'information'",
@@ -386,7 +386,7 @@ class Job(JobSection):
     @model_validator(mode="after")
     def _simulates_few_draws_beside_exact_errors(self) -> Self:
         """Compare few draws by default, if neither errors nor the criteria come from them."""
-        needs_draws = any(each.needs_draws for each in self.judging.values())
+        needs_draws = any(each.needs_draws for each in self.other_criteria.values())
         is_given = "draws" in self.comparison.model_fields_set
         if is_exact(self.filter.engine) and not (is_given or needs_draws or self.scenarios):
             comparison = self.comparison.model_copy(update={"draws": _EXACT_DRAWS})
@@ -459,12 +459,12 @@ class Job(JobSection):
         return MEAN if self.scenarios is None else self.scenarios.form
 
     @cached_property
-    def judging(self) -> dict[str, Judging]:
+    def other_criteria(self) -> dict[str, OtherCriterion]:
         """The criteria by which compared sets are judged besides the expected MSE, by their names.
 
         One of scenarios is judged by their errors.
         """
-        return judging_of(self.problem.criterion, self.comparison.also)
+        return other_criteria_of(self.problem.criterion, self.comparison.also)
 
     def with_changes(
         self,

@@ -142,7 +142,7 @@ class Scenarios(JobSection):
     @property
     def form(self) -> Criterion:
         """The number that is minimised: the mean, or the error in the worst scenario."""
-        return MEAN if self.criterion == "mean" else WorstScenario(apart=len(self.each))
+        return MEAN if self.criterion == "mean" else WorstScenario(scenario_count=len(self.each))
 
     @property
     def of_draws(self) -> tuple[Scenario, ...]:

@@ -352,7 +352,7 @@ def backtest(
 def _check_filter(built: Built) -> None:
     """Raise `JobError` if the job's filter cannot filter real systems here."""
     scenarios, delays = built.job.scenarios, built.job.problem.points.delays
-    if built.evaluator.told:
+    if built.evaluator.knows_scenario:
         raise JobError(
             "scenarios.filter must be 'nominal' or 'learned', got 'told': the scenario of a "
             "real system is not known"

@@ -18,7 +18,7 @@ from pfdist.common.parts import (
 )
 from pfdist.common.percent import percent
 from pfdist.common.rounding import WIDE, rounded, with_error, with_sides
-from pfdist.filters.criterion import Judged
+from pfdist.filters.criterion import CriterionValue
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import (
     ERROR_HEAD,
@@ -228,10 +228,10 @@ def criterion_effect(subject: Subject, row: Row) -> str | None:
         return f"{effect(gain, ends, subject.reference, subject.error)}: {own} instead of {other}."
     value, low, high = map(float, (row.information, row.information_low, row.information_high))
     limits = with_sides(value, low, high, subject.criterion.unit)
-    told = limits or Judged(value, low, high).text(subject.criterion.unit)
+    told = limits or CriterionValue(value, low, high).text(subject.criterion.unit)
     bits = rounded((low if limits else value) / math.log(2), 3)
     signed = ends if gain >= 0 else [-end for end in reversed(ends)]
-    more = Judged(abs(gain), *signed).text(subject.criterion.unit)
+    more = CriterionValue(abs(gain), *signed).text(subject.criterion.unit)
     than = f"{more} {'more' if gain >= 0 else 'less'} than {subject.reference}"
     if not is_clear(ends):
         than = f"not clearly another number than {subject.reference}: {than}"

@@ -19,10 +19,10 @@ from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
-from pfdist.filters.criterion import MEAN, Criterion, Judged, Judging, Sample
+from pfdist.filters.criterion import MEAN, Criterion, CriterionValue, OtherCriterion, Sample
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, FilterWork, Result, informing, joined
+from pfdist.filters.work import Estimation, FilterWork, Result, information_estimation, joined
 from pfdist.kernels.estimators import EVIDENCE, INFORMATION
 from pfdist.models import squared_error
 from pfdist.problem.clock import Time
@@ -35,7 +35,8 @@ from pfdist.questions.options import Names, criteria_in, following
 from pfdist.questions.subject import WHEN, change_of, is_clear, mse_cell, number_of
 from pfdist.results import Gain
 from pfdist.results.columns import COLUMNS, head_of_limit, interval_cell
-from pfdist.results.over_time import Range, errors_over_time_of, profile_of
+from pfdist.results.criteria import with_errors_over_time
+from pfdist.results.over_time import Range, profile_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.comparison_phase import LOSS_DRAWS, OTHERS
 from pfdist.runner.pace import MOST_SECONDS
@@ -186,10 +187,10 @@ def _evaluated(
     built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool, other: bool = False
 ) -> dict[str, Evaluation]:
     evaluator, times = built.evaluator, tuple(sets.values())
-    criterion, judging = built.job.criterion.of_errors, built.job.judging
+    criterion, judging = built.job.criterion.mse_criterion, built.job.other_criteria
     estimation, draws = comparing_of(built.job), built.job.evaluation.draws
     if other:
-        own, estimation = estimation, evaluator.estimating_other(estimation)
+        own, estimation = estimation, evaluator.other_estimation(estimation)
         more = estimation.steps_an_instant // own.steps_an_instant
         draws = -(-draws // (OTHERS * max(1, more // 2)))
         evaluator, profile, judging = evaluator.other_estimate, False, {}
@@ -234,7 +235,7 @@ def _evaluated(
         found = _with_profiles(built, sets, found, result.errors)
     if judging:
         for name, sample in zip(sets, _samples(built, work, result), strict=True):
-            also = {key: each.judged(sample) for key, each in judging.items()}
+            also = {key: each.of_sample(sample) for key, each in judging.items()}
             found[name] = replace(found[name], sample=sample, also=also)
     return found
 
@@ -259,7 +260,7 @@ def _with_profiles(
     for place, (name, each) in enumerate(found.items()):
         rows = errors[:, place]
         deciding = rows[each.criterion.deciding(each)] if each.draws else rows
-        ranges = _over_time_of(built, sets[name], built.job.criterion.of_errors, deciding)
+        ranges = _over_time_of(built, sets[name], built.job.criterion.mse_criterion, deciding)
         table = profile_of(built.job.problem, sets[name], ranges, 0)
         if name:
             table.insert(0, "name", name)
@@ -268,39 +269,35 @@ def _with_profiles(
 
 
 def _samples(built: Built, work: FilterWork, result: Result) -> Iterator[Sample]:
-    """The results of each set of a work that further criteria judge."""
-    judging, told, gaps = built.job.judging, np.empty((0, 0)), np.zeros((1, 0))
-    if (information := judging.get(INFORMATION.name)) is not None:
-        told, gaps = _informations(built, work, information)
+    """The results of each set of a work."""
+    wanted, nats = built.job.other_criteria, dict[str, Any]()
+    if (information := wanted.get(INFORMATION.name)) is not None:
+        nats = _informations(built, work, information)
+    by_instant = any(each.by_instant for each in wanted.values())
     for place, times in enumerate(work.measurement_times):
-        sample = Sample(result.mse[:, place])
-        if any(each.by_instant for each in judging.values()):
-            ranges = _over_time_of(built, times, MEAN, result.errors[:, place])
-            at, apart = errors_over_time_of(ranges, 0)
-            counts, degrees = built.evaluator.relative_weights > 0.0, len(ranges) - 1.0
-            of_instants = {"errors": at[counts], "standard_errors": apart[counts]}
-            sample = replace(sample, **of_instants, degrees=degrees)
-        if information is not None:
-            sample = replace(sample, information=told[:, place], gap=gaps[:, place])
-        yield sample
+        ranges = _over_time_of(built, times, MEAN, result.errors[:, place]) if by_instant else []
+        of_set = {name: values[:, place] for name, values in nats.items()}
+        sample = Sample(result.mse[:, place], **of_set)
+        yield with_errors_over_time(sample, ranges, 0, built.evaluator.relative_weights)
 
 
-def _informations(built: Built, work: FilterWork, criterion: Criterion) -> tuple[Any, Any]:
+def _informations(built: Built, work: FilterWork, criterion: Criterion) -> dict[str, Any]:
     """The information of each draw, (D, S), and the gaps of the first draws, (D', S)."""
     exact = built.evaluator.expected_mse(work.measurement_times, criterion=criterion)
     if exact is not None:
-        return -exact[None], np.zeros((1, exact.size))
+        return {"information": -exact[None]}
     particles, found = work.estimation.particles, list[Any]()
     draws, first = work.draws[1], min(LOSS_DRAWS, work.draws[1])
     gap = Estimation(particles, estimator=EVIDENCE.name)
-    for estimation, count, controlled in ((informing(particles), draws, False), (gap, first, True)):
-        evaluator = built.evaluator.truth.estimating(estimation)
+    below = information_estimation(particles)
+    for estimation, count, controlled in ((below, draws, False), (gap, first, True)):
+        evaluator = built.evaluator.truth.for_estimation(estimation)
         own = replace(
             work, draws=(0, count), estimation=estimation, controlled=controlled, over_time=0
         )
         of_draws = _filtered(evaluator, own)
         found.append((of_draws.control if controlled else 0.0) - of_draws.mse)
-    return found[0], found[1]
+    return dict(zip(("information", "gap"), found, strict=True))
 
 
 def _over_time_of(built: Built, times: Times, criterion: Criterion, errors: Any) -> list[Range]:
@@ -331,7 +328,7 @@ class Evaluated:
     quantity: Component | None  # z, if the root of an expected MSE is in its unit
     other_is_limit: bool = False  # whether few ancestors may raise the errors of `others`
     form: Criterion = MEAN  # what the job minimises
-    criteria: Mapping[str, Judging] = field(default_factory=dict)  # also wanted
+    criteria: Mapping[str, OtherCriterion] = field(default_factory=dict)  # also wanted
 
     def as_json(self) -> dict[str, Any]:
         """The estimates of each set, or of the one that has no name."""
@@ -385,7 +382,7 @@ class Evaluated:
         label, judged = self.criteria[criterion].label, self.evaluations[name].also[criterion]
         return f"{label[0].upper()}{label[1:]}: {judged.text(self.criteria[criterion].unit)}"
 
-    def _best(self, form: Judging) -> str:
+    def _best(self, form: OtherCriterion) -> str:
         """Say which set is best by the job's criterion, and how far from the second."""
         each, key = self.evaluations, form.name
         ranked = sorted(each, key=lambda name: form.sign * each[name].also[key].value)
@@ -397,7 +394,7 @@ class Evaluated:
         value, low, high = form.change(first, second)
         than = f"{change_of(value, (low, high))} than {others[0]}"
         if form.sign < 0:
-            than = f"{Judged(value, low, high).text(form.unit)} more than {others[0]}"
+            than = f"{CriterionValue(value, low, high).text(form.unit)} more than {others[0]}"
         if not is_clear((low, high)):
             return f"No clear difference: the {form.label} of {best} is {judged}, {than}"
         most = "lowest" if form.sign > 0 else "most"
@@ -406,7 +403,7 @@ class Evaluated:
     def _lowest(self) -> str:
         """Say which set has the lowest expected MSE, and how far below the second lowest."""
         each, form = self.evaluations, self.form
-        if isinstance(form, Judging):
+        if isinstance(form, OtherCriterion):
             return self._best(form)
         ranked = sorted(each, key=lambda name: each[name].expected_mse)
         if len(ranked) == 1:
@@ -510,7 +507,7 @@ def evaluated(
     }
     scenarios = loaded.scenarios.of_draws if loaded.scenarios else ()
     about = loaded.problem, broken, [each.parameters for each in scenarios]
-    judged_by = built.job.criterion, built.job.judging
+    judged_by = built.job.criterion, built.job.other_criteria
     is_limit = built.evaluator.other_is_limit
     return Evaluated(evaluations, others, *about, seconds, _quantity(built), is_limit, *judged_by)
 
@@ -523,7 +520,7 @@ def _quantity(built: Built) -> Component | None:
     evaluator, quantities = built.evaluator, built.evaluator.model.named("z")
     is_squared = evaluator.model.error is squared_error and not any(evaluator.model.is_angle)
     is_scaled = any(each.scale != 1.0 for each in evaluator.scenarios)
-    is_plain = is_squared and not is_scaled and built.job.criterion.of_errors.is_mean
+    is_plain = is_squared and not is_scaled and built.job.criterion.mse_criterion.is_mean
     return quantities[0] if is_plain and len(quantities) == 1 else None
 
 

@@ -170,7 +170,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
         The prior does not fit the model.
     """
     job = built.job
-    if built.evaluator.told:
+    if built.evaluator.knows_scenario:
         raise JobError(
             "scenarios.filter must be 'nominal' or 'learned' for real measurements, whose scenario "
             f"is unknown, got 'told' ({job.path})"

@@ -14,7 +14,7 @@ from pfdist.common.section import checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Cloud, Prior
-from pfdist.filters.criterion import Judging
+from pfdist.filters.criterion import OtherCriterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FilterEstimate
@@ -87,7 +87,7 @@ class Planner:
         draw: int = 0,
     ) -> None:
         built = job if isinstance(job, Built) else build(as_job(job))
-        if isinstance(built.job.criterion, Judging):
+        if isinstance(built.job.criterion, OtherCriterion):
             raise other_criterion(built.job)
         believed, clock = built.evaluator.believed, built.job.problem.clock
         start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)

@@ -18,7 +18,7 @@ from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.section import JobSection, checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, StoreError
-from pfdist.filters.criterion import Criterion, Judged, Judging, Quantile, Sample
+from pfdist.filters.criterion import Criterion, CriterionValue, OtherCriterion, Quantile, Sample
 from pfdist.filters.engines import NUMPY
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.rules import Rule
@@ -118,13 +118,13 @@ class Ruled(Shown):
         """The expected MSE, or the job's criterion, with the rule or another set, on the draws."""
         return self.criterion.value(Evaluation((), self.table[f"mse_{name}"].to_numpy()))
 
-    def gain(self, name: str) -> Judged:
+    def gain(self, name: str) -> CriterionValue:
         """How far the rule's error lies below that of a set, as a share, with interval."""
         errors = self.table[[f"mse_{RULE}", f"mse_{name}"]].to_numpy()
-        if isinstance(self.criterion, Judging):
+        if isinstance(self.criterion, OtherCriterion):
             return self.criterion.change(*map(Sample, errors.T))
         (pair,) = pairs_table([RULE, name], [errors], {}).to_dict("records")
-        return Judged(*(pair[f"gain_of_means{end}"] for end in ("", "_low", "_high")))
+        return CriterionValue(*(pair[f"gain_of_means{end}"] for end in ("", "_low", "_high")))
 
     @property
     def verdict(self) -> str:

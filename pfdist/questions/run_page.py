@@ -231,9 +231,9 @@ def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
         return
     hint = ' If you analyse afterwards, `problem.estimate = "smoothed"` finds other times.'
     is_hint = other == SMOOTHED and subject.criterion.sign > 0
-    limit = "at most " * subject.other_is_limit
+    limit, label = "at most " * subject.other_is_limit, subject.criterion.mse_criterion.label
     yield Text(
-        f"{WHEN[other]}, the {subject.criterion.of_errors.label} is {limit}{mse.cell(row).text} "
+        f"{WHEN[other]}, the {label} is {limit}{mse.cell(row).text} "
         f"({reference.label}: {mse.cell(reference).text}).{hint * is_hint}"
     )
 

@@ -21,7 +21,7 @@ from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, head_of_limit, rows_of, sets_table
-from pfdist.results.criteria import judging
+from pfdist.results.criteria import other_criteria
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import (
@@ -147,7 +147,7 @@ class Subject:
     @cached_property
     def heads(self) -> dict[str, str]:
         """Heads of columns: of criteria, which say what quantile it is; of an upper limit."""
-        heads = {name: each.head for name, each in judging(self.run).items()}
+        heads = {name: each.head for name, each in other_criteria(self.run).items()}
         return heads | ({"smoothed_mse": head_of_limit(SMOOTHED)} if self.other_is_limit else {})
 
     @property

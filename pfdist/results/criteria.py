@@ -2,42 +2,53 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from pfdist.filters.criterion import Judging, Sample, judging_of
+from pfdist.filters.criterion import OtherCriterion, Sample, other_criteria_of
 from pfdist.results.columns import Results
-from pfdist.results.over_time import RANGE_SUMS, errors_over_time_of, ranges_of
+from pfdist.results.over_time import RANGE_SUMS, Array, Range, errors_over_time_of, ranges_of
 from pfdist.results.stored_run import StoredRun, criterion_of, exact_information, problem_of
 
 
-def judging(run: StoredRun) -> dict[str, Judging]:
-    """The criteria by their names; empty if only the expected MSE counts."""
+def other_criteria(run: StoredRun) -> dict[str, OtherCriterion]:
+    """The criteria of a run by their names; empty if only the expected MSE counts."""
     comparison = run.job["comparison"]
-    return judging_of(run.job["problem"].get("criterion"), comparison.get("also"))
+    return other_criteria_of(run.job["problem"].get("criterion"), comparison.get("also"))
+
+
+def with_errors_over_time(
+    sample: Sample, ranges: list[Range], place: int, weights: Array
+) -> Sample:
+    """The sample with the errors of the set at this place of the ranges, if there are any."""
+    if not ranges:
+        return sample
+    counts, of_set = weights > 0.0, errors_over_time_of(ranges, place)
+    errors, standard_errors = (each[counts] for each in of_set)
+    degrees = len(ranges) - 1.0
+    return replace(sample, errors=errors, standard_errors=standard_errors, degrees=degrees)
 
 
 def samples_of(run: StoredRun) -> dict[str, Sample]:
-    """The results that the criteria judge, of each compared set by name."""
-    rows, exact = run._store.rows("comparison"), exact_information(run)
-    told = run._store.rows("information") if run._store.has("information") else {}
-    gaps = run._store.rows("information_gap") if told else {}
+    """The results of each compared set by name."""
+    rows, problem = run._store.rows("comparison"), problem_of(run)
     ranges = ranges_of(run) if run._store.has(RANGE_SUMS) else []
-    counts = np.array(problem_of(run).weights or (1.0,) * len(problem_of(run).clock.times)) > 0.0
-    samples = dict[str, Sample]()
-    for place, name in enumerate(run.names):
-        sample = Sample(rows[f"mse_{name}"].to_numpy())
-        if ranges:
-            errors, apart = errors_over_time_of(ranges, place)
-            sample = replace(sample, errors=errors[counts], standard_errors=apart[counts])
-            sample = replace(sample, degrees=len(ranges) - 1.0)
-        if name in exact:
-            sample = replace(sample, information=np.array([exact[name]]))
-        elif told:
-            own, gap = told[f"information_{name}"], gaps[f"gap_{name}"]
-            sample = replace(sample, information=own.to_numpy(), gap=gap.to_numpy())
-        samples[name] = sample
-    return samples
+    weights = np.array(problem.weights or (1.0,) * len(problem.clock.times))
+    nats: dict[str, dict[str, Any]] = {
+        name: {"information": np.array([value])} for name, value in exact_information(run).items()
+    }
+    if not nats and run._store.has("information"):
+        lower, gaps = (run._store.rows(table) for table in ("information", "information_gap"))
+        for name in run.names:
+            columns = {"information": lower[f"information_{name}"], "gap": gaps[f"gap_{name}"]}
+            nats[name] = {key: column.to_numpy() for key, column in columns.items()}
+    return {
+        name: with_errors_over_time(
+            Sample(rows[f"mse_{name}"].to_numpy(), **nats.get(name, {})), ranges, place, weights
+        )
+        for place, name in enumerate(run.names)
+    }
 
 
 def columns_of_criteria(run: StoredRun) -> Iterator[tuple[str, Results]]:
@@ -45,12 +56,12 @@ def columns_of_criteria(run: StoredRun) -> Iterator[tuple[str, Results]]:
 
     A set also has its gain over its reference by the criterion of the job.
     """
-    wanted, form = judging(run), criterion_of(run)
+    wanted, form = other_criteria(run), criterion_of(run)
     samples = samples_of(run) if wanted else {}
     for name, sample in samples.items():
         columns: Results = {}
         for criterion in wanted.values():
-            judged = criterion.judged(sample)
+            judged = criterion.of_sample(sample)
             columns |= judged.columns(criterion.name)
             if criterion == form:
                 columns["criterion_value"] = judged.value * criterion.sign

@@ -14,7 +14,7 @@ from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.percent import HEAVY
 from pfdist.errors import reason_of
-from pfdist.filters.criterion import Judged
+from pfdist.filters.criterion import CriterionValue
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.clock import Time
@@ -198,7 +198,7 @@ def _add_other_estimates(run: StoredRun, rows: dict[str, Row]) -> None:
     columns, form = {name: draws[name].to_numpy() for name in draws.column_names}, criterion_of(run)
     for name, row in rows.items():
         mse, scenarios = columns[f"{other}_{name}"], columns.get("scenario")
-        evaluation = Evaluation((), mse, scenarios=scenarios, criterion=form.of_errors)
+        evaluation = Evaluation((), mse, scenarios=scenarios, criterion=form.mse_criterion)
         row.add(_of_other_estimate(run, evaluation.estimate))
 
 
@@ -281,7 +281,9 @@ def _add_search_errors(run: StoredRun, rows: dict[str, Row]) -> None:
             row.criterion_value = value.value
             own = {"expected_mse": value.value, "standard_error": value.standard_error}
         elif row.criterion_value is not None:
-            judged = Judged(*(getattr(row, f"{judged_by}{end}") for end in ("", "_low", "_high")))
+            judged = CriterionValue(
+                *(getattr(row, f"{judged_by}{end}") for end in ("", "_low", "_high"))
+            )
             own = {"expected_mse": row.criterion_value, "standard_error": judged.standard_error}
         if row.kind == FOUND:
             search = set_key_of(name, run.job).origin

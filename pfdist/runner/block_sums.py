@@ -92,7 +92,7 @@ class BlockSums:
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
         noise, draws = streams
         known = built.evaluator.truth if knows_truth else built.evaluator
-        evaluator = known.estimating(estimation)
+        evaluator = known.for_estimation(estimation)
         instants = tuple(zip(since, ends, strict=True))
         # A hash of everything on which the sums depend but their draws.
         name = "sums" if kind is FilterWork else kind.__name__

@@ -141,7 +141,7 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
     """The objects of a job whose models an evaluator has recorded; raises as `build`."""
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
-    is_wrong = evaluator.believed != evaluator.model or evaluator.truth.told != evaluator.told
+    is_wrong = evaluator.truth is not evaluator
     smaller = feasible.smaller or (is_wrong and not feasible.counted)
     feasible = replace(feasible, smaller=smaller)
     study = (Study if job.budget is None else BudgetStudy)(job, feasible)
@@ -177,7 +177,7 @@ def evaluator_of(
             replace(each, parameters=parameters_at(each.parameters, problem.clock, clock.times))
             for each in scenarios
         )
-    told = job.scenarios is not None and job.scenarios.filter == "told"
+    knows_scenario = job.scenarios is not None and job.scenarios.filter == "told"
     times = on.times if problem.has_clock else None
     for part, each in (("model", model), ("model.filter", filter_model)):
         if times is None and each.reads_clock:
@@ -196,9 +196,11 @@ def evaluator_of(
             weights=problem.weights if clock is None else None,
             lag=problem.lag_on(on),
             others=[each.parameters for each in scenarios],
-            told=told,
+            knows_scenario=knows_scenario,
         )
-        return replace(evaluator, scenarios=scenarios, told=told) if scenarios else evaluator
+        if not scenarios:
+            return evaluator
+        return replace(evaluator, scenarios=scenarios, knows_scenario=knows_scenario)
     except ModelError as error:
         if error.argument != "parameters":
             raise

@@ -24,7 +24,7 @@ from pfdist.filters.work import (
     Result,
     control_of,
     cut,
-    informing,
+    information_estimation,
     ranges_of_draws,
     with_truth,
 )
@@ -276,7 +276,7 @@ LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is 
 
 
 @dataclass(frozen=True)
-class FirstDraws:
+class FirstDrawsTable:
     """A table of the comparison's first draws."""
 
     table: str
@@ -314,20 +314,24 @@ class FirstDraws:
             store.publish(self.table, phase, [rows])
 
 
-def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[FirstDraws]:
+def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[FirstDrawsTable]:
     """All tables of first draws beside a comparison; by default that of sets still to be found."""
     work = work or _work(built, dict.fromkeys(built.names, built.job.problem.feasible.regular()))
-    details = (trajectories,) if built.study.has_details else ()
-    others = (other_estimates, informations, information_gaps, distances, variances)
-    tables = (*details, *others)
+    tables: list[Callable[[Built, FilterWork], FirstDrawsTable | None]] = [other_estimates]
+    if built.study.has_details:
+        tables.insert(0, trajectories)
+    if not built.evaluator.exact and INFORMATION.name in built.job.other_criteria:
+        tables += [informations, information_gaps]
+    if built.evaluator.has_particle_loss:
+        tables += [distances, variances]
     return [made for table in tables if (made := table(built, work)) is not None]
 
 
-def trajectories(built: Built, work: FilterWork) -> FirstDraws:
+def trajectories(built: Built, work: FilterWork) -> FirstDrawsTable:
     """Truth, measurements and estimates of the first draws, which the figures show."""
     model = built.evaluator.model
     draws = min(TRAJECTORIES, built.job.comparison.draws)
-    return FirstDraws(
+    return FirstDrawsTable(
         "trajectories",
         trajectories_schema(list(work.ids), model.named("z"), model.named("y")),
         replace(work, draws=(0, draws), trajectories=True),
@@ -335,9 +339,9 @@ def trajectories(built: Built, work: FilterWork) -> FirstDraws:
     )
 
 
-def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
+def other_estimates(built: Built, work: FilterWork) -> FirstDrawsTable | None:
     """MSE of the other estimate with each set: smoothed, or that of the filter; same noise."""
-    estimation = built.evaluator.estimating_other(work.estimation)
+    estimation = built.evaluator.other_estimation(work.estimation)
     of_sets = replace(work, other_estimate=True, estimation=estimation)
     steps = comparison_steps(built) + sum(search_steps(built, each) for each in built.searches)
     a_draw = (sum(work.ends) + len(work.ends)) * estimation.steps_an_instant  # nothing is shared
@@ -346,59 +350,51 @@ def other_estimates(built: Built, work: FilterWork) -> FirstDraws | None:
         return None
     rows, columns = other_schema(built.job.problem.other_estimate, work.ids), _columns_by_set
     of_draws = replace(of_sets, draws=(0, draws))
-    return FirstDraws(
+    return FirstDrawsTable(
         "other_estimate", rows, of_draws, partial(columns, rows), part="other estimate"
     )
 
 
-def distances(built: Built, work: FilterWork) -> FirstDraws | None:
+def distances(built: Built, work: FilterWork) -> FirstDrawsTable:
     """Half the squared distance of two filters with each set; see `pfdist.results.particle_loss`.
 
-    None unless the error is the squared norm and the engine has particles.
+    The error is the squared norm, and the engine has particles.
     """
     estimation = replace(work.estimation, estimator=FILTER_NOISE.name)
     schema = distance_schema(work.ids)
-    return _by_set("filter_distance", schema, built, work, estimation, knows_truth=False)
+    return _of_draws("filter_distance", schema, built, work, estimation, knows_truth=False)
 
 
-def variances(built: Built, work: FilterWork) -> FirstDraws | None:
+def variances(built: Built, work: FilterWork) -> FirstDrawsTable | None:
     """Variance of particles beside the truth, with each set and without any measurement.
 
-    None in the same cases as `distances`, and if the filter does not have the scenario of a draw:
-    then the difference of both filters is not a particle loss.
+    None if the filter does not have the scenario of a draw: then the difference of both filters is
+    not a particle loss.
     """
-    if built.evaluator.scenarios and not built.evaluator.told:
+    if built.evaluator.scenarios and not built.evaluator.knows_scenario:
         return None
     own, schema = work.estimation, variance_schema(work.ids)
     estimation = with_truth(own.particles, own.proposal)
     work = replace(work, measurement_times=(*work.measurement_times, ()))
-    return _by_set("filter_variance", schema, built, work, estimation, knows_truth=True)
+    return _of_draws("filter_variance", schema, built, work, estimation, knows_truth=True)
 
 
-def informations(built: Built, work: FilterWork) -> FirstDraws | None:
-    """Information of the measurements of each set, a lower side; None if it is not wanted."""
-    if built.evaluator.exact or INFORMATION.name not in built.job.judging:
-        return None
+def informations(built: Built, work: FilterWork) -> FirstDrawsTable:
+    """Information of the measurements of each set, a lower side."""
     table = _of_draws(
         "information", information_schema(work.ids), built, work,
-        informing(work.estimation.particles), knows_truth=True, draws=built.job.comparison.draws,
+        information_estimation(work.estimation.particles),
+        knows_truth=True, draws=built.job.comparison.draws,
     )  # fmt: skip
     return replace(table, columns=partial(_columns_by_set, table.schema, sign=-1.0))
 
 
-def information_gaps(built: Built, work: FilterWork) -> FirstDraws | None:
+def information_gaps(built: Built, work: FilterWork) -> FirstDrawsTable:
     """Distance of an upper side of the information from the lower side, on the first draws."""
-    if built.evaluator.exact or INFORMATION.name not in built.job.judging:
-        return None
     estimation = Estimation(work.estimation.particles, estimator=EVIDENCE.name)
     work, rows = replace(work, controlled=True), information_gap_schema(work.ids)
     table = _of_draws("information_gap", rows, built, work, estimation, knows_truth=True)
     return replace(table, columns=partial(_columns_by_set, rows, sign=-1.0))
-
-
-def _by_set(*given: Any, knows_truth: bool) -> FirstDraws | None:
-    has_loss = given[2].evaluator.has_particle_loss
-    return _of_draws(*given, knows_truth=knows_truth) if has_loss else None
 
 
 def _of_draws(
@@ -410,7 +406,7 @@ def _of_draws(
     *,
     knows_truth: bool,
     draws: int | None = None,
-) -> FirstDraws:
+) -> FirstDrawsTable:
     """A table of a set's errors by another estimation, on the first draws, by default a few."""
     stream = stream_of("comparison", built.job.seed, "filter", table)
     sets = len(work.measurement_times)
@@ -422,7 +418,7 @@ def _of_draws(
         estimation=estimation,
         knows_truth=knows_truth,
     )
-    return FirstDraws(table, schema, of_sets, partial(_columns_by_set, schema))
+    return FirstDrawsTable(table, schema, of_sets, partial(_columns_by_set, schema))
 
 
 def _columns_by_set(

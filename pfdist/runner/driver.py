@@ -131,10 +131,10 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     times = [row["measurement_times"] for row in rows]
     exact = built.evaluator.expected_mse(times)
     other = built.evaluator.other_estimate.expected_mse(
-        times, criterion=built.job.criterion.of_errors
+        times, criterion=built.job.criterion.mse_criterion
     )
     informed = None
-    if (judging := built.job.judging.get(INFORMATION.name)) is not None:
+    if (judging := built.job.other_criteria.get(INFORMATION.name)) is not None:
         informed = built.evaluator.expected_mse(times, criterion=judging)
     columns: dict[str, tuple[Any, Part]] = {
         "exact_mse": (exact, "comparison"),

@@ -67,7 +67,7 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
         return
     scan = _Scan(session, measured[name], error, mean, math.ceil(scale * _FEW))
     if (given := built.job.comparison.reference_name) in (EVEN, REGULAR):
-        scan.ranked[feasible.measurements] = [measured[given]]
+        scan.given[feasible.measurements] = [measured[given]]
     scan.programme = yield from EvenSearch(built, EVEN, feasible, {}).programme(session)
     yield from scan.judge()
     rows = [
@@ -116,7 +116,7 @@ class _Scan:
         self.session, self.built, self.plan = session, session.built, plan
         self.errors, self.mean, self.draws = errors, mean, draws  # draws of a look
         self.programme: Programme | None = None
-        self.ranked = dict[int, list[Times]]()  # the best sets of a number by the programme
+        self.given = dict[int, list[Times]]()  # the known best sets of a number
         self.sets = dict[int, Times]()  # the best set of a number that was looked at
         self.looked, self.judged = dict[int, Estimate](), dict[int, Estimate]()
         self.first, self.last = self.built.feasible.measurements, self.built.feasible.horizon + 1
@@ -171,14 +171,14 @@ class _Scan:
 
     def _best_of(self, number: int) -> list[Times]:
         """The best evenly spaced sets of a number by the programme, or regular times."""
+        if number in self.given:
+            return self.given[number]
         most = most_if_exact(self.built.feasible) if self.built.evaluator.exact else _LOOKED
-        if number not in self.ranked:
-            sets = self._sets(number, _LINES)
-            if self.programme is not None:
-                order = np.argsort(self.programme.of_sets(sets), kind="stable")
-                sets = [sets[place] for place in order.tolist()]
-            self.ranked[number] = sets[:most]
-        return self.ranked[number]
+        sets = self._sets(number, _LINES)
+        if self.programme is not None:
+            order = np.argsort(self.programme.of_sets(sets), kind="stable")
+            sets = [sets[place] for place in order.tolist()]
+        return sets[:most]
 
     def _look(self, number: int) -> Generator[WorkBatch, None, Estimate]:
         """How far the best set of a number lies above the plan's error, on separate draws."""
@@ -189,11 +189,6 @@ class _Scan:
             self.session.count_exact(EVEN_PHASE, "scan", instants)
             differences = [*map(Estimate, (exact - self.mean).tolist())]
         else:
-            errors = np.empty((self.draws, 1 + len(sets)))
-
-            def learn(piece: FilterWork, result: Result) -> None:
-                errors[slice(*piece.draws)] = result.mse
-
             seed = built.job.seed
             work = built.evaluator.work(
                 [self.plan, *sets],
@@ -202,7 +197,7 @@ class _Scan:
                 (0, self.draws),
                 settings_of(built).estimation,
             )
-            yield WorkBatch(self.session, EVEN_PHASE, [work], None, learn, part="scan")
+            errors = yield from self._filtered(work)
             differences = [*map(Estimate.of_mean, (errors[:, 1:] - errors[:, :1]).T)]
         values = [np.nan_to_num(each.value, nan=np.inf) for each in differences]
         best = int(np.argmin(values))
@@ -222,12 +217,6 @@ class _Scan:
     def _judged(self, times: Times) -> Generator[WorkBatch, None, Estimate]:
         built, draws = self.built, len(self.errors)
         seed, purpose = built.job.seed, built.study.purpose
-        even = np.empty(draws)
-
-        def learn(piece: FilterWork, result: Result) -> None:
-            errors = result.mse - result.control if piece.controlled else result.mse
-            even[slice(*piece.draws)] = errors[:, 0]
-
         work = built.evaluator.work(
             [times],
             stream_of(purpose, seed, "filter", f"evenly spaced {len(times)}"),
@@ -236,12 +225,24 @@ class _Scan:
             built.comparing,
         )
         work = replace(work, controlled=bool(built.job.comparison.control))
-        first = 0
+        errors = np.empty((0, 1))
         for last, confidence in ((min(self.draws, draws), _CLEAR), (draws, CONFIDENCE)):
-            some = replace(work, draws=(first, last))
-            yield WorkBatch(self.session, EVEN_PHASE, [some], None, learn, part="scan")
-            apart = even[:last] - self.errors[:last]
-            difference, first = Estimate.of_mean(apart[~np.isnan(apart)]), last
-            if first == draws or sign_of(difference, self.mean, confidence):
+            more = yield from self._filtered(replace(work, draws=(len(errors), last)))
+            errors = np.concatenate([errors, more])
+            differences = errors[:, 0] - self.errors[:last]
+            difference = Estimate.of_mean(differences[~np.isnan(differences)])
+            if last == draws or sign_of(difference, self.mean, confidence):
                 break
         return difference
+
+    def _filtered(self, work: FilterWork) -> Generator[WorkBatch, None, NDArray[np.float64]]:
+        """The error of each draw with each set, less its control if there is one, (D, S)."""
+        first, last = work.draws
+        errors = np.empty((last - first, len(work.measurement_times)))
+
+        def learn(piece: FilterWork, result: Result) -> None:
+            found = result.mse - result.control if piece.controlled else result.mse
+            errors[piece.draws[0] - first : piece.draws[1] - first] = found
+
+        yield WorkBatch(self.session, EVEN_PHASE, [work], None, learn, part="scan")
+        return errors

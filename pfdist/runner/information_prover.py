@@ -20,7 +20,7 @@ import numpy as np
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times
-from pfdist.filters.work import BLOCK, Estimation, control_of, informing
+from pfdist.filters.work import BLOCK, Estimation, control_of, information_estimation
 from pfdist.kernels.estimators import EVIDENCE
 from pfdist.results import Run
 from pfdist.results.criteria import samples_of
@@ -45,7 +45,7 @@ class InformationProver(Prover):
         self._possible = tuple(sorted({*range(points.number)} - {*feasible.forbidden}))
         self._most = feasible.measurement_budget or len(self._possible)
         for estimation in self._estimations:  # before the first task, whose time is limited
-            built.evaluator.informing.compile(estimation)
+            built.evaluator.of_information.compile(estimation)
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -103,7 +103,7 @@ class InformationProver(Prover):
         particles = max(1, self.particles)
         evidence = Estimation(particles, estimator=EVIDENCE.name)
         sides = [evidence, control_of(evidence)] if self.particles else []
-        return [informing(particles), *sides]
+        return [information_estimation(particles), *sides]
 
     def _counted_sets(self, sets: tuple[Times, ...]) -> Counted:
         first = np.zeros(len(sets), np.int64)
@@ -120,8 +120,8 @@ class InformationProver(Prover):
         for sums in self._sums_of(times):
             if not self.particles:
                 exact = yield from sums.means(0, session)
-                told = -np.array([each.sum() for each in exact])[None] / len(exact[0])
-                return told, told
+                information = -np.array([each.sum() for each in exact])[None] / len(exact[0])
+                return information, information
             groups = GroupSums(self._counted_sets(self._sets(times)))
             a_block = sums.steps(1)
 
@@ -134,17 +134,17 @@ class InformationProver(Prover):
             yield from sums.added(session, range(self._blocks[-1]), add)
             per_set = groups.sums.reshape(len(groups.draws), count, -1).mean(axis=2)
             sides.append(resampled(per_set, groups.draws))
-        told, evidence, beside = sides
-        return -told, -told + beside - evidence
+        information, evidence, beside = sides
+        return -information, -information + beside - evidence
 
     def _gap(self, name: str, times: Times, own: Estimate, means: tuple[Array, Array]) -> Gap:
         """The gap of a feasible set, from both sides of the information."""
-        (told, *_), low, high = means[0].T, *means
+        (information, *_), low, high = means[0].T, *means
         extra = self._most - len({*self._built.job.problem.feasible.required} & {*times})
         gains = np.sort(high[:, 1:-1] - low[:, :1], axis=1)[:, ::-1][:, :extra]
-        by_gains, by_all = told + gains.sum(axis=1), high[:, -1]
+        by_gains, by_all = information + gains.sum(axis=1), high[:, -1]
         bounds = by_gains if by_gains[0] <= by_all[0] else by_all
-        bound, more = jackknifed(bounds), jackknifed(bounds - told)
+        bound, more = jackknifed(bounds), jackknifed(bounds - information)
         if not math.isfinite(bound.value):
             return Gap(name, times, own, "a measurement tells infinitely much to so few particles")
         if not own.value:

@@ -86,10 +86,8 @@ class EvenSearch:
     @property
     def _a_draw(self) -> float:
         """Particle-steps of a set in a draw."""
-        instants = self.feasible.horizon + 1
-        return (
-            self.phase.settings.estimation.steps_an_instant * instants * self.phase.criterion.apart
-        )
+        steps = self.phase.settings.estimation.steps_an_instant * (self.feasible.horizon + 1)
+        return steps * self.phase.criterion.scenario_count
 
     def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
         """The best of the candidates and the given sets, by a race on draws of its own."""
@@ -131,7 +129,7 @@ class EvenSearch:
         """The candidates for exact errors, and their number: all, or the best of the ranking."""
         most = most_if_exact(self.feasible)
         lines = self.even.lines(most * 10)
-        sets = [] if any(line.apart for line in lines) else [*self.even.sets_of(lines)]
+        sets = [] if any(line.distance for line in lines) else [*self.even.sets_of(lines)]
         if 0 < len(sets) <= most:
             return sets, 0
         ranked, tried = yield from self._ranked(session)
@@ -209,7 +207,7 @@ def ranking(even: EvenSets, programme: Programme, most: int) -> tuple[list[Times
             break
         found = {**even.sets_of(near), **found}
     ranked = sorted(errors, key=errors.__getitem__)
-    return ranked, len(ranked) if any(line.apart for line in lines) else 0
+    return ranked, len(ranked) if any(line.distance for line in lines) else 0
 
 
 def settings_of(built: Built) -> Settings:
@@ -242,13 +240,9 @@ def opponent_steps(built: Built) -> float:
 
 def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Opponent]:
     """The best evenly spaced set of this name."""
-    return (yield from _search_of(session.built, name).best(session))
-
-
-def _search_of(built: Built, name: str) -> EvenSearch:
+    job, feasible = session.built.job, session.built.study.even[name]
+    sets = {} if job.budget else job.given_sets
     given = {
-        each: times
-        for each, times in built.job.given_sets.items()
-        if times is not None and built.study.even[name].allows(times)
+        each: times for each, times in sets.items() if times is not None and feasible.allows(times)
     }
-    return EvenSearch(built, name, built.study.even[name], {} if built.job.budget else given)
+    return (yield from EvenSearch(session.built, name, feasible, given).best(session))

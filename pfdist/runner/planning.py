@@ -39,7 +39,7 @@ class Planning:
     estimation: Estimation  # of the simulated filters
 
     @property
-    def judging(self) -> Estimation:
+    def judging_estimation(self) -> Estimation:
         """The estimation that judges plans: always by the squared error.
 
         The particles of a filter may be close together but far from the true state. Then their
@@ -221,7 +221,7 @@ class _Outlook:
         planning = self.replanner.planning
         fresh = range(planning.draws, planning.draws + planning.judging_draws)
         candidates = [Candidate(times) for times in plans]
-        first, new = self._evaluated(self.draws(fresh), candidates, planning.judging)
+        first, new = self._evaluated(self.draws(fresh), candidates, planning.judging_estimation)
         gain = new.difference(first)
         rounding = _ROUNDING * first.expected_mse if math.isfinite(first.expected_mse) else 0.0
         lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)

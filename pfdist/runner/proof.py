@@ -31,7 +31,7 @@ class Sums(NamedTuple):
 
     # (G, E): errors of all windows of a relaxation, as `pfdist.search.programme.Programme` takes
     relaxed: Array
-    own: Array  # (G, C, T+1): errors of each known set
+    known: Array  # (G, C, T+1): errors of each known set
     draws: Array  # (G,): number of draws of each group
 
     def means(self) -> tuple[Array, Array]:
@@ -40,8 +40,8 @@ class Sums(NamedTuple):
         The first row is the mean over all groups, and each other row leaves one group out. With a
         single group, there is only the first row.
         """
-        relaxed, own = (resampled(part, self.draws) for part in (self.relaxed, self.own))
-        return relaxed, own.mean(axis=2)
+        relaxed, known = (resampled(part, self.draws) for part in (self.relaxed, self.known))
+        return relaxed, known.mean(axis=2)
 
 
 @dataclass(frozen=True)

@@ -151,9 +151,9 @@ def _polishing(built: Built, search: NamedSearch, start: Times, name: str) -> Ph
     reach = math.ceil(_REACH * (feasible.horizon + 1) / max(1, len(start)))
     criterion = search.criterion if name == search.polish else MEAN
     if not criterion.additive:  # few particles may have another worst scenario
-        draws = criterion.apart * settings.draws
+        draws = criterion.scenario_count * settings.draws
         settings = replace(settings, draws=draws, estimation=built.comparing)
-    fewest = max(criterion.apart * FEWEST, criterion.fewest)
+    fewest = max(criterion.scenario_count * FEWEST, criterion.fewest)
     exchange = Exchange(feasible, settings.draws, start, reach, fewest=fewest)
     return Phase(name, exchange, "search", settings, built, criterion)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion
-from pfdist.filters.work import BLOCK, Estimation, informing
+from pfdist.filters.work import BLOCK, Estimation, information_estimation
 from pfdist.kernels.estimators import (
     ESTIMATORS,
     FILTER_VARIANCE,
@@ -152,14 +152,14 @@ def named_search(
 
 def racing_of(job: Job, draws: int) -> Settings:
     """The settings of a race: the job's own filter, with so many draws in the first round."""
-    draws = max(job.criterion.apart * draws, job.criterion.fewest)
+    draws = max(job.criterion.scenario_count * draws, job.criterion.fewest)
     return Settings(draws, True, "continue", deciding_of(job))
 
 
 def deciding_of(job: Job) -> Estimation:
     """The estimation of the job's criterion by its own filter."""
     if job.criterion.name == INFORMATION.name:
-        return informing(job.filter.particles)
+        return information_estimation(job.filter.particles)
     return comparing_of(job)
 
 

@@ -96,11 +96,14 @@ def _tree(run: Path) -> dict[str, bytes | None]:
 
 
 def _read_all(run: Path) -> list[object]:
-    """All figures of a run, without its folder."""
+    """All figures of a run, without its folder and without what follows from the timings."""
     opened = pfdist.open_run(run)
     figures = [opened.table(name).to_dict("list") for name in opened.tables if name != "timings"]
     answer = opened.as_json()
-    return [repr(figures), {key: value for key, value in answer.items() if key != "run"}]
+    return [
+        repr(figures),
+        {key: answer[key] for key in answer if key not in ("run", "particle_steps")},
+    ]
 
 
 def _committed_without(run: Path, file: Path) -> int:

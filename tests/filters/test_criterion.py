@@ -19,7 +19,7 @@ from pfdist.filters.criterion import (
     MEAN,
     Criterion,
     Information,
-    Judging,
+    OtherCriterion,
     Quantile,
     Sample,
     WorstInstant,
@@ -35,7 +35,7 @@ from pfdist.runner.prover import Prover
 RNG = np.random.default_rng(4)
 MSE, OTHER = RNG.exponential(2.0, (2, 120))
 NUMBERS = np.tile([0, 1, 2], 40)
-WORST = WorstScenario(apart=3)
+WORST = WorstScenario(scenario_count=3)
 
 
 def _evaluation(mse: Any, criterion: Criterion = MEAN, **others: Any) -> Evaluation:
@@ -70,7 +70,7 @@ def test_an_unknown_value_is_infinite_and_equals_another(mse: list[float]) -> No
 
 def test_the_worst_scenario_is_the_largest_mean_and_differences_are_paired_in_it() -> None:
     numbers = np.array([0, 1, 0, 1])
-    first = _evaluation([1.0, 5.0, 3.0, 7.0], WorstScenario(apart=2), scenarios=numbers)
+    first = _evaluation([1.0, 5.0, 3.0, 7.0], WorstScenario(scenario_count=2), scenarios=numbers)
     # of 5 and 7: sd sqrt(2), over sqrt(2)
     assert (first.expected_mse, first.standard_error) == (6.0, pytest.approx(1.0))
     apart = first.difference(replace(first, mse=np.array([1.0, 4.0, 3.0, 6.5])))
@@ -137,7 +137,7 @@ def test_the_ends_are_order_statistics_with_95_percent_of_the_binomial_between(
 ) -> None:
     """David and Nagaraja, section 7.1; the 0th is 0, and the one after the last infinite."""
     ranks = np.random.default_rng(1).permutation(np.arange(1.0, count + 1))
-    value, *ends = Quantile("quantile", share=share).judged(Sample(ranks))
+    value, *ends = Quantile("quantile", share=share).of_sample(Sample(ranks))
     low, high = (min(end, count + 1) for end in ends)
     below = stats.binom(count, share)
     assert below.cdf(high - 1) - below.cdf(low - 1) >= 0.95
@@ -147,15 +147,15 @@ def test_the_ends_are_order_statistics_with_95_percent_of_the_binomial_between(
 
 def test_the_interval_of_a_quantile_holds() -> None:
     draws, truth = _draws(100), -math.log(0.1)
-    assert isinstance(Q90, Judging)
-    assert sum(_holds(Q90.judged(Sample(mse)), truth) for mse in draws) >= LEAST
+    assert isinstance(Q90, OtherCriterion)
+    assert sum(_holds(Q90.of_sample(Sample(mse)), truth) for mse in draws) >= LEAST
 
 
 def test_the_paired_bootstrap_holds_for_a_known_difference() -> None:
     """Two gamma variates with a common part; one is a fifth lower."""
     own, other, common = np.moveaxis(_draws(200, 3), 2, 0)
     pairs = [*zip(0.8 * (own + common), other + common, strict=True)]
-    assert isinstance(Q90, Judging)
+    assert isinstance(Q90, OtherCriterion)
     changes = [Q90.change(Sample(first), Sample(second)) for first, second in pairs]
     assert sum(_holds(each, 0.2) for each in changes) >= LEAST
     truth = -0.2 * stats.gamma(2).ppf(0.9)
@@ -183,7 +183,7 @@ def _of_groups(groups: Any) -> Evaluation:
 def test_limits_of_the_worst_instant_hold_where_instants_tie() -> None:
     """The maximum of estimates is too large, most of all where all instants have one error."""
     errors = _draws(400, 12)
-    judged = [WORST_INSTANT.judged(_sample(each)) for each in errors]
+    judged = [WORST_INSTANT.of_sample(_sample(each)) for each in errors]
     values = np.array([each.value for each in judged])
     assert np.mean(values) - 1.0 > 10 * stats.sem(values)
     assert sum(_holds(each, 1.0) for each in judged) >= LEAST
@@ -199,7 +199,7 @@ def _sample(errors: Any) -> Sample:
 def test_a_change_from_few_draws_has_no_end_beyond_what_errors_allow() -> None:
     """Limits from two draws lie below 0, and an error does not."""
     own, other = _sample(np.array([[0.5], [0.9]])), _sample(np.array([[0.8], [1.4]]))
-    assert WORST_INSTANT.judged(own).low < 0.0
+    assert WORST_INSTANT.of_sample(own).low < 0.0
     value, low, high = WORST_INSTANT.change(own, other)
     assert (low, high) == (-math.inf, 1.0)
     assert value == pytest.approx(1 - 0.7 / 1.1)
@@ -274,7 +274,7 @@ def test_an_upper_side_that_is_infinite_is_an_infinite_end() -> None:
     told = np.random.default_rng(1).normal(2.0, 1.0, 50)
     infinite, none = np.where(np.arange(20) < 1, math.inf, 0.1), np.zeros(20)
     collapsed, other = Sample(told, information=told, gap=infinite), Sample(told, gap=none)
-    value, low, high = NATS.judged(collapsed)
+    value, low, high = NATS.of_sample(collapsed)
     assert low < value < high == math.inf
     other = replace(other, information=told - 1.0)
     assert NATS.change(collapsed, other).high == math.inf
@@ -284,7 +284,9 @@ def test_an_upper_side_that_is_infinite_is_an_infinite_end() -> None:
 def test_the_upper_end_holds_if_both_sides_are_of_the_same_draws() -> None:
     """The sides have a correlation of 1, so their errors add up."""
     draws = _draws(200) - 1.0
-    judged = [NATS.judged(Sample(each, information=5.0 + each, gap=1.0 + each)) for each in draws]
+    judged = [
+        NATS.of_sample(Sample(each, information=5.0 + each, gap=1.0 + each)) for each in draws
+    ]
     for found, own in zip(judged, draws, strict=True):
         assert found.high == pytest.approx(Estimate.of_mean(6.0 + 2.0 * own).interval()[1])
 

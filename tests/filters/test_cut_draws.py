@@ -114,7 +114,7 @@ def check_settings(sensing: str, **given: Any) -> None:
         given["rule"] = given["rule"]._replace(thresholds=levels)
     settings = Estimation(40, **given)
     try:
-        check(evaluator.estimating(settings), settings)
+        check(evaluator.for_estimation(settings), settings)
     except AssertionError as error:
         error.add_note(f"{sensing}, lag {evaluator.lag}, {settings}")
         raise

@@ -14,7 +14,7 @@ from pfdist import StateSpaceModel, linear_gaussian
 from pfdist.common.measurement_times import Times
 from pfdist.filters.criterion import Information, Sample
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, informing
+from pfdist.filters.work import Estimation, information_estimation
 from pfdist.kernels.estimators import EVIDENCE
 
 HORIZON, FACTOR, SPREAD = 12, 0.95, 3.0
@@ -43,7 +43,7 @@ def of_autoregression(times: Times, noise: float) -> float:
 
 def both_sides(evaluator: Evaluator, times: Times, particles: int, draws: int) -> Sample:
     """Nats of each draw beside the truth, and by how much more without it."""
-    work = evaluator.work([times], 5, 6, (0, draws), informing(particles))
+    work = evaluator.work([times], 5, 6, (0, draws), information_estimation(particles))
     evidence = Estimation(particles, estimator=EVIDENCE.name)
     informed, told = evaluator.results([work, replace(work, estimation=evidence, controlled=True)])
     return Sample(np.empty(0), information=-informed.mse[:, 0], gap=(told.control - told.mse)[:, 0])
@@ -57,7 +57,7 @@ def test_the_exact_engine_gives_the_determinant_of_the_joint_covariance(
     evaluator = Evaluator(autoregression(noise), HORIZON, engine="kalman")
     (lost,) = evaluator.expected_mse([times], criterion=Information())
     assert -lost == pytest.approx(of_autoregression(times, noise), rel=1e-12)
-    errors = evaluator.informing.expected_errors([times])[0]
+    errors = evaluator.of_information.expected_errors([times])[0]
     assert np.flatnonzero(errors).tolist() == [*times]
 
 

@@ -133,7 +133,7 @@ SCENARIOS = tuple(Scenario(0.5, {"process_sd": sd}) for sd in (2.0, 4.0))
         pytest.param(Evaluator(UNGM, 5, WRONG), False, id="wrong filter"),
         pytest.param(Evaluator(NORM, 5), False, id="own error"),
         pytest.param(Evaluator(UNGM, 5, scenarios=SCENARIOS), False, id="scenarios"),
-        pytest.param(Evaluator(UNGM, 5, scenarios=SCENARIOS, told=True), True, id="told"),
+        pytest.param(Evaluator(UNGM, 5, scenarios=SCENARIOS, knows_scenario=True), True, id="told"),
     ],
 )
 def test_the_variance_is_the_error_of_a_filter_that_has_the_true_model(

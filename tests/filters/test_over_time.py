@@ -108,7 +108,7 @@ def test_a_draw_whose_error_is_infinite_has_no_finite_error(engine: Any) -> None
 @pytest.mark.parametrize("controlled", [False, True])
 def test_sums_over_ranges_do_not_depend_on_how_draws_are_cut(controlled: bool) -> None:
     scenarios = tuple(Scenario(0.5, {"process_sd": sd}) for sd in (2.0, 4.0))
-    evaluator = Evaluator(UNGM, 12, scenarios=scenarios, told=True)
+    evaluator = Evaluator(UNGM, 12, scenarios=scenarios, knows_scenario=True)
     others = {"filter_streams": (3, 4), "controlled": controlled, "over_time": 8}
     work = evaluator.work([(0, 5), (2, 9)], 3, 5, (5, 90), Estimation(20), **others)
     [whole] = evaluator.results([work])

@@ -88,5 +88,5 @@ def test_few_lines_lie_near_all_sets() -> None:
 
     for _ in range(3):
         nearest = min(lines, key=distance)
-        assert distance(nearest) <= nearest.apart
+        assert distance(nearest) <= nearest.distance
         lines = even.near(nearest)

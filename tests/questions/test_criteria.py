@@ -113,7 +113,7 @@ def test_a_search_finds_a_set_of_the_least_quantile_on_many_draws_of_all_sets(
     place = SETS.index(tuple(row["measurement_times"]))
     form = criterion_named(QUANTILE)
     assert isinstance(form, Quantile)
-    error = form.judged(Sample(of_sets[place])).standard_error
+    error = form.of_sample(Sample(of_sets[place])).standard_error
     assert quantiles[place] <= quantiles.min() + 3 * error < np.median(quantiles)
     assert abs(row["quantile"] - quantiles[place]) < 4 * (error + row["search_standard_error"])
     assert row["search_mse"] == pytest.approx(row["quantile"], rel=0.2)

@@ -127,7 +127,7 @@ def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
     run, swapped = pfdist.open_run(finished(*changes)), finished(*([] if changes else [SMOOTHED]))
     table, sets = run.table("other_estimate"), run.table("sets").set_index("name")
     built, of_run = build(load_job(swapped)), build(load_job(run.path))
-    estimation = of_run.evaluator.estimating_other(of_run.comparing)
+    estimation = of_run.evaluator.other_estimation(of_run.comparing)
     filters = ESTIMATORS[estimation.estimator].filters
     assert filters == (2 if other == "smoothed" else 1)
     assert 5 <= len(table) <= 50
@@ -163,7 +163,7 @@ def test_few_ancestors_do_not_raise_the_error_of_the_other_estimate(is_told: boo
     other = None if is_told else replace(sharp, name="renamed", linear_gaussian=False)
     of_filter = Evaluator(sharp, 12, other)
     smoothing, own = of_filter.other_estimate, Estimation(500)
-    chosen = of_filter.estimating_other(own)
+    chosen = of_filter.other_estimation(own)
     assert chosen.estimator == ("two_clouds" if is_told else "two_errors")
 
     def errors(evaluator: Evaluator, estimation: Estimation) -> NDArray[np.float64]:
@@ -174,7 +174,7 @@ def test_few_ancestors_do_not_raise_the_error_of_the_other_estimate(is_told: boo
     assert (abs(found.mean(axis=0) - exact) < 3 * error).all()
     assert (errors(smoothing, own).mean(axis=0) > 1.25 * exact).all()
     few = replace(own, particles=20)
-    chosen, filtered = of_filter.estimating_other(few), errors(of_filter, few).mean(axis=0)
+    chosen, filtered = of_filter.other_estimation(few), errors(of_filter, few).mean(axis=0)
     assert (errors(smoothing, few).mean(axis=0) > filtered).all()
     assert (errors(smoothing, chosen).mean(axis=0) < filtered).all()
 

@@ -35,7 +35,7 @@ def sums() -> Sums:
 
 def test_the_bound_of_one_measurement_is_the_least_mean_of_its_sets(sums: Sums) -> None:
     proof = prove(RELAXATION, sums, SETS, 1)
-    own = sums.own.mean(axis=2).sum(axis=0) / (GROUPS * DRAWS)
+    own = sums.known.mean(axis=2).sum(axis=0) / (GROUPS * DRAWS)
     assert proof.bounds[1].value == pytest.approx(own.min(), rel=1e-12)
     assert proof.paths[1] == SETS[int(own.argmin())]
     assert [slack.value for slack in proof.slack] == pytest.approx(list(own - own.min()), abs=1e-12)
@@ -44,7 +44,7 @@ def test_the_bound_of_one_measurement_is_the_least_mean_of_its_sets(sums: Sums) 
 
 def test_the_jackknife_of_a_mean_is_its_textbook_error(sums: Sums) -> None:
     proof = prove(RELAXATION, sums, SETS, 1)
-    means = sums.own.mean(axis=2) / DRAWS
+    means = sums.known.mean(axis=2) / DRAWS
     first = RELAXATION.offsets[RELAXATION.index[START]]
     nothing = sums.relaxed[:, first : first + 3].mean(axis=1) / DRAWS  # no measurement
     assert proof.bounds[0].standard_error == pytest.approx(stats.sem(nothing), rel=1e-9)
@@ -60,7 +60,7 @@ def test_groups_of_several_sizes_count_by_their_draws(sums: Sums) -> None:
     for part in sums:  # twice the draws in the first group, with the same mean
         part[0] *= 2
     weighted = prove(RELAXATION, sums, SETS, 1)
-    means = sums.own.mean(axis=2).sum(axis=0) / sums.draws.sum()
+    means = sums.known.mean(axis=2).sum(axis=0) / sums.draws.sum()
     assert weighted.bounds[1].value == pytest.approx(means.min(), rel=1e-12)
     assert weighted.bounds[1].value != whole.bounds[1].value
 

@@ -124,7 +124,8 @@ def test_each_scenario_has_its_own_likelihood() -> None:
     scenarios = tuple(Scenario(0.5, {"sd": sd}) for sd in (0.3, 1.5))
     work = RankWork(*((TIMES,), (HORIZON,), (1,), 0, (0, DRAWS), with_truth(100)))
     told, nominal = (
-        Evaluator(sensor, HORIZON, scenarios=scenarios, told=told) for told in (True, False)
+        Evaluator(sensor, HORIZON, scenarios=scenarios, knows_scenario=told)
+        for told in (True, False)
     )
     assert not wrong_likelihood(work.result(told).sums, DRAWS)
     assert wrong_likelihood(work.result(nominal).sums, DRAWS)
