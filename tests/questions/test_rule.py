@@ -18,7 +18,7 @@ from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Rule
 from pfdist.problem.feasible import Feasible
 from pfdist.questions.rule import (
     NextByRule,
@@ -26,6 +26,7 @@ from pfdist.questions.rule import (
     _draw,
     check_rule,
     keep_rule,
+    rule_from,
     rule_json,
     rule_of,
     unit_of,
@@ -58,6 +59,7 @@ def asked(run: Run, **options: Any) -> Ruled:
 def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
     found = asked(run)
     assert found.rule[1:] == (0.0, 0.0)
+    assert len({*found.rule.thresholds}) > 6
     compared = run.table("comparison")
     for name in found.labels:
         np.testing.assert_array_equal(found.table[f"mse_{name}"], compared[f"mse_{name}"])
@@ -143,7 +145,7 @@ def test_the_draw_of_the_figure_is_measured_where_its_deviation_exceeds_the_leve
     assert spent.any()
 
 
-def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None:
+def test_where_no_rule_is_better_than_the_plan_the_answer_is_the_plan(tmp_path: Path) -> None:
     problem = Problem(
         beliefs.CHAIN, horizon=beliefs.HORIZON, measurement_budget=beliefs.BUDGET, particles=100,
         proposal="plain",
@@ -152,11 +154,15 @@ def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None
     given: Any = {"results": tmp_path / "run", "figures": False, "pool": "serial"}
     planned = pfdist.plan(problem, search="exhaustive", changes=fewer, bound_draws=0, **given)
     found = pfdist.rule(planned, figures=False, pool="serial")
-    assert found.verdict == "worse"
-    assert "The rule is worse than the plan, so keep the plan." in repr(found)
-    one_of_two = replace(found, labels={**found.labels, found.plan: "the exhaustive plan"})
-    assert "so keep the exhaustive plan." in repr(one_of_two)
-    assert found.rule.thresholds[0] > 0.45
+    assert found.verdict == "the plan"
+    assert "Deciding on the way wins nothing here: the rule is the plan." in repr(found)
+    assert found.gain(found.plan) == (0.0, 0.0, 0.0)
+    assert (found.table["measurements"] == beliefs.BUDGET).all()
+    own = found.table["mse_rule"] + 0.02 * np.arange(400) / 400
+    worse = replace(found, table=found.table.assign(mse_rule=own))
+    worse = replace(worse, labels={**found.labels, found.plan: "the exhaustive plan"})
+    assert worse.verdict == "worse"
+    assert "so keep the exhaustive plan." in repr(worse)
 
 
 @pytest.mark.parametrize(
@@ -198,6 +204,7 @@ def test_each_sensor_has_a_threshold_and_prices_are_within_the_budget(
 ) -> None:
     run = watched_by_two
     monkeypatch.setattr(ruling.tuned, "__kwdefaults__", {"draws": 100})
+    monkeypatch.setattr(ruling, "_CLEARLY", -np.inf)
     found = pfdist.rule(run, figures=False, pool="serial")
     answer, mean = found.as_json(), found.spent
     assert list(answer["rule"]["threshold"]) == [*watched.SENSORS]
@@ -227,6 +234,16 @@ def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
         assert (found.measured, found.next) == (("0 sharp",), following)
 
 
+def test_a_file_with_one_threshold_for_all_instants_is_read() -> None:
+    mixed = Rule((2.0, ALWAYS, NEVER, 0.0) * 3 + (1.0,), 0.5, 3.0)
+    assert rule_from(json.loads(json.dumps(rule_json(mixed, COUNTED))), COUNTED) == mixed
+    older = {"threshold": 2.5, "exponent": 0.0, "limit": 0.0}
+    assert rule_from(older, COUNTED) == Rule((2.5,) * 13)
+    assert rule_from({**older, "threshold": None}, COUNTED) == Rule((NEVER,) * 13)
+    with pytest.raises(ValueError, match="12 instants, not of 13"):
+        rule_from({**older, "threshold": [2.0] * 12}, COUNTED)
+
+
 @pytest.mark.slow
 def test_the_tuned_thresholds_of_two_sensors_are_about_the_best(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -241,7 +258,10 @@ def test_the_tuned_thresholds_of_two_sensors_are_about_the_best(
     assert error.value < 1.1 * best  # 200 particles decide as the exact deviation would, nearly
 
 
-def test_a_quantile_is_judged_as_elsewhere(finished: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_quantile_is_judged_as_elsewhere(
+    finished: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ruling, "_CLEARLY", -np.inf)
     given = finished("problem.criterion=quantile 0.9")
     run = pfdist.open_run(shutil.copytree(given, tmp_path / "run"))
     found = asked(run)
@@ -287,14 +307,22 @@ def test_the_function_in_the_manual_decides_as_the_rule(
     code = text.partition("```python\n")[2].partition("```")[0]
     (tmp_path / "results" / "plan").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
-    for rule in (Rule((2.0,)), Rule((2.0,), 0.5, 3), Rule((2.0,), 40.0, 3)):
+    mixed = (2.0, ALWAYS, NEVER, 0.0) * 3 + (1.0,)
+    rules = (
+        Rule((2.0,)),
+        Rule((2.0,), 0.5, 3),
+        Rule((2.0,), 40.0, 3),
+        Rule(mixed),
+        Rule(mixed, 0.5, 3),
+    )
+    for rule in rules:
         answer = json.dumps({"rule": rule_json(rule, COUNTED)})
         Path("results/plan/rule.json").write_text(answer, encoding="utf-8")
         names = dict[str, Any]()
         exec(code, names)
         for t, spent in product(range(13), range(5)):
-            (level,) = rule.levels(13 - t, spent)
-            for deviation in (1.99, 2.01, level - 0.01, level + 0.01):
+            (level,) = rule.levels([t], 13 - t, spent)
+            for deviation in (0.0, 1.99, 2.01, max(0.0, level - 0.01), max(0.0, level + 0.01)):
                 assert names["measures"](deviation, t, 12, spent) is (deviation > level)
         assert names["measures"](1e9, 12, 12, 2, price=2) is (rule.limit == 0)
 
@@ -312,7 +340,7 @@ def test_next_measures_where_the_filter_of_the_run_would(
     own = pfdist.Filter("ungm", 40, 1, resampling="multinomial", horizon=12)
     own.update(1, 0.5)
     spread = {t: float(own.predict(t).standard_deviation[0]) for t in range(2, 13)}
-    assert found.next == next(t for t in spread if spread[t] > rule.thresholds[0])
+    assert found.next == next(t for t in spread if spread[t] > rule.thresholds[t])
     assert found.standard_deviation == pytest.approx(spread[found.next])
     later = pfdist.next_time(run.path / "job.toml", table, now=found.next, **given)
     assert later.next > found.next
