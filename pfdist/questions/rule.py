@@ -1,6 +1,7 @@
 """A rule that measures when it is needed, against times that are fixed in advance."""
 
 import json
+import math
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -43,6 +44,7 @@ from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import check_one_number, measured_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch, complete
+from pfdist.runner.every_strategy import bound_of_strategies
 from pfdist.runner.ruling import (
     TUNING_DRAWS,
     budget_of,
@@ -83,6 +85,8 @@ class Ruled(Shown):
         The other sets as answers call them.
     numbers : mapping of str to float
         How many measurements the other sets have, or their prices.
+    bound : Estimate or None
+        A number that the expected MSE of no strategy is below; None if no bound is known.
     unit : str
         The unit of the standard deviation of z; empty if it is not known, or if there is none.
     figures : list of Path
@@ -96,6 +100,7 @@ class Ruled(Shown):
     table: pd.DataFrame
     labels: Mapping[str, str]
     numbers: Mapping[str, float]
+    bound: Estimate | None
     unit: str
     figures: Sequence[Path] = ()
 
@@ -165,10 +170,29 @@ class Ruled(Shown):
                 },
                 "plan": self.plan,
                 "verdict": self.verdict,
+                "bound": self._bound_json(),
                 "sets": sets,
                 "figures": [*map(str, self.figures)],
             }
         )
+
+    @property
+    def at_least(self) -> float:
+        """The number that the expected MSE of no strategy is below, with 95 % confidence."""
+        return math.nan if self.bound is None else -self.bound.times(-1.0).at_most()
+
+    @property
+    def share(self) -> float:
+        """The share of what any strategy can win at most, compared with the plan."""
+        own, plan = self.error().value, self.error(self.plan).value
+        return (plan - own) / (plan - self.at_least)
+
+    def _bound_json(self) -> dict[str, float] | None:
+        if self.bound is None:
+            return None
+        names = ("value", "standard_error")
+        values = {name: getattr(self.bound, name) for name in names}
+        return values | {"at_least": self.at_least, "share": self.share}
 
     def _error_json(self, name: str) -> dict[str, float]:
         error = self.error(name)
@@ -196,6 +220,13 @@ class Ruled(Shown):
             (self.what, f"{mean.text} on average (standard deviation {numbers.std():.2g}; {ends})"),
             ("draws", f"{len(numbers):,}, none of which tuned the rule"),
         ]
+        if self.bound is not None:
+            least = f"estimate {self.bound.text}"
+            facts.append(
+                ("any strategy", f"at least {rounded(self.at_least)} (95 % confidence; {least})")
+            )
+            if not self.is_plan and self.share > 0:
+                said += f". This is {100 * self.share:.0f} % of what any strategy can win at most"
         rows = []
         for name, other in {RULE: "the rule", **self.labels}.items():
             error, number = self.error(name), self.numbers.get(name, mean.value)
@@ -337,6 +368,7 @@ def _judge(
         work = work_of(built, own, len(table))
         session.reporter.foresee(work.steps)
         ((mse, spent, degenerate),) = yield from filtered_by(session, work)
+    bound = yield from bound_of_strategies(session, budget_of(feasible), is_hard=is_hard)
     session.commit()
     for name in ("draws", "timings"):
         for phase in store.phases_of(name, RULE_PHASE):
@@ -354,7 +386,7 @@ def _judge(
         for name in labels
     }
     criterion = built.job.criterion
-    return Ruled(run.path, own, feasible, criterion, plan, table, labels, numbers, unit)
+    return Ruled(run.path, own, feasible, criterion, plan, table, labels, numbers, bound, unit)
 
 
 def unit_of(model: StateSpaceModel) -> str:
@@ -501,7 +533,7 @@ def keep_rule(run: Path, answer: Mapping[str, Any]) -> None:
 
 def rule_of(run: Path, feasible: Feasible) -> Rule:
     """The rule that was tuned last for a run; a `StoreError` if there is none."""
-    sensors, answer = feasible.points.sensors, read_rule(run)
+    answer = read_rule(run)
     try:
         return rule_from(answer["rule"], feasible)
     except (ValueError, TypeError, KeyError) as error:

@@ -30,8 +30,8 @@ from pfdist.questions.rule import (
     rule_json,
     rule_of,
     unit_of,
-)  # fmt: skip
-from pfdist.runner import ruling
+)
+from pfdist.runner import every_strategy, ruling
 from pfdist.runner.build import build
 from pfdist.store import listing
 from pfdist.store.verify import verify_run
@@ -42,6 +42,8 @@ COUNTED = Feasible(horizon=12, measurement_budget=4)
 
 @pytest.fixture(autouse=True)
 def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(every_strategy, "CHOICE_DRAWS", 6)
+    monkeypatch.setattr(every_strategy, "DRAWS", 24)
     monkeypatch.setattr(ruling, "_HALVINGS", 8)
     monkeypatch.setattr(ruling, "_RANGE", 1900.0)
     monkeypatch.setattr(ruling.tuned, "__kwdefaults__", {"draws": 300})
@@ -76,6 +78,14 @@ def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
     mean = found.spent
     assert mean.value - 3 * mean.standard_error < found.budget == 4
     assert mean.value > 3.4
+    bound = answer["bound"]
+    assert bound["at_least"] < bound["value"] < error.mean()
+    assert bound["share"] == pytest.approx(
+        (plan.mean() - error.mean()) / (plan.mean() - bound["at_least"])
+    )
+    assert f"{100 * bound['share']:.0f} % of what any strategy can win at most" in repr(
+        found._page()
+    )
     counted = answer["measurements"]["draws_by_number"]
     assert sum(counted.values()) == answer["draws"] == 250
     assert json.loads((run.path / "rule.json").read_text())["rule"] == rule_json(
@@ -272,6 +282,7 @@ def test_a_quantile_is_judged_as_elsewhere(
     for name in found.labels:
         assert written["sets"][name]["quantile"] == own.loc[name, "quantile"]
     assert "rule's 90 % quantile of the MSE" in repr(found)
+    assert found.as_json()["bound"] is None  # a quantile is no mean
 
 
 @pytest.mark.slow
