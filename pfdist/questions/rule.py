@@ -523,6 +523,8 @@ def rule_from(rule: Mapping[str, Any], feasible: Feasible) -> Rule:
         raise ValueError(f"thresholds of {len(columns[0])} instants, not of {instants}")
     rows = zip(*columns, strict=True)
     thresholds = tuple(NEVER if level is None else level for row in rows for level in row)
+    if any(ALWAYS < threshold < 0.0 for threshold in thresholds):
+        raise ValueError("a threshold must be at least 0, -1 (always) or null (never)")
     return Rule(thresholds, written.exponent, written.limit)
 
 

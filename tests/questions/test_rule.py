@@ -367,11 +367,11 @@ def test_next_measures_where_the_filter_of_the_run_would(
 def test_a_rule_is_read_only_as_it_was_written(
     finished: Callable[..., Path], tmp_path: Path
 ) -> None:
-    """Listed with its hash, a plain file, of finite numbers that are not negative."""
+    """Listed with its hash, a plain file, of finite numbers, none below 0 but -1 for always."""
     run = shutil.copytree(finished(), tmp_path / "run")
     right, file = rule_json(Rule((2.0,), 0.5, 4), COUNTED), run / "rule.json"
-    wrong = {"threshold": ["1e999", "2", -5, True, [2.0], {"": 2.0}], "exponent": [-1, None],
-             "limit": ["inf", -3], "more": [1]}  # fmt: skip
+    wrong = {"threshold": ["1e999", "2", -5, True, [2.0], {"": 2.0}, [-0.5] * 13, ["2"] * 13],
+             "exponent": [-1, None], "limit": ["inf", -3], "more": [1]}  # fmt: skip
     for name, value in [(name, value) for name, values in wrong.items() for value in values]:
         keep_rule(run, {"rule": right | {name: value}})
         with pytest.raises(StoreError, match=r"rule\.json is damaged: `pfdist rule"):
@@ -381,7 +381,7 @@ def test_a_rule_is_read_only_as_it_was_written(
         with pytest.raises(StoreError, match="is damaged"):
             rule_of(run, COUNTED)
     keep_rule(run, {"rule": right})
-    assert rule_of(run, COUNTED) == Rule((2.0,), 0.5, 4)
+    assert rule_of(run, COUNTED) == Rule((2.0,) * 13, 0.5, 4)
     file.write_text(file.read_text().replace("2.0", "3.0"))
     with pytest.raises(StoreError, match=r"damaged: its content has another hash"):
         rule_of(run, COUNTED)
@@ -402,7 +402,10 @@ def test_a_kill_or_a_full_disk_leaves_the_former_rule_or_the_new_one(
     fault: str, finished: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At each operation on a file; then the rule can be written again."""
-    run, rules = shutil.copytree(finished(), tmp_path / "run"), (Rule((1.0,)), Rule((2.0,)))
+    run, rules = (
+        shutil.copytree(finished(), tmp_path / "run"),
+        (Rule((1.0,) * 13), Rule((2.0,) * 13)),
+    )
     answers = [{"rule": rule_json(rule, COUNTED)} for rule in rules]
     layer = FileLayer(monkeypatch, tmp_path)
     keep_rule(run, answers[0])
