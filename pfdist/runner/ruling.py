@@ -29,11 +29,11 @@ from pfdist.runner.row_formats import PER_DRAW
 from pfdist.search.thresholds import (
     TURNS,
     Points,
-    Sweep,
     SweepState,
+    ThresholdSweep,
     Trial,
     Tried,
-    groups_of,
+    point_groups,
 )
 from pfdist.store import RULE_PHASE
 
@@ -209,7 +209,7 @@ class _Search:
         self._few, self._every = max(2, draws // _FEW), range(feasible.possible)
         self._even = Rule((1.0,) * feasible.points.ways)
         self._sweeps = _SWEEPS if session.built.job.criterion.is_mean else ()
-        self._groups = groups_of(feasible.allowed, feasible.points.ways, _MOST_GROUPS)
+        self._groups = point_groups(feasible.allowed, feasible.points.ways, _MOST_GROUPS)
         first = work_of(session.built, self._even, draws, "rule")
         evaluator.compile(first.estimation)  # before the first task, whose time is limited
         own = first.estimation.particles
@@ -349,7 +349,7 @@ class _Search:
                 higher.mse.mean() - lower.mse.mean(),
             )
             price = max(0.0, float(worse / fewer)) if fewer > 0 else 0.0
-        sweep = Sweep(rule, self._groups, price, pooled, changes)
+        sweep = ThresholdSweep(rule, self._groups, price, pooled, changes)
         state, rng = sweep.init(), np.random.default_rng([self._built.job.seed, number])
         while not sweep.done(state):
             state = sweep.ask(state, rng)

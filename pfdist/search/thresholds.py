@@ -40,7 +40,7 @@ class Tried(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """What a measurement at a point changes in each draw, with the deviation there, (D,)."""
+    """The changes by a measurement at a point in each draw, with the deviation there, (D,)."""
 
     deviation: Array
     mse: Array
@@ -78,7 +78,7 @@ class SweepState:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class ThresholdSweep:
     """A sweep over all points: groups of points get their best thresholds.
 
     Parameters
@@ -88,7 +88,7 @@ class Sweep:
     groups : tuple of tuple of int
         Points that share a threshold, in order; one, drawn at random, stands for all of a group.
     price : float
-        Of a unit of the budget, in errors.
+        The price of a unit of the budget, in errors.
     pooled : int
         How many sweeps decide together: this one, and the last ones before it.
     changes : mapping
@@ -133,10 +133,10 @@ class Sweep:
         return not state.left
 
 
-def groups_of(allowed: Points, ways: int, most: int) -> tuple[Points, ...]:
+def point_groups(allowed: Points, ways: int, most: int) -> tuple[Points, ...]:
     """At most about `most` groups of successive points of a sensor.
 
-    >>> groups_of((0, 1, 2, 3, 4, 5), 2, 4)
+    >>> point_groups((0, 1, 2, 3, 4, 5), 2, 4)
     ((0, 2), (4,), (1, 3), (5,))
     """
     groups = list[Points]()
