@@ -30,7 +30,7 @@ class Chain:
     def after(self, belief: float, t: int, y: int) -> tuple[float, float]:
         """Probability of a measurement, and the belief after it."""
         right, wrong = self.accuracy[t, 0], 1.0 - self.accuracy[t, 1]
-        likelihood = (1.0 - zero, 1.0 - one) if y else (right, wrong)
+        likelihood = (1.0 - right, 1.0 - wrong) if y else (right, wrong)
         share = belief * likelihood[0] + (1.0 - belief) * likelihood[1]
         return share, belief * likelihood[0] / share
 
