@@ -1,10 +1,12 @@
 """Rules that measure where the filter is unsure, against the plans of shipped jobs."""
 
+import math
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -12,8 +14,8 @@ import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist.common.rounding import with_error
+from pfdist.kernels.rules import ALWAYS, NEVER
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
-from pfdist.questions.rule import rule_json
 
 TITLE = "Rules"
 TABLES: tuple[str, ...] = ("rules",)
@@ -55,8 +57,11 @@ def rows_of(job: str, run: Path) -> Iterator[dict[str, Any]]:
         found = pfdist.rule(pfdist.open_run(run), hard=is_hard, figures=False)
         others = [name for name in found.labels if name not in (found.plan, "online")]
         errors = {"rule": "rule", "plan": found.plan, "even": others[0]}
-        row: dict[str, Any] = {"job": job, "budget": found.budget,
-                               **rule_json(found.rule, found.feasible)}  # fmt: skip
+        own = [c for c in found.rule.thresholds if ALWAYS < c < NEVER] or [math.nan]
+        row: dict[str, Any] = {
+            "job": job, "budget": found.budget, "threshold": float(np.median(own)),
+            "exponent": found.rule.exponent, "limit": found.rule.limit,
+        }  # fmt: skip
         row |= {"draws": len(found.table), "numbers": found.spent.value,
                 "numbers_error": found.spent.standard_error,
                 "numbers_deviation": found.table["measurements"].std()}  # fmt: skip

@@ -115,7 +115,7 @@ def filter_checked_sets(
         of_instants[~np.isfinite(mse).all(axis=0)] = np.nan
     else:
         of_instants = all_or_none(of_instants, mse)
-    return FilterArrays(mse, degenerate, errors=of_instants, measured=found.measured)
+    return found._replace(mse=mse, degenerate=degenerate, errors=of_instants)
 
 
 def _filter(
@@ -129,15 +129,22 @@ def _filter(
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
     rule, sensors = settings.rule or Rule(()), len(model.parts)
-    prices, apart = np.empty(0), np.empty(0, np.int64)
+    prices, apart, flipped = np.empty(0), np.empty(0, np.int64), -1
+    thresholds, turns = np.empty((0, 0)), np.empty((0, 0), np.int64)
     if settings.rule is not None:  # the filter fills the set of each draw itself
         own = np.unpackbits(planned.measured[0], axis=1, count=sensors, bitorder="little")
         paid = np.reshape(settings.prices, (-1, sensors))[draws.start :] if settings.prices else 1.0
         prices = own * paid
+        points = np.arange(draws.start * sensors, (draws.start + len(own)) * sensors)
+        thresholds = np.reshape(rule.thresholds_of(points), own.shape)
+        turns = np.argsort(-thresholds, axis=1, kind="stable")
         apart = np.array(settings.apart[draws.start :] or draws.instants) - draws.start
         planned = planned._replace(measured=np.zeros_like(planned.measured))
         shape = len(draws.index), *planned.measured.shape[1:]
         others["measured"] = np.zeros(shape, np.uint8)
+        if settings.flipped is not None:
+            flipped = settings.flipped - draws.start * sensors
+            others["deviation"] = np.full(shape[0], np.nan)
     mse = np.empty((len(draws.index), len(planned.measured)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
@@ -186,8 +193,9 @@ def _filter(
         first_smoothed=first_smoothed(settings.lag, draws.instants),
         exponent=rule.exponent,
         limit=float(rule.limit),
-        thresholds=np.array(rule.thresholds, np.float64),
-        turns=np.array(rule.turns, np.int64),
+        thresholds=thresholds,
+        turns=turns,
+        flipped=flipped,
         prices=prices,
         apart=apart,
     )

@@ -52,6 +52,7 @@ class Estimation:
     # tuple, (T+1,), has the lag of each instant
     lag: Lag = 0
     rule: Rule | None = None  # decides at which of the given times each draw is measured
+    flipped: int | None = None  # a point at which the rule decides the opposite
     # (T+1,): after a measurement at each instant, the first that a rule may measure; the same one
     # if several sensors may measure at an instant
     apart: Times = ()
@@ -74,6 +75,8 @@ class Estimation:
                 del recorded[name]
         if self.proposal == PLAIN:
             del recorded["proposal"]
+        if self.flipped is None:
+            del recorded["flipped"]
         return recorded
 
     @property

@@ -98,8 +98,10 @@ class FilterRequest(NamedTuple):
     # of a rule, see `Rule`
     exponent: float
     limit: float
-    thresholds: NDArray[np.float64]  # (sensors,)
-    turns: NDArray[np.int64]  # (sensors,): the sensors, from the highest threshold to the lowest
+    thresholds: NDArray[np.float64]  # (T+1, sensors); empty without a rule
+    # (T+1, sensors): the sensors, from the highest threshold at an instant to the lowest
+    turns: NDArray[np.int64]
+    flipped: int  # the point at which the rule decides the opposite; -1: none
     # (T+1, sensors): prices, 0 where the rule may not measure; empty without a rule
     prices: NDArray[np.float64]
     # (T+1,): the first instant that may be measured after a measurement at each; the same one if
@@ -157,6 +159,9 @@ class FilterArrays(NamedTuple):
     # (D, (T+1) sensors): whether a rule measures each draw at each point; else empty. In the
     # kernel, bits as in `Plan.measured`
     measured: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
+    # (D,): of a rule that decides the opposite at a point, the deviation with which each draw comes
+    # to it; NaN where the point may not be measured. Else empty
+    deviation: NDArray[np.float64] = np.empty(0)
 
 
 class Wanted(NamedTuple):

@@ -326,10 +326,16 @@ def _choose(at, t, d, deviation, left):
     if request.limit > 0.0:
         factor = ((request.instants - t) / left) ** request.exponent
     for turn in range(request.sensors):
-        sensor = request.turns[turn]
-        price = request.prices[t * request.sensors + sensor]
-        is_paid = 0.0 < price <= left + ROUNDING * request.limit
-        if is_paid and deviation > request.thresholds[sensor] * factor and t >= batch.following[d]:
+        sensor = request.turns[t * request.sensors + turn]
+        point = t * request.sensors + sensor
+        price = request.prices[point]
+        if not 0.0 < price <= left + ROUNDING * request.limit or t < batch.following[d]:
+            continue
+        exceeds = deviation > request.thresholds[point] * factor
+        if point == request.flipped:
+            exceeds = not exceeds
+            results_of(at.work).deviation[at.first + d] = deviation / factor
+        if exceeds:
             own[sensor // 8] |= 1 << sensor % 8
             batch.spent[d] += price
             left -= price
@@ -663,7 +669,7 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    if request.prices.size and (len(request.thresholds) > 1 or request.rows.size or request.lag):
+    if request.prices.size and (request.sensors > 1 or request.rows.size or request.lag):
         draws = 1  # by a rule, each draw has a separate set
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)

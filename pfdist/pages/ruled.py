@@ -42,7 +42,7 @@ def draw_rule(
         path, times = (np.array(clock.times)[at] for at in (shown.instants, shown.measured))
         marks: dict[str, Any] = {"ms": marker(), "mew": 0, "clip_on": False, "zorder": 5}
         spread.plot(path, shown.deviation, color=GREY, label="standard deviation of z")
-        level = np.where(np.isfinite(shown.level), shown.level, np.nan)
+        level = np.where(np.isfinite(shown.level), np.maximum(shown.level, 0.0), np.nan)
         lines = spread.plot(path, level, color=RED, ls="--", lw=thin())
         lines[0].set_label("level of the rule")
         spread.plot(times, 0.0 * times, "^", color=RED, label="measured", **marks)

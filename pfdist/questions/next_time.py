@@ -348,8 +348,8 @@ def _by_rule(
         squares = filtering.predict(at[k]).standard_deviation ** 2  # of an angle, 1 - R counts
         squares = np.where(believed.is_angle, -np.expm1(-squares / 2), squares)
         spread = float(np.sqrt(squares.sum()))
-        chosen = rule.chosen(spread, left, spent, paid, several=not apart)
-        levels = rule.levels(left, spent)
+        chosen = rule.chosen(spread, here, left, spent, paid, several=not apart)
+        levels = rule.levels(here, left, spent)
         level = min(levels[way] for way in chosen or range(points.ways))
         if chosen:
             written = points.written_of(here[way] for way in sorted(chosen))

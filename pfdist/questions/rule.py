@@ -21,7 +21,7 @@ from pfdist.errors import JobError, StoreError
 from pfdist.filters.criterion import Criterion, CriterionValue, OtherCriterion, Quantile, Sample
 from pfdist.filters.engines import NUMPY
 from pfdist.filters.estimate import Evaluation
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Rule
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
@@ -44,11 +44,13 @@ from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import check_one_number, measured_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch, complete
+from pfdist.runner.every_strategy import bound_of_strategies
 from pfdist.runner.ruling import (
     TUNING_DRAWS,
     budget_of,
     filtered_by,
     followed,
+    rule_of_set,
     tuned,
     work_of,
 )
@@ -68,7 +70,7 @@ class Ruled(Shown):
     run : Path
         Folder of the run.
     rule : Rule
-        The tuned rule: thresholds, exponent, limit (0: none).
+        The tuned rule: thresholds (below 0: always), exponent, limit (0: none).
     feasible : Feasible
         The constraints of the job: its budget, prices and sensors.
     criterion : Criterion
@@ -83,6 +85,8 @@ class Ruled(Shown):
         The other sets as answers call them.
     numbers : mapping of str to float
         How many measurements the other sets have, or their prices.
+    bound : Estimate or None
+        A number that the expected MSE of no strategy is below; None if no bound is known.
     unit : str
         The unit of the standard deviation of z; empty if it is not known, or if there is none.
     figures : list of Path
@@ -96,6 +100,7 @@ class Ruled(Shown):
     table: pd.DataFrame
     labels: Mapping[str, str]
     numbers: Mapping[str, float]
+    bound: Estimate | None
     unit: str
     figures: Sequence[Path] = ()
 
@@ -127,8 +132,16 @@ class Ruled(Shown):
         return CriterionValue(*(pair[f"gain_of_means{end}"] for end in ("", "_low", "_high")))
 
     @property
+    def is_plan(self) -> bool:
+        """Whether no rule was clearly better than the plan, so that the rule is the plan."""
+        own, other = (self.table[f"mse_{name}"] for name in (RULE, self.plan))
+        return np.array_equal(own, other, equal_nan=True)  # another rule has other filter noise
+
+    @property
     def verdict(self) -> str:
-        """Whether the rule is "better" or "worse" than the plan, or "not clearly" different."""
+        """Whether the rule is "the plan", "better" or "worse", or "not clearly" different."""
+        if self.is_plan:
+            return "the plan"
         gain, *interval = self.gain(self.plan)
         return ("better" if gain > 0 else "worse") if is_clear(interval) else "not clearly"
 
@@ -157,10 +170,29 @@ class Ruled(Shown):
                 },
                 "plan": self.plan,
                 "verdict": self.verdict,
+                "bound": self._bound_json(),
                 "sets": sets,
                 "figures": [*map(str, self.figures)],
             }
         )
+
+    @property
+    def at_least(self) -> float:
+        """The number that the expected MSE of no strategy is below, with 95 % confidence."""
+        return math.nan if self.bound is None else -self.bound.times(-1.0).at_most()
+
+    @property
+    def share(self) -> float:
+        """The share of what any strategy can win at most, compared with the plan."""
+        own, plan = self.error().value, self.error(self.plan).value
+        return (plan - own) / (plan - self.at_least)
+
+    def _bound_json(self) -> dict[str, float] | None:
+        if self.bound is None:
+            return None
+        names = ("value", "standard_error")
+        values = {name: getattr(self.bound, name) for name in names}
+        return values | {"at_least": self.at_least, "share": self.share}
 
     def _error_json(self, name: str) -> dict[str, float]:
         error = self.error(name)
@@ -172,15 +204,29 @@ class Ruled(Shown):
         gain, *interval = gains[self.plan]
         plan = self.labels[self.plan]
         said = effect(gain, interval, plan, f"the rule's {label}")
-        if self.verdict == "worse":
+        if self.is_plan:
+            said = f"Deciding on the way wins nothing here: the rule is {plan}"
+        elif self.verdict == "worse":
             said = f"The rule is worse than {plan}, so keep {plan}. {said}"
         ends = f"{unrounded(numbers.min())} to {unrounded(numbers.max())}"
         level = level_text(self.rule, self.feasible, self.unit)
         facts = [
-            ("rule", f"measure when the standard deviation of z exceeds {level}"),
+            (
+                "rule",
+                plan
+                if self.is_plan
+                else f"measure when the standard deviation of z exceeds {level}",
+            ),
             (self.what, f"{mean.text} on average (standard deviation {numbers.std():.2g}; {ends})"),
             ("draws", f"{len(numbers):,}, none of which tuned the rule"),
         ]
+        if self.bound is not None:
+            least = f"estimate {self.bound.text}"
+            facts.append(
+                ("any strategy", f"at least {rounded(self.at_least)} (95 % confidence; {least})")
+            )
+            if not self.is_plan and self.share > 0:
+                said += f". This is {100 * self.share:.0f} % of what any strategy can win at most"
         rows = []
         for name, other in {RULE: "the rule", **self.labels}.items():
             error, number = self.error(name), self.numbers.get(name, mean.value)
@@ -213,9 +259,10 @@ def rule(
     """Measure when the filter is unsure, and compare this with the plan of a run.
 
     A rule measures at an instant if the predicted standard deviation of z, which the filter's own
-    particles have, exceeds a threshold. The threshold is tuned on separate draws, so that the mean
-    number of measurements is at most that of the plan. The rule and the run's sets then filter the
-    same fresh draws: those of its comparison. The same call resumes where it was stopped.
+    particles have, exceeds the threshold of the instant. Thresholds are tuned on separate draws, so
+    that the mean number of measurements is at most that of the plan. If no rule is clearly better
+    than the plan, the rule is the plan. The rule and the run's sets then filter the same fresh
+    draws: those of its comparison. The same call resumes where it was stopped.
 
     Parameters
     ----------
@@ -310,14 +357,22 @@ def _judge(
     """Driver that tunes the rule, and filters the draws of the run's comparison with it."""
     built, store = session.built, session.store
     table, plan = _compared(run, draws), best_first(rows_of_sets(run))[0]
-    own = yield from tuned(session, is_hard=is_hard)
-    work = work_of(built, own, len(table))
-    session.reporter.foresee(work.steps)
-    mse, spent, degenerate = yield from filtered_by(session, work)
+    own = yield from tuned(session, measured_of(run)[plan], is_hard=is_hard)
+    feasible, measured = built.feasible, measured_of(run)
+    if (
+        own.thresholds == rule_of_set(measured[plan], feasible).thresholds
+    ):  # with the noise that the plan has
+        mse, degenerate = table[f"mse_{plan}"].to_numpy(), np.zeros(len(table))
+        spent = np.full(len(table), float(feasible.price_of(measured[plan])))
+    else:
+        work = work_of(built, own, len(table))
+        session.reporter.foresee(work.steps)
+        ((mse, spent, degenerate),) = yield from filtered_by(session, work)
+    bound = yield from bound_of_strategies(session, budget_of(feasible), is_hard=is_hard)
     session.commit()
     for name in ("draws", "timings"):
-        store.settle(name, RULE_PHASE)
-    feasible = built.feasible
+        for phase in store.phases_of(name, RULE_PHASE):
+            store.settle(name, phase)
     what = (
         {"price": spent.round(_DIGITS)} if feasible.price else {"measurements": spent.astype(int)}
     )
@@ -325,13 +380,13 @@ def _judge(
     table = pd.concat([own_table, table], axis=1)
     labels = {name: phrase_of(run.labels[name]) for name in (plan, run.names[0])}
     labels |= {"online": "online times"} if "mse_online" in table else {}
-    measured, unit = measured_of(run), unit_of(built.evaluator.model)
+    unit = unit_of(built.evaluator.model)
     numbers = {
         name: float(feasible.price_of(measured[name])) if name in measured else budget_of(feasible)
         for name in labels
     }
     criterion = built.job.criterion
-    return Ruled(run.path, own, feasible, criterion, plan, table, labels, numbers, unit)
+    return Ruled(run.path, own, feasible, criterion, plan, table, labels, numbers, bound, unit)
 
 
 def unit_of(model: StateSpaceModel) -> str:
@@ -350,26 +405,43 @@ def _compared(run: Run, draws: int | None) -> pd.DataFrame:
 
 
 def level_text(rule: Rule, feasible: Feasible, unit: str = "") -> str:
-    """The levels of a rule as a formula.
+    """The levels of a rule as a formula; thresholds that differ are given by their range.
 
-    >>> counted = Feasible(horizon=60, measurement_budget=21)
-    >>> level_text(Rule((6.0,)), counted, "m"), level_text(Rule((3.5,), 0.5, 21), counted)
-    ('6 m', '3.5 x (rest of time / rest of budget)^0.5, at most 21 times')
+    >>> counted = Feasible(horizon=3, measurement_budget=2)
+    >>> level_text(Rule((6.0,)), counted, "m"), level_text(Rule((3.5,), 0.5, 2), counted)
+    ('6 m', '3.5 x (rest of time / rest of budget)^0.5, at most 2 times')
+    >>> level_text(Rule((2.0, NEVER, 3.5, ALWAYS)), counted)
+    '2 to 3.5 by the time, always at t = 3, never at t = 1'
     """
-    thresholds, exponent, limit = rule
-    levels = [f"{unrounded(c)} {unit}".rstrip() if c < math.inf else "never" for c in thresholds]
-    if sensors := feasible.points.sensors:
-        levels = [f"{level} ({name})" for name, level in zip(sensors, levels, strict=True)]
-    power = f" x (rest of time / rest of budget)^{unrounded(exponent)}" * (exponent > 0)
+    points, levels = feasible.points, list[str]()
+    for way in range(points.ways):
+        own = [point for point in feasible.allowed if points.way(point) == way]
+        thresholds = dict(zip(own, rule.thresholds_of(own).tolist(), strict=True))
+        numbers = sorted({c for c in thresholds.values() if ALWAYS < c < NEVER})
+        ends = [f"{unrounded(c)} {unit}".rstrip() for c in numbers[:1] + numbers[1:][-1:]]
+        parts = [" to ".join(ends) + " by the time" * (len(ends) > 1)] * bool(ends)
+        for word, flag in (("always", ALWAYS), ("never", NEVER)):
+            at = [points.instant(point) for point, c in thresholds.items() if c == flag]
+            when = f"{word} at t = {points.clock.listed(points.clock.time(t) for t in at)}"
+            parts += [word if len(at) == len(own) else when] * bool(at)
+        name = f" ({points.sensors[way]})" if points.sensors else ""
+        levels.append(", ".join(parts) + name)
+    power = f" x (rest of time / rest of budget)^{unrounded(rule.exponent)}" * (rule.exponent > 0)
+    limit = rule.limit
     paid = f"a price of {unrounded(limit)}" if feasible.price else number_of(int(limit), "time")
     return ", ".join(levels) + power + f", at most {paid}" * (limit > 0)
 
 
 def rule_json(rule: Rule, feasible: Feasible) -> dict[str, Any]:
-    """A rule as JSON values; with sensors, `threshold` has that of each, null for never."""
-    sensors, (thresholds, exponent, limit) = feasible.points.sensors, rule
-    threshold = dict(zip(sensors, thresholds, strict=True)) if sensors else thresholds[0]
-    return finite({"threshold": threshold, "exponent": exponent, "limit": limit})
+    """A rule as JSON values: a threshold for each instant, -1 for always, null for never.
+
+    With sensors, `threshold` has those of each.
+    """
+    points, allowed = feasible.points, np.isin(range(feasible.possible), feasible.allowed)
+    thresholds = np.where(allowed, rule.thresholds_of(range(feasible.possible)), NEVER)
+    each = thresholds.reshape(-1, points.ways).T.tolist()
+    threshold = dict(zip(points.sensors, each, strict=True)) if points.sensors else each[0]
+    return finite({"threshold": threshold, "exponent": rule.exponent, "limit": rule.limit})
 
 
 # --- real measurements ----------------------------------------------------------------------------
@@ -427,15 +499,33 @@ class NextByRule(Shown):
         return Page("", "", [Section("", blocks)], alarms=self.doubts)
 
 
-Level = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Number = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Level = Annotated[float, Field(ge=ALWAYS, allow_inf_nan=False)]
 
 
 class _Written(JobSection):
     """A rule as `rule_json` writes it."""
 
-    threshold: dict[str, Level | None]  # of each sensor
-    exponent: Level
-    limit: Level
+    threshold: dict[str, list[Level | None] | Level | None]  # of each sensor
+    exponent: Number
+    limit: Number
+
+
+def rule_from(rule: Mapping[str, Any], feasible: Feasible) -> Rule:
+    """The rule of `rule_json`, or that of older files: a single threshold for all instants."""
+    points, alone = feasible.points, rule["threshold"]
+    given = {**rule, "threshold": alone if points.sensors else {"": alone}}
+    written = _Written.model_validate(given)
+    instants = feasible.horizon + 1
+    each = [written.threshold[name] for name in points.sensors or [""]]
+    columns = [own if isinstance(own, list) else [own] * instants for own in each]
+    if {*map(len, columns)} != {instants}:
+        raise ValueError(f"thresholds of {len(columns[0])} instants, not of {instants}")
+    rows = zip(*columns, strict=True)
+    thresholds = tuple(NEVER if level is None else level for row in rows for level in row)
+    if any(ALWAYS < threshold < 0.0 for threshold in thresholds):
+        raise ValueError("a threshold must be at least 0, -1 (always) or null (never)")
+    return Rule(thresholds, written.exponent, written.limit)
 
 
 def keep_rule(run: Path, answer: Mapping[str, Any]) -> None:
@@ -445,13 +535,8 @@ def keep_rule(run: Path, answer: Mapping[str, Any]) -> None:
 
 def rule_of(run: Path, feasible: Feasible) -> Rule:
     """The rule that was tuned last for a run; a `StoreError` if there is none."""
-    sensors, answer = feasible.points.sensors, read_rule(run)
+    answer = read_rule(run)
     try:
-        alone = answer["rule"]["threshold"]
-        given = answer["rule"] | {"threshold": alone if sensors else {"": alone}}
-        written = _Written.model_validate(given)
-        each = [written.threshold[name] for name in sensors or [""]]
-        thresholds = tuple(math.inf if level is None else level for level in each)
-        return Rule(thresholds, written.exponent, written.limit)
+        return rule_from(answer["rule"], feasible)
     except (ValueError, TypeError, KeyError) as error:
         raise StoreError(f"{run / FILE} is damaged: `pfdist rule {run}` writes it again") from error

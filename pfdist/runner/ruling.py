@@ -6,11 +6,11 @@ and the noise of their filters.
 """
 
 import math
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,21 @@ from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, Result
-from pfdist.kernels.rules import ROUNDING, Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, ROUNDING, Rule
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.row_formats import PER_DRAW
+from pfdist.search.thresholds import (
+    TURNS,
+    Points,
+    SweepState,
+    ThresholdSweep,
+    Trial,
+    Tried,
+    point_groups,
+)
 from pfdist.store import RULE_PHASE
 
 TUNING_DRAWS = 3000
@@ -34,13 +43,19 @@ ONE_SIDED = 1.645
 _RANGE, _HALVINGS = 1.002**4096, 12  # of the thresholds that are tried: to 0.2 %
 # Steps of the exponent, and factors of the threshold, that are tried with a hard limit
 _HARD = (
-    ((0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1)),
+    ((0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (0.6, 0.8, 1.0)),
     ((-0.25, 0.0, 0.25), (0.95, 1.0, 1.05)),
 )
 # Factors of one sensor's threshold, with which the ratios of thresholds are searched. The last of
 # the first round lets the sensor never measure.
 _RATIOS = (0.25, 0.5, 2.0, 4.0, math.inf), (0.7, 1.4), (0.84, 1.2)
-_FEW = 3  # of so many draws, one takes part in this search
+_FEW = 3  # of so many draws, one takes part in the search
+_SWEEPS = (300, 1), (600, 1), (1000, 1), (1000, 2), (1000, 3)  # draws, and how many decide together
+_FEW_PARTICLES, _LEAST_PARTICLES = 5, 100  # one of so many takes part in sweeps; and at least
+_MOST_GROUPS = 64  # of points; longer horizons have thresholds for several instants
+_LAST = 2  # so many sweeps give a rule each, between which errors decide
+_CLEARLY = 2.0  # standard errors by which a rule must be better than the plan
+_AROUND, _NARROW, _SLOPE = (0.4, 2.5), 8, 1.14  # factors of thresholds: ends, halvings, for a price
 _GUESSES = 200  # draws that show how large z is
 
 Array = NDArray[np.float64]
@@ -48,9 +63,10 @@ Candidates = Callable[[Rule], Iterable[Rule]]
 
 
 class RuleWork(FilterWork):
-    """Draws with a rule; the second of two columns has what it spends: a number, or a price.
+    """Draws with a rule; the second column has what it spends: a number, or a price.
 
-    So both are stored by the draw, as errors are. The sets are the points that may be measured.
+    So all columns are stored by the draw, as errors are. The sets are the points that may be
+    measured.
     """
 
     def result(self, evaluator: Evaluator) -> Result:
@@ -58,11 +74,12 @@ class RuleWork(FilterWork):
         if evaluator.scenarios:
             return evaluator.filtered(self)
         draws = evaluator.draws(range(*self.draws), self.draws_stream)
-        sets, ends, (stream, _) = self.measurement_times[:1], self.ends[:1], self.filter_streams
+        sets, ends, (stream, *_) = self.measurement_times[:1], self.ends[:1], self.filter_streams
         found = evaluator.filter_sets(draws, sets, ends, stream, self.estimation)
         prices = self.estimation.prices[-found.measured.shape[1] :]
-        values = np.column_stack([found.mse, found.measured @ np.array(prices)])
-        return Result(values, degenerate=np.repeat(found.degenerate, 2, axis=1))
+        columns = [found.mse, found.measured @ np.array(prices), found.deviation]
+        values = np.column_stack(columns[: len(self.ids)])
+        return Result(values, degenerate=np.repeat(found.degenerate, len(self.ids), axis=1))
 
 
 def budget_of(feasible: Feasible) -> float:
@@ -82,18 +99,34 @@ def apart_of(feasible: Feasible) -> Times:
     return () if spacing.is_free else tuple(points.instant(spacing.after(t)) for t in first)
 
 
-def work_of(built: Built, rule: Rule, draws: int, purpose: str = "") -> RuleWork:
-    """The work of a rule on the first draws of a purpose, by default of the comparison."""
+def work_of(
+    built: Built,
+    rule: Rule,
+    draws: int,
+    purpose: str = "",
+    particles: int = 0,
+    sweep: int | None = None,
+    flipped: int | None = None,
+) -> RuleWork:
+    """The work of a rule on the first draws of a purpose, by default of the comparison.
+
+    Each sweep has separate draws. With a flipped point, the deviations there are a column, too.
+    """
     purpose, evaluator, feasible = purpose or built.study.purpose, built.evaluator, built.feasible
+    number = [] if sweep is None else [sweep]
     noise, of_draws = (
-        stream_of(purpose, built.job.seed, *role) for role in (["filter", "rule"], ["draws"])
+        stream_of(purpose, built.job.seed, *role, *number)
+        for role in (["filter", "rule"], ["draws"])
     )
     estimation = replace(
-        built.comparing, rule=rule, apart=apart_of(feasible), prices=prices_of(feasible)
-    )
+        built.comparing, rule=rule, apart=apart_of(feasible), prices=prices_of(feasible),
+        particles=particles or built.comparing.particles, flipped=flipped,
+    )  # fmt: skip
     parts = feasible.allowed, noise, of_draws
-    ids = tuple(evaluator.id_of(estimation, *parts, what) for what in ("mse", "spent"))
-    work = evaluator.work([feasible.allowed] * 2, noise, of_draws, (0, draws), estimation, ids=ids)
+    columns = ("mse", "spent", "deviation")[: 2 + (flipped is not None)]
+    ids = tuple(evaluator.id_of(estimation, *parts, what) for what in columns)
+    sets = [feasible.allowed] * len(columns)
+    work = evaluator.work(sets, noise, of_draws, (0, draws), estimation, ids=ids)
     return RuleWork(**vars(work))
 
 
@@ -109,7 +142,7 @@ class RuledDraw(NamedTuple):
 
 def followed(evaluator: Evaluator, work: RuleWork, draw: int) -> RuledDraw:
     """One draw of a work, with the spread that its filter sees before each measurement."""
-    rule, (noise, _) = work.estimation.rule or Rule(()), work.filter_streams
+    rule, (noise, *_) = work.estimation.rule or Rule(()), work.filter_streams
     numbers = evaluator.scenarios_of(work.draws_stream, range(draw, draw + 1))
     own = evaluator if numbers is None else evaluator.of_scenarios[numbers[0]]
     draws, points = own.draws(range(draw, draw + 1), work.draws_stream), own.points
@@ -125,77 +158,209 @@ def followed(evaluator: Evaluator, work: RuleWork, draw: int) -> RuledDraw:
         spent = sum(work.estimation.prices[point] for point in times)
         path, first = [*path, *here], end
         variances.append(each.variance[0, here.start - own.start : here.stop - own.start])
-        levels += [rule.levels(own.horizon + 1 - t, spent) for t in here]
+        levels += [rule.levels(points.at(t), own.horizon + 1 - t, spent) for t in here]
     deviation = np.sqrt(np.concatenate(variances).sum(axis=1))
     return RuledDraw(draw, measured, path, deviation, np.array(levels))
 
 
-def filtered_by(session: RunSession, work: RuleWork) -> Generator[WorkBatch, None, Array]:
-    """Errors, what the rule spends, and which draws are degenerate: (3, D).
+def filtered_by(
+    session: RunSession, *works: RuleWork, phase: str = RULE_PHASE
+) -> Generator[WorkBatch, None, list[Array]]:
+    """The columns of each work, and which draws are degenerate: (3, D), or (4, D).
 
-    Finished draws are in the store.
+    Finished draws are in the store. A phase has its own files, so that few rows are read.
     """
-    found, reporter = np.empty((3, work.draws[1])), session.reporter
+    reporter = session.reporter
+    found = {work.ids: np.empty((len(work.ids) + 1, work.draws[1])) for work in works}
 
     def learn(piece: FilterWork, result: Result) -> None:
-        here = slice(*piece.draws)
-        found[:2, here], found[2, here] = result.mse.T, result.degenerate[:, 0]
+        own, here = found[piece.ids], slice(*piece.draws)
+        own[:-1, here], own[-1, here] = result.mse.T, result.degenerate[:, 0]
         before, draws = reporter.progress, len(range(*piece.draws))
         reporter.reach(before.done + piece.steps, evaluations=before.evaluations + draws)
 
-    yield WorkBatch(session, RULE_PHASE, [work], PER_DRAW, learn, more_follows=True, part="rule")
-    return found
+    yield WorkBatch(session, phase, works, PER_DRAW, learn, more_follows=True, part="rule")
+    return [found[work.ids] for work in works]
 
 
 def tuned(
-    session: RunSession, *, is_hard: bool, draws: int = TUNING_DRAWS
+    session: RunSession, plan: Times, *, is_hard: bool, draws: int = TUNING_DRAWS
 ) -> Generator[WorkBatch, None, Rule]:
-    """The rule that spends most, but clearly at most the budget on average.
+    """The rule of least error that spends at most the budget on average, or with a hard limit.
 
-    With a hard limit, the rule of least error among those that never spend more.
+    The search starts with the best constant threshold of each sensor. If the criterion is the
+    expected MSE, sweeps give each point its threshold, from the better of this and of the plan.
+    The answer is the plan if no rule is clearly better, on draws that chose none.
     """
-    built, budget = session.built, budget_of(session.built.feasible)
-    ways, few = built.feasible.points.ways, max(2, draws // _FEW)
-    instants, even = built.evaluator.horizon + 1 - built.evaluator.start, Rule((1.0,) * ways)
-    ratios = [partial(_with_ratios, sensor, factors)
-              for factors, sensor in product(_RATIOS, range(ways if ways > 1 else 0))]  # fmt: skip
-    around = [partial(_around, instants, *steps) for steps in _HARD]
-    first = work_of(built, even, draws, "rule")
-    built.evaluator.compile(first.estimation)  # before the first task, whose time is limited
-    searched = (ways > 1) * ways * sum(map(len, _RATIOS)) / _FEW
-    grid = is_hard * sum(len(steps) * len(factors) for steps, factors in _HARD)
-    session.reporter.foresee(first.steps * ((1 + _HALVINGS) * (1 + searched) + grid))
-    session.reporter.begin("rule")  # after the forecast: at 0 %
+    search = _Search(session, draws, is_hard=is_hard)
+    planned = rule_of_set(plan, session.built.feasible)
+    best = yield from search.best(planned)
+    planned = planned._replace(limit=best.limit)
+    return best if (yield from search.is_better(best, planned)) else planned
 
-    def tried(rule: Rule, number: int) -> Generator[WorkBatch, None, tuple[float, bool]]:
+
+class _Search:
+    """The search for a rule, on the first draws of the purpose "rule", and on those of sweeps."""
+
+    def __init__(self, session: RunSession, draws: int, *, is_hard: bool) -> None:
+        self._session, self._built, self._draws = session, session.built, draws
+        feasible, evaluator = session.built.feasible, session.built.evaluator
+        self._budget, self._is_hard = budget_of(feasible), is_hard
+        self._few, self._every = max(2, draws // _FEW), range(feasible.possible)
+        self._even = Rule((1.0,) * feasible.points.ways)
+        self._sweeps = _SWEEPS if session.built.job.criterion.is_mean else ()
+        self._groups = point_groups(feasible.allowed, feasible.points.ways, _MOST_GROUPS)
+        first = work_of(session.built, self._even, draws, "rule")
+        evaluator.compile(first.estimation)  # before the first task, whose time is limited
+        own = first.estimation.particles
+        self._particles = max(own // _FEW_PARTICLES, min(own, _LEAST_PARTICLES))
+        ratios = sum(map(len, _RATIOS)) * len(self._even.thresholds) * (feasible.points.ways > 1)
+        grid = is_hard * sum(len(steps) * len(factors) for steps, factors in _HARD)
+        trials = (1 + _HALVINGS) * (1 + ratios) + _NARROW * len(self._sweeps) + grid
+        sweeps = sum(number for number, _ in self._sweeps) * (len(self._groups) + TURNS + _NARROW)
+        of_all = sweeps * self._particles / own / TUNING_DRAWS
+        session.reporter.foresee(first.steps * (trials / _FEW + _NARROW + 4 + of_all))
+        session.reporter.begin("rule")  # after the forecast: at 0 %
+        any_draws = (evaluator.of_scenarios or (evaluator,))[0]
+        z = any_draws.draws(range(_GUESSES), first.draws_stream).z
+        self._largest = 4.0 * float(np.sqrt(np.mean(np.var(z, axis=0).sum(axis=1)))) or 1.0
+
+    def best(self, planned: Rule) -> Generator[WorkBatch, None, Rule]:
+        """The rule of least error that keeps the budget, or the limit."""
+        error, best = yield from self._constant()
+        found, constant = {best: error}, self._of_points(best)
+        is_worse = self._sweeps and (yield from self._tried(planned, self._few))[0] >= error
+        rule, changes = (constant if is_worse else planned), dict[Points, Any]()
+        for number in range(len(self._sweeps)):
+            left = len(self._sweeps) - number
+            if self._is_hard and left == _LAST:  # these sweeps know the limit
+                error, best = yield from self._limited(min(found, key=found.__getitem__))
+                found, rule, changes = {best: error}, self._of_points(best), {}
+            state = yield from self._swept(number, rule, constant, changes)
+            rule, changes = state.rule, {**state.changes}
+            if rule.limit:
+                found[rule] = yield from self._error_of(rule)
+            elif left <= _LAST + self._is_hard:
+                error, each = yield from self._lowest(rule, self._few, _AROUND, _NARROW)
+                found[each] = error
+        order = sorted(found, key=found.__getitem__)
+        if self._is_hard:
+            return order[0] if self._sweeps else (yield from self._limited(order[0]))[1]
+        for each in order:
+            error, best = yield from self._lowest(each, self._draws, _AROUND, _NARROW + 2)
+            if error < math.inf:
+                break
+        return best
+
+    def is_better(self, rule: Rule, planned: Rule) -> Generator[WorkBatch, None, bool]:
+        """Whether a rule is clearly better than the plan, on separate draws."""
+        works = (work_of(self._built, each, self._draws, "rule", sweep=-1)
+                 for each in (rule, planned))  # fmt: skip
+        own, other = yield from self._values(works, "choice")
+        pair = Evaluation((), own.mse), Evaluation((), other.mse)
+        return self._built.job.criterion.difference(*pair).is_negative(_CLEARLY)
+
+    def _constant(self) -> Generator[WorkBatch, None, tuple[float, Rule]]:
+        """The best threshold of each sensor for all instants, and its error."""
+        while not (yield from self._tried(self._even.scaled(self._largest), self._few))[1]:
+            self._largest *= 8.0  # a filter with another model may be more unsure than z varies
+        sensors = range(len(self._even.thresholds) if len(self._even.thresholds) > 1 else 0)
+        ratios = [partial(_with_ratios, sensor, factors)
+                  for factors, sensor in product(_RATIOS, sensors)]  # fmt: skip
+        best = yield from _least(self._even, ratios, self._error_of)
+        return (yield from self._lowest(best, self._few, self._wide, _HALVINGS))
+
+    def _limited(self, rule: Rule) -> Generator[WorkBatch, None, tuple[float, Rule]]:
+        """The best exponent with a hard limit, with the best multiple of the thresholds."""
+        evaluator = self._built.evaluator
+        instants = evaluator.horizon + 1 - evaluator.start
+        around = [partial(_around, instants, *steps) for steps in _HARD]
+        best = yield from _least(rule._replace(limit=self._budget), around, self._error_of)
+        return (yield from self._error_of(best)), best
+
+    @property
+    def _wide(self) -> tuple[float, float]:
+        return self._largest / _RANGE, self._largest
+
+    def _of_points(self, rule: Rule) -> Rule:
+        return rule._replace(thresholds=tuple(rule.thresholds_of(self._every).tolist()))
+
+    def _values(
+        self, works: Iterable[RuleWork], part: str
+    ) -> Generator[WorkBatch, None, list[Tried]]:
+        found = yield from filtered_by(self._session, *works, phase=f"{RULE_PHASE}.{part}")
+        return [Tried(*each[:-1], *[each[0]] * (len(each) == 3)) for each in found]
+
+    def _tried(self, rule: Rule, number: int) -> Generator[WorkBatch, None, tuple[float, bool]]:
         """The error on the first common draws, and whether a rule keeps the budget."""
-        mse, spent, _ = yield from filtered_by(session, work_of(built, rule, number, "rule"))
-        mean = Moments.of_values(spent)
-        is_kept = mean.mean + ONE_SIDED * mean.standard_error <= budget * (1 + ROUNDING)
-        return built.job.criterion.value(Evaluation((), mse)).value, is_kept
+        works = [work_of(self._built, rule, number, "rule")]
+        (found,) = yield from self._values(works, f"tuning{number}")
+        mean = Moments.of_values(found.spent)
+        most = mean.mean + ONE_SIDED * mean.standard_error
+        error = self._built.job.criterion.value(Evaluation((), found.mse)).value
+        return error, most <= self._budget * (1 + ROUNDING)
 
-    def lowest(ratios: Rule, number: int) -> Generator[WorkBatch, None, tuple[float, Rule]]:
-        """The lowest thresholds with some ratios that keep the budget, and their error."""
-        low, high, error = largest / _RANGE, largest, math.inf  # the highest is high enough
-        for _ in range(_HALVINGS):
+    def _lowest(
+        self, rule: Rule, number: int, ends: tuple[float, float], halvings: int
+    ) -> Generator[WorkBatch, None, tuple[float, Rule]]:
+        """The lowest multiple of the thresholds that keeps the budget, and its error."""
+        low, high = ends
+        error, is_kept = yield from self._tried(rule.scaled(high), number)
+        if not is_kept:
+            return math.inf, rule
+        for _ in range(halvings):
             middle = math.sqrt(low * high)
-            found, is_kept = yield from tried(_scaled(ratios, middle), number)
+            found, is_kept = yield from self._tried(rule.scaled(middle), number)
             low, high, error = (low, middle, found) if is_kept else (middle, high, error)
-        return error, _scaled(ratios, high)
+        return error, rule.scaled(high)
 
-    def error_of(rule: Rule) -> Generator[WorkBatch, None, float]:
+    def _error_of(self, rule: Rule) -> Generator[WorkBatch, None, float]:
         """The error of a rule with a limit, or of ratios of thresholds."""
-        found = yield from tried(rule, draws) if rule.limit else lowest(rule, few)
-        return found[0]
+        given = rule, self._few
+        found = self._tried(*given) if rule.limit else self._lowest(*given, self._wide, _HALVINGS)
+        return (yield from found)[0]
 
-    any_draws = (built.evaluator.of_scenarios or (built.evaluator,))[0]
-    z = any_draws.draws(range(_GUESSES), first.draws_stream).z
-    largest = 4.0 * float(np.sqrt(np.mean(np.var(z, axis=0).sum(axis=1)))) or 1.0
-    while not (yield from tried(_scaled(even, largest), draws))[1]:
-        largest *= 8.0  # a filter with another model may be more unsure than z varies
-    best = yield from _least(even, ratios, error_of)
-    _, best = yield from lowest(best, draws)
-    return (yield from _least(best._replace(limit=budget), around, error_of)) if is_hard else best
+    def _swept(
+        self, number: int, rule: Rule, constant: Rule, changes: Mapping[Points, Any]
+    ) -> Generator[WorkBatch, None, SweepState]:
+        """A rule after a sweep, on separate draws with few particles."""
+        share, pooled = self._sweeps[number]
+        draws = max(2, self._draws * share // TUNING_DRAWS)
+
+        def on_draws(*trials: Trial) -> Generator[WorkBatch, None, list[Tried]]:
+            given = draws, "rule", self._particles, number
+            works = (work_of(self._built, each.rule, *given, each.flipped) for each in trials)
+            return (yield from self._values(works, f"sweep{number}"))
+
+        price = 0.0
+        if not rule.limit:
+            if any(ALWAYS < threshold < NEVER for threshold in rule.thresholds):
+                low, high = _AROUND
+                for _ in range(_NARROW):
+                    middle = math.sqrt(low * high)
+                    (found,) = yield from on_draws(Trial(rule.scaled(middle)))
+                    is_more = found.spent.mean() > self._budget
+                    low, high = (middle, high) if is_more else (low, middle)
+                rule = constant = rule.scaled(high)
+            ends = (Trial(constant.scaled(factor)) for factor in (1 / _SLOPE, _SLOPE))
+            lower, higher = yield from on_draws(*ends)
+            fewer, worse = (
+                lower.spent.mean() - higher.spent.mean(),
+                higher.mse.mean() - lower.mse.mean(),
+            )
+            price = max(0.0, float(worse / fewer)) if fewer > 0 else 0.0
+        sweep = ThresholdSweep(rule, self._groups, price, pooled, changes)
+        state, rng = sweep.init(), np.random.default_rng([self._built.job.seed, number])
+        while not sweep.done(state):
+            state = sweep.ask(state, rng)
+            state = sweep.tell(state, (yield from on_draws(*state.trials)))
+        return state
+
+
+def rule_of_set(times: Times, feasible: Feasible) -> Rule:
+    """The rule that always measures at the times of a set, and never elsewhere."""
+    measured = np.isin(range(feasible.possible), times)
+    return Rule(tuple(np.where(measured, ALWAYS, NEVER).tolist()))
 
 
 def _least(
@@ -228,8 +393,4 @@ def _around(
     for step, factor in product(steps, factors):
         exponent = max(0.0, rule.exponent + step * max(1.0, rule.exponent))
         ratio = (instants / rule.limit) ** (rule.exponent - exponent)
-        yield _scaled(rule._replace(exponent=exponent), factor * ratio)
-
-
-def _scaled(rule: Rule, factor: float) -> Rule:
-    return rule._replace(thresholds=tuple(float(f"{c * factor:.4g}") for c in rule.thresholds))
+        yield rule._replace(exponent=exponent).scaled(factor * ratio)

@@ -60,6 +60,7 @@ UNITS = {
     "runner/driver.py online_work": "draws: name",
     "runner/evenly_spaced.py _Scan._judged": "draws: times",
     "runner/evenly_spaced.py _Scan._look": "draws:",
+    "runner/every_strategy.py _least": "draws: role",
     "runner/gap_parts.py gap_parts": "draws:",
     "runner/gap_parts.py _per_draw": "draws: draws_stream",
     "runner/likelihood.py measured": "state: draw t component",

@@ -15,11 +15,11 @@ from oracles.three_sensors import HORIZON, SYSTEMS
 from pfdist import StateSpaceModel, load_model
 from pfdist.common.measurement_times import Lag, Times
 from pfdist.filters.draws import Draws
-from pfdist.filters.particle_filter import filter_checked_draws
+from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Rule
 from pfdist.models.learned import learned
 
 INSTANTS = tuple(range(13))
@@ -66,6 +66,54 @@ def test_both_engines_decide_alike_and_as_filters_with_the_sets_that_they_choose
     gaps = [np.diff(np.flatnonzero(row)).min(initial=9) for row in found.measured]
     assert not apart or min(gaps) == 2
     check_against_fixed_sets(ungm, draws, found, settings)
+
+
+EACH = Rule((ALWAYS, 3.0, NEVER, 2.0, 6.0, ALWAYS, 4.0, NEVER, 1.0, 5.0, ALWAYS, 3.0, 2.0))
+
+
+@pytest.mark.parametrize("rule", [EACH, EACH._replace(exponent=0.5, limit=5)])
+def test_thresholds_of_instants_decide_as_in_the_plain_filter(
+    ungm: StateSpaceModel, rule: Rule
+) -> None:
+    draws, settings = simulate(ungm, 12, range(5, 9), 17), Estimation(70, rule=rule)
+    found = check_against_plain(ungm, draws, INSTANTS, settings)
+    check_against_fixed_sets(ungm, draws, found, settings)
+    measured = found.measured.astype(np.bool_)
+    assert measured[:, [0, 5]].all()
+    assert not measured[:, [2, 7]].any()
+    assert 0 < measured[:, [1, 3, 4, 6, 8, 9]].mean() < 1
+
+
+def test_a_set_of_times_is_a_rule_even_where_all_particles_agree(ungm: StateSpaceModel) -> None:
+    times, formulas = (0, 3, 4, 9), {
+        "initial": lambda w, p: (2.0,), "transition": lambda x, t, w, p: (0.5 * x[0],)
+    }  # fmt: skip
+    collapsed = replace(ungm, process_noise=(), initial_noise=(), **formulas)
+    rule = Rule(tuple(ALWAYS if t in times else NEVER for t in INSTANTS), 0.5, 4)
+    for model in (ungm, collapsed):
+        draws = simulate(model, 12, range(5, 9), 17)
+        found = filter_checked_draws(model, draws, INSTANTS, 3, Estimation(70, rule=rule))
+        assert (found.measured == np.isin(INSTANTS, times)).all()
+        fixed = filter_checked_draws(model, draws, times, 3, Estimation(70))
+        assert (found.mse == fixed.mse).all()
+
+
+@pytest.mark.parametrize("rule", [Rule((4.0,)), EACH._replace(exponent=0.2, limit=7)])
+def test_a_flipped_point_is_decided_the_other_way_and_all_before_it_as_usual(
+    ungm: StateSpaceModel, rule: Rule
+) -> None:
+    draws, point = simulate(ungm, 12, range(40), 17), 6
+    given = ungm, draws, [INSTANTS], [12], 3
+    usual = filter_checked_sets(*given, Estimation(70, rule=rule))
+    flipped = filter_checked_sets(*given, Estimation(70, rule=rule, flipped=point))
+    is_open = np.isfinite(flipped.deviation)
+    assert is_open.all() or rule.limit
+    assert (flipped.measured[:, :point] == usual.measured[:, :point]).all()
+    changed = flipped.measured[:, point] != usual.measured[:, point]
+    assert (changed == is_open).all()
+    threshold = rule.thresholds_of(point)
+    assert ((flipped.deviation > threshold) == usual.measured[:, point])[is_open].all()
+    assert 0 < usual.measured[:, point].mean() < 1
 
 
 @pytest.mark.parametrize("rule", [RULES[1], *(pytest.param(RULES[k], marks=SLOW) for k in (0, 2))])

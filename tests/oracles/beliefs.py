@@ -66,7 +66,7 @@ def errors(goes: Callable[[int, float, int], bool]) -> tuple[float, float]:
 
 def of_rule(rule: Rule) -> tuple[float, float]:
     def goes(t: int, belief: float, spent: int) -> bool:
-        return bool(np.sqrt(belief * (1 - belief)) > rule.levels(HORIZON + 1 - t, spent)[0])
+        return bool(np.sqrt(belief * (1 - belief)) > rule.levels([t], HORIZON + 1 - t, spent)[0])
 
     return errors(goes)
 

@@ -28,7 +28,8 @@ def filter_by_rule(
             deviation = np.sqrt(plain.filter_checked_draws(*given).variance[0, t].sum())
             here = model.points.at(t)
             own = prices[here.start : here.stop]
-            chosen = rule.chosen(deviation, end - t, spent, own, several=not settings.apart)
+            several = not settings.apart
+            chosen = rule.chosen(deviation, here, end - t, spent, own, several=several)
             times += tuple(sorted(here[sensor] for sensor in chosen))
             spent += sum(own[sensor] for sensor in chosen)
             t = settings.apart[t] if chosen and settings.apart else t + 1

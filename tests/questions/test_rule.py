@@ -18,7 +18,7 @@ from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Rule
 from pfdist.problem.feasible import Feasible
 from pfdist.questions.rule import (
     NextByRule,
@@ -26,11 +26,12 @@ from pfdist.questions.rule import (
     _draw,
     check_rule,
     keep_rule,
+    rule_from,
     rule_json,
     rule_of,
     unit_of,
-)  # fmt: skip
-from pfdist.runner import ruling
+)
+from pfdist.runner import every_strategy, ruling
 from pfdist.runner.build import build
 from pfdist.store import listing
 from pfdist.store.verify import verify_run
@@ -41,6 +42,8 @@ COUNTED = Feasible(horizon=12, measurement_budget=4)
 
 @pytest.fixture(autouse=True)
 def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(every_strategy, "CHOICE_DRAWS", 6)
+    monkeypatch.setattr(every_strategy, "DRAWS", 24)
     monkeypatch.setattr(ruling, "_HALVINGS", 8)
     monkeypatch.setattr(ruling, "_RANGE", 1900.0)
     monkeypatch.setattr(ruling.tuned, "__kwdefaults__", {"draws": 300})
@@ -58,6 +61,7 @@ def asked(run: Run, **options: Any) -> Ruled:
 def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
     found = asked(run)
     assert found.rule[1:] == (0.0, 0.0)
+    assert len({*found.rule.thresholds}) > 6
     compared = run.table("comparison")
     for name in found.labels:
         np.testing.assert_array_equal(found.table[f"mse_{name}"], compared[f"mse_{name}"])
@@ -74,6 +78,14 @@ def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
     mean = found.spent
     assert mean.value - 3 * mean.standard_error < found.budget == 4
     assert mean.value > 3.4
+    bound = answer["bound"]
+    assert bound["at_least"] < bound["value"] < error.mean()
+    assert bound["share"] == pytest.approx(
+        (plan.mean() - error.mean()) / (plan.mean() - bound["at_least"])
+    )
+    assert f"{100 * bound['share']:.0f} % of what any strategy can win at most" in repr(
+        found._page()
+    )
     counted = answer["measurements"]["draws_by_number"]
     assert sum(counted.values()) == answer["draws"] == 250
     assert json.loads((run.path / "rule.json").read_text())["rule"] == rule_json(
@@ -143,7 +155,7 @@ def test_the_draw_of_the_figure_is_measured_where_its_deviation_exceeds_the_leve
     assert spent.any()
 
 
-def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None:
+def test_where_no_rule_is_better_than_the_plan_the_answer_is_the_plan(tmp_path: Path) -> None:
     problem = Problem(
         beliefs.CHAIN, horizon=beliefs.HORIZON, measurement_budget=beliefs.BUDGET, particles=100,
         proposal="plain",
@@ -152,11 +164,15 @@ def test_a_rule_that_is_worse_than_the_plan_is_called_so(tmp_path: Path) -> None
     given: Any = {"results": tmp_path / "run", "figures": False, "pool": "serial"}
     planned = pfdist.plan(problem, search="exhaustive", changes=fewer, bound_draws=0, **given)
     found = pfdist.rule(planned, figures=False, pool="serial")
-    assert found.verdict == "worse"
-    assert "The rule is worse than the plan, so keep the plan." in repr(found)
-    one_of_two = replace(found, labels={**found.labels, found.plan: "the exhaustive plan"})
-    assert "so keep the exhaustive plan." in repr(one_of_two)
-    assert found.rule.thresholds[0] > 0.45
+    assert found.verdict == "the plan"
+    assert "Deciding on the way wins nothing here: the rule is the plan." in repr(found)
+    assert found.gain(found.plan) == (0.0, 0.0, 0.0)
+    assert (found.table["measurements"] == beliefs.BUDGET).all()
+    own = found.table["mse_rule"] + 0.02 * np.arange(400) / 400
+    worse = replace(found, table=found.table.assign(mse_rule=own))
+    worse = replace(worse, labels={**found.labels, found.plan: "the exhaustive plan"})
+    assert worse.verdict == "worse"
+    assert "so keep the exhaustive plan." in repr(worse)
 
 
 @pytest.mark.parametrize(
@@ -198,6 +214,7 @@ def test_each_sensor_has_a_threshold_and_prices_are_within_the_budget(
 ) -> None:
     run = watched_by_two
     monkeypatch.setattr(ruling.tuned, "__kwdefaults__", {"draws": 100})
+    monkeypatch.setattr(ruling, "_CLEARLY", -np.inf)
     found = pfdist.rule(run, figures=False, pool="serial")
     answer, mean = found.as_json(), found.spent
     assert list(answer["rule"]["threshold"]) == [*watched.SENSORS]
@@ -227,6 +244,16 @@ def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
         assert (found.measured, found.next) == (("0 sharp",), following)
 
 
+def test_a_file_with_one_threshold_for_all_instants_is_read() -> None:
+    mixed = Rule((2.0, ALWAYS, NEVER, 0.0) * 3 + (1.0,), 0.5, 3.0)
+    assert rule_from(json.loads(json.dumps(rule_json(mixed, COUNTED))), COUNTED) == mixed
+    older = {"threshold": 2.5, "exponent": 0.0, "limit": 0.0}
+    assert rule_from(older, COUNTED) == Rule((2.5,) * 13)
+    assert rule_from({**older, "threshold": None}, COUNTED) == Rule((NEVER,) * 13)
+    with pytest.raises(ValueError, match="12 instants, not of 13"):
+        rule_from({**older, "threshold": [2.0] * 12}, COUNTED)
+
+
 @pytest.mark.slow
 def test_the_tuned_thresholds_of_two_sensors_are_about_the_best(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -241,7 +268,10 @@ def test_the_tuned_thresholds_of_two_sensors_are_about_the_best(
     assert error.value < 1.1 * best  # 200 particles decide as the exact deviation would, nearly
 
 
-def test_a_quantile_is_judged_as_elsewhere(finished: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_quantile_is_judged_as_elsewhere(
+    finished: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ruling, "_CLEARLY", -np.inf)
     given = finished("problem.criterion=quantile 0.9")
     run = pfdist.open_run(shutil.copytree(given, tmp_path / "run"))
     found = asked(run)
@@ -252,6 +282,7 @@ def test_a_quantile_is_judged_as_elsewhere(finished: Callable[..., Path], tmp_pa
     for name in found.labels:
         assert written["sets"][name]["quantile"] == own.loc[name, "quantile"]
     assert "rule's 90 % quantile of the MSE" in repr(found)
+    assert found.as_json()["bound"] is None  # a quantile is no mean
 
 
 @pytest.mark.slow
@@ -287,14 +318,22 @@ def test_the_function_in_the_manual_decides_as_the_rule(
     code = text.partition("```python\n")[2].partition("```")[0]
     (tmp_path / "results" / "plan").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
-    for rule in (Rule((2.0,)), Rule((2.0,), 0.5, 3), Rule((2.0,), 40.0, 3)):
+    mixed = (2.0, ALWAYS, NEVER, 0.0) * 3 + (1.0,)
+    rules = (
+        Rule((2.0,)),
+        Rule((2.0,), 0.5, 3),
+        Rule((2.0,), 40.0, 3),
+        Rule(mixed),
+        Rule(mixed, 0.5, 3),
+    )
+    for rule in rules:
         answer = json.dumps({"rule": rule_json(rule, COUNTED)})
         Path("results/plan/rule.json").write_text(answer, encoding="utf-8")
         names = dict[str, Any]()
         exec(code, names)
         for t, spent in product(range(13), range(5)):
-            (level,) = rule.levels(13 - t, spent)
-            for deviation in (1.99, 2.01, level - 0.01, level + 0.01):
+            (level,) = rule.levels([t], 13 - t, spent)
+            for deviation in (0.0, 1.99, 2.01, max(0.0, level - 0.01), max(0.0, level + 0.01)):
                 assert names["measures"](deviation, t, 12, spent) is (deviation > level)
         assert names["measures"](1e9, 12, 12, 2, price=2) is (rule.limit == 0)
 
@@ -312,7 +351,7 @@ def test_next_measures_where_the_filter_of_the_run_would(
     own = pfdist.Filter("ungm", 40, 1, resampling="multinomial", horizon=12)
     own.update(1, 0.5)
     spread = {t: float(own.predict(t).standard_deviation[0]) for t in range(2, 13)}
-    assert found.next == next(t for t in spread if spread[t] > rule.thresholds[0])
+    assert found.next == next(t for t in spread if spread[t] > rule.thresholds[t])
     assert found.standard_deviation == pytest.approx(spread[found.next])
     later = pfdist.next_time(run.path / "job.toml", table, now=found.next, **given)
     assert later.next > found.next
@@ -328,11 +367,11 @@ def test_next_measures_where_the_filter_of_the_run_would(
 def test_a_rule_is_read_only_as_it_was_written(
     finished: Callable[..., Path], tmp_path: Path
 ) -> None:
-    """Listed with its hash, a plain file, of finite numbers that are not negative."""
+    """Listed with its hash, a plain file, of finite numbers, none below 0 but -1 for always."""
     run = shutil.copytree(finished(), tmp_path / "run")
     right, file = rule_json(Rule((2.0,), 0.5, 4), COUNTED), run / "rule.json"
-    wrong = {"threshold": ["1e999", "2", -5, True, [2.0], {"": 2.0}], "exponent": [-1, None],
-             "limit": ["inf", -3], "more": [1]}  # fmt: skip
+    wrong = {"threshold": ["1e999", "2", -5, True, [2.0], {"": 2.0}, [-0.5] * 13, ["2"] * 13],
+             "exponent": [-1, None], "limit": ["inf", -3], "more": [1]}  # fmt: skip
     for name, value in [(name, value) for name, values in wrong.items() for value in values]:
         keep_rule(run, {"rule": right | {name: value}})
         with pytest.raises(StoreError, match=r"rule\.json is damaged: `pfdist rule"):
@@ -342,7 +381,7 @@ def test_a_rule_is_read_only_as_it_was_written(
         with pytest.raises(StoreError, match="is damaged"):
             rule_of(run, COUNTED)
     keep_rule(run, {"rule": right})
-    assert rule_of(run, COUNTED) == Rule((2.0,), 0.5, 4)
+    assert rule_of(run, COUNTED) == Rule((2.0,) * 13, 0.5, 4)
     file.write_text(file.read_text().replace("2.0", "3.0"))
     with pytest.raises(StoreError, match=r"damaged: its content has another hash"):
         rule_of(run, COUNTED)
@@ -363,7 +402,10 @@ def test_a_kill_or_a_full_disk_leaves_the_former_rule_or_the_new_one(
     fault: str, finished: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At each operation on a file; then the rule can be written again."""
-    run, rules = shutil.copytree(finished(), tmp_path / "run"), (Rule((1.0,)), Rule((2.0,)))
+    run, rules = (
+        shutil.copytree(finished(), tmp_path / "run"),
+        (Rule((1.0,) * 13), Rule((2.0,) * 13)),
+    )
     answers = [{"rule": rule_json(rule, COUNTED)} for rule in rules]
     layer = FileLayer(monkeypatch, tmp_path)
     keep_rule(run, answers[0])

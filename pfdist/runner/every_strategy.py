@@ -1,0 +1,128 @@
+"""The bound for every strategy of a job: least relaxed errors of draws, on separate draws."""
+
+import contextlib
+import math
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pfdist.common.estimate import Estimate
+from pfdist.common.streams import stream_of
+from pfdist.errors import JobError
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.interface import EACH_DRAW, weighed
+from pfdist.filters.work import FilterWork, Result, with_truth
+from pfdist.runner.door import RunSession, WorkBatch
+from pfdist.runner.row_formats import PER_DRAW
+from pfdist.search.first_windows import WINDOW, relaxation_for
+from pfdist.search.least import Array, best_price, bounds_of_draws, least_of_draw
+from pfdist.search.relaxation import Relaxation
+from pfdist.store import RULE_PHASE
+
+CHOICE_DRAWS, DRAWS = 60, 240
+_LEAST_PARTICLES = 500  # the bound is lower with fewer
+_MOST_CELLS = 20_000  # errors of a draw
+_TOGETHER = 4  # draws whose errors are kept at the same time
+
+
+@dataclass(frozen=True)
+class LeastWork(FilterWork):
+    """Draws with the errors of all windows; a column for each number of measurements."""
+
+    relaxation: Relaxation | None = None
+    steps_of_windows: int = 0  # of one draw
+
+    def result(self, evaluator: Evaluator) -> Result:
+        """The least relaxed MSE of each draw with each number of measurements, (D, most+1)."""
+        relaxation = self.relaxation
+        if evaluator.scenarios or relaxation is None:
+            return evaluator.filtered(self)
+        draws, least = evaluator.draws(range(*self.draws), self.draws_stream), list[Array]()
+        t = np.arange(evaluator.start, evaluator.horizon + 1)
+        counts = (relaxation.first[:, None] <= t) & (t <= relaxation.ends[:, None])
+        given = relaxation.sets, relaxation.ends.tolist(), self.filter_streams[0], self.estimation
+        for first in range(0, len(draws.index), _TOGETHER):
+            some = draws[first : first + _TOGETHER]
+            each = weighed(
+                evaluator.filter_sets(some, *given, EACH_DRAW).errors,
+                some.instant_weights * evaluator.scale,
+            )
+            least += [least_of_draw(relaxation, own[counts], len(self.ids) - 1) for own in each]
+        values = np.array(least)
+        return Result(values, degenerate=np.zeros(values.shape, np.bool_))
+
+    @property
+    def steps_a_draw(self) -> int:
+        """Particle-steps of one draw."""
+        return self.steps_of_windows
+
+
+def bound_of_strategies(
+    session: RunSession, number: float, *, is_hard: bool
+) -> Generator[WorkBatch, None, Estimate | None]:
+    """A number that the expected MSE of no strategy is below, with its error.
+
+    A strategy has at most so many measurements on average, or in each draw. Windows and the price
+    of a measurement are chosen on separate draws: on its own draws, the largest bound is too high.
+    None if no bound is known, or if its windows are too many.
+    """
+    built, relaxations = session.built, list[Relaxation]()
+    evaluator, usual = built.evaluator, built.study.usual
+    is_known = built.job.criterion.is_mean and built.feasible.counted and not evaluator.lag
+    for window in (1, WINDOW) if is_known and evaluator.truth.variance_is_error else ():
+        with contextlib.suppress(JobError):
+            relaxations.append(relaxation_for(built.feasible, window, usual, _MOST_CELLS))
+    best: tuple[float, float, Relaxation | None] = -math.inf, math.nan, None
+    for each in relaxations:
+        least = yield from _least(session, each, "choice", CHOICE_DRAWS, number, is_hard=is_hard)
+        price = math.inf if is_hard else best_price(least, number)
+        value = float(bounds_of_draws(least, number, price).mean())
+        best = (value, price, each) if value > best[0] else best
+    _, price, relaxation = best
+    if relaxation is None:
+        return None
+    least = yield from _least(session, relaxation, "draws", DRAWS, number, is_hard=is_hard)
+    return Estimate.of_mean(bounds_of_draws(least, number, price))
+
+
+def _least(
+    session: RunSession,
+    relaxation: Relaxation,
+    role: str,
+    draws: int,
+    number: float,
+    *,
+    is_hard: bool,
+) -> Generator[WorkBatch, None, Array]:
+    """The least relaxed MSE of each draw with each number of measurements, (D, most+1)."""
+    built, feasible = session.built, session.built.feasible
+    most = int(number) if is_hard else len(feasible.allowed)
+    estimation = with_truth(
+        max(built.comparing.particles, _LEAST_PARTICLES), built.job.filter.proposal
+    )
+    stream, of_draws = (stream_of("bound", built.job.seed, "strategies", *part)
+                        for part in (["filter"], [role]))  # fmt: skip
+    truth, windows = built.evaluator.truth, tuple(relaxation.sets)
+    truth.compile(estimation)
+    of_windows = truth.work(
+        windows, stream, of_draws, (0, 1), estimation, ends=tuple(relaxation.ends.tolist())
+    )
+    parts = relaxation.windows, relaxation.ends.tolist(), stream, of_draws
+    ids = tuple(truth.id_of(estimation, *parts, most, n) for n in range(most + 1))
+    given = [()] * len(ids), stream, of_draws, (0, draws), estimation
+    work = LeastWork(
+        **vars(truth.work(*given, ids=ids, knows_truth=True)),
+        relaxation=relaxation,
+        steps_of_windows=of_windows.steps,
+    )
+    least, reporter = np.full((draws, len(ids)), np.nan), session.reporter
+    reporter.foresee(work.steps)
+
+    def learn(piece: FilterWork, result: Result) -> None:
+        least[slice(*piece.draws)] = result.mse
+        reporter.reach(reporter.progress.done + piece.steps)
+
+    phase = f"{RULE_PHASE}.bound"
+    yield WorkBatch(session, phase, [work], PER_DRAW, learn, more_follows=True, part="rule")
+    return least

@@ -1,0 +1,144 @@
+"""The bound for every strategy, against the best policies of chains by enumeration."""
+
+from collections.abc import Callable
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+
+from oracles import beliefs
+from pfdist.problem.feasible import Feasible
+from pfdist.search.first_windows import relaxation_with
+from pfdist.search.least import Array, best_price, bounds_of_draws, least_of_draw
+from pfdist.search.relaxation import Relaxation
+
+
+class Chain:
+    """Two states with random moves, and a binary sensor with random accuracies."""
+
+    def __init__(self, seed: int, horizon: int = 5) -> None:
+        rng, self.horizon = np.random.default_rng(seed), horizon
+        self.moves = rng.dirichlet([0.7, 0.7], 2)
+        self.accuracy = rng.uniform(0.5, 0.99, (horizon + 1, 2))
+        self.prior = float(rng.uniform(0.1, 0.9))
+        self.weights = rng.uniform(0.0, 2.0, horizon + 1)
+
+    def moved(self, belief: float) -> float:
+        return belief * self.moves[0, 0] + (1.0 - belief) * self.moves[1, 0]
+
+    def after(self, belief: float, t: int, y: int) -> tuple[float, float]:
+        """Probability of a measurement, and the belief after it."""
+        right, wrong = self.accuracy[t, 0], 1.0 - self.accuracy[t, 1]
+        likelihood = (1.0 - right, 1.0 - wrong) if y else (right, wrong)
+        share = belief * likelihood[0] + (1.0 - belief) * likelihood[1]
+        return share, belief * likelihood[0] / share
+
+    def best_policy(self, number: int, price: float = 0.0) -> float:
+        """The least expected sum of errors and prices of all policies of at most a number."""
+
+        @cache
+        def least(t: int, before: float, left: int) -> float:
+            if t > self.horizon:
+                return 0.0
+            belief = self.moved(before) if t else before
+            own = self.weights[t]
+            waits = own * belief * (1 - belief) + least(t + 1, belief, left)
+            if not left:
+                return float(waits)
+            goes = sum(
+                s * (own * b * (1 - b) + least(t + 1, b, left - 1))
+                for s, b in (self.after(belief, t, y) for y in (0, 1))
+            )
+            return float(min(waits, price + goes))
+
+        return least(0, self.prior, number) / (self.horizon + 1)
+
+    def draws(self) -> list[tuple[float, Callable[[tuple[int, ...]], Array]]]:
+        """The probability of each sequence y, and the errors of a filter with any times."""
+
+        def with_y(y: tuple[int, ...]) -> tuple[float, Callable[[tuple[int, ...]], Array]]:
+            def errors(times: tuple[int, ...]) -> Array:
+                belief, variances, log = self.prior, list[float](), 1.0
+                for t in range(self.horizon + 1):
+                    belief = self.moved(belief) if t else belief
+                    if t in times:
+                        share, belief = self.after(belief, t, y[t])
+                        log *= share
+                    variances.append(belief * (1 - belief))
+                return np.array([*(self.weights * variances), log])
+
+            return float(errors(tuple(range(self.horizon + 1)))[-1]), errors
+
+        return [with_y(y) for y in product((0, 1), repeat=self.horizon + 1)]
+
+    def least(self, relaxation: Relaxation, most: int) -> tuple[Array, Array]:
+        """The probability of each sequence y, and its least relaxed MSEs, (Y, most+1)."""
+        shares, rows = list[float](), list[Array]()
+        windows = zip(relaxation.sets, relaxation.first, relaxation.ends, strict=True)
+        ranges = [(times, slice(first, end + 1)) for times, first, end in windows]
+        for share, errors in self.draws():
+            values = np.concatenate([errors(times)[:-1][here] for times, here in ranges])
+            rows.append(least_of_draw(relaxation, values, most))
+            shares.append(share)
+        return np.array(shares), np.array(rows)
+
+
+class Beliefs(Chain):
+    """The chain of `oracles.beliefs`."""
+
+    def __init__(self) -> None:
+        self.horizon = beliefs.HORIZON
+        stays, sharp = beliefs.STAYS, map(beliefs.accuracy, range(self.horizon + 1))
+        self.moves = np.array([[stays, 1 - stays], [1 - stays, stays]])
+        self.accuracy = np.repeat(np.array([*sharp])[:, None], 2, axis=1)
+        self.prior, self.weights = 0.5, np.ones(self.horizon + 1)
+
+
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
+)
+def test_no_policy_of_a_chain_is_below_the_bound(seed: int) -> None:
+    chain, number = Chain(seed), 2
+    instants = chain.horizon + 1
+    for window in (1, 2):
+        feasible = Feasible(horizon=chain.horizon, measurement_budget=number)
+        shares, least = chain.least(relaxation_with(feasible, window, instants), instants)
+        assert shares.sum() == pytest.approx(1.0)
+        hard = shares @ bounds_of_draws(least, number, np.inf)
+        assert 0.0 < hard <= chain.best_policy(number) + 1e-12
+        for price in (0.02, 0.05, 0.1):
+            bound = shares @ bounds_of_draws(least, number, price)
+            lagrangian = chain.best_policy(instants, price * instants) - price * number
+            assert bound <= lagrangian + 1e-12
+
+
+@pytest.mark.parametrize(
+    ("window", "known"), [(1, 0.11289), pytest.param(2, 0.11465, marks=pytest.mark.slow)]
+)
+def test_the_bound_of_the_chain_with_a_sharp_and_a_blunt_sensor(window: int, known: float) -> None:
+    chain, number = Beliefs(), beliefs.BUDGET
+    relaxation = relaxation_with(
+        Feasible(horizon=chain.horizon, measurement_budget=number), window, chain.horizon + 1
+    )
+    shares, least = chain.least(relaxation, chain.horizon + 1)
+    hard = float(shares @ bounds_of_draws(least, number, np.inf))
+    assert hard == pytest.approx(known, abs=5e-6)
+    assert hard < beliefs.best_policy(number)
+    average = max(
+        float(shares @ bounds_of_draws(least, number, price)) for price in (0.004, 0.006, 0.008)
+    )
+    assert average <= hard
+    assert average <= beliefs.average_bound(number, np.linspace(0.03, 0.07, 9)) < 0.12101
+
+
+def test_the_price_is_the_one_of_the_largest_bound() -> None:
+    rng = np.random.default_rng(2)
+    least = np.sort(rng.exponential(1.0, (40, 9)), axis=1)[:, ::-1]
+    price = best_price(least, 3)
+    best = bounds_of_draws(least, 3, price).mean()
+    assert (
+        best >= max(bounds_of_draws(least, 3, each).mean() for each in np.linspace(0, 3, 50)) - 1e-3
+    )
+    assert bounds_of_draws(least, 3, 0.0).mean() < best
+    assert best <= bounds_of_draws(least, 3, np.inf).mean()
