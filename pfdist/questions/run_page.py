@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pfdist.common.measurement_times import EVEN
+from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.parts import (
     Block,
     Cell,
@@ -205,7 +205,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
 def _gain(subject: Subject, row: Row) -> str:
     reference = subject.reference_row
     if row.measurement_times == reference.measurement_times:
-        are = "These are" if reference.name == EVEN else "This is"
+        are = "These are" if reference.name in (EVEN, REGULAR) else "This is"
         return f"{are} {phrase_of(reference.label)}, so planning gains nothing here."
     if row.gain_of_means is None or math.isinf(row.gain_of_means) or not row.gain_draws:
         return "The gain is not known, because errors are 0, infinite or unknown."

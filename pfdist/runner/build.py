@@ -36,7 +36,6 @@ from pfdist.pools.kinds import POOLS, cluster_at_hand
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import ONLINE, Job
-from pfdist.problem.measurements import parameters_at
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
 from pfdist.runner.budget_study import BudgetStudy
@@ -173,6 +172,8 @@ def evaluator_of(
     _check_sensors(job, model, problem.points.sensors)
     scenarios = () if job.scenarios is None else job.scenarios.of_draws
     if clock is not None:
+        from pfdist.problem.measurements import parameters_at  # noqa: PLC0415  needs pandas
+
         scenarios = tuple(
             replace(each, parameters=parameters_at(each.parameters, problem.clock, clock.times))
             for each in scenarios

@@ -101,8 +101,8 @@ def _least(
     estimation = with_truth(
         max(built.comparing.particles, _LEAST_PARTICLES), built.job.filter.proposal
     )
-    stream, of_draws = (stream_of("bound", built.job.seed, "strategies", *part)
-                        for part in (["filter"], [role]))  # fmt: skip
+    stream = stream_of("bound", built.job.seed, "strategies", "filter")
+    of_draws = stream_of("bound", built.job.seed, "strategies", role)
     truth, windows = built.evaluator.truth, tuple(relaxation.sets)
     truth.compile(estimation)
     of_windows = truth.work(

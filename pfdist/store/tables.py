@@ -47,11 +47,19 @@ def write_table(table: pa.Table, path: Path) -> None:
 
     Only text has a dictionary, because numbers are seldom the same: one takes half of the time.
     """
-    texts = [field.name for field in table.schema if pa.types.is_string(field.type)]
+    texts = [place for field in table.schema if (place := _place_of_text(field))]
     with pa.OSFile(os.fsencode(path), "wb") as file:
         pq.write_table(
             table, file, compression="zstd", write_page_checksum=True, use_dictionary=texts
         )
+
+
+def _place_of_text(field: pa.Field) -> str:
+    """The name in a file of a column of texts, or of lists of texts; empty for other columns."""
+    is_list = pa.types.is_list(field.type)
+    kind = field.type.value_type if is_list else field.type
+    has_text = pa.types.is_string(kind) or pa.types.is_dictionary(kind)
+    return has_text * (field.name + ".list.element" * is_list)
 
 
 def prepare_table(folder: Path, table: pa.Table) -> Prepared:

@@ -210,7 +210,7 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
     grown = pfdist.run(larger, tmp_path / "grown", figures=False)
     more = (len(grown.table("other_estimate")) - others) * 3  # with the other estimate
     assert more > 0
-    assert sum(counted) == (430 - 250) * (3 + 1 + 3 + 4) + more  # all sets three times
+    assert sum(counted) == (430 - 250) * (3 + 3 + 4) + more  # all sets three times
     assert hashes(grown.path) == hashes(at_once.path)
     assert grown.draws_compared == 430
     counted.clear()
