@@ -59,7 +59,7 @@ def _place_of_text(field: pa.Field) -> str:
     is_list = pa.types.is_list(field.type)
     kind = field.type.value_type if is_list else field.type
     has_text = pa.types.is_string(kind) or pa.types.is_dictionary(kind)
-    return has_text * (field.name + ".list.element" * is_list)
+    return f"{field.name}{'.list.element' * is_list}" if has_text else ""
 
 
 def prepare_table(folder: Path, table: pa.Table) -> Prepared:

@@ -181,6 +181,7 @@ class Budget:
         self.run = SimpleNamespace(tables=(), job={"filter": {"particles": 400}})
 
     clock = SimpleNamespace(listed=str)
+    distinct = property(lambda self: self.rows)
 
     def typical_errors(self, row: SimpleNamespace) -> str:
         return f"{row.budget} g/L"
