@@ -250,7 +250,7 @@ def test_the_page_of_budgets_prints_what_it_shows(
 def test_the_table_of_real_data_has_the_gains_that_the_page_prints() -> None:
     text = (DOCS / "backtest.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| .*?\| (\S+) % \| (\S+) \((\S+) to (\S+)\) % \|", text, re.MULTILINE)
-    assert len(rows) == 14
+    assert len(rows) == 13  # and one of the same times
     printed = " ".join((DOCS / "real-data.md").read_text(encoding="utf-8").split())
     for foreseen, gain, low, high in rows:
         way = f"{gain} % lower (95 % CI {low} to {high} %)"
@@ -314,7 +314,7 @@ def test_the_tables_of_a_run_are_read_without_pfdist(monkeypatch: pytest.MonkeyP
     [code, *_] = [text for _, text in _blocks(DOCS / "python.md", "python", "Tables")]
     names: dict[str, Any] = {}
     exec(code, names)
-    assert names["gain"] == pytest.approx(0.1829, abs=1e-4)  # as README.md prints it
+    assert names["gain"] == pytest.approx(0.1639, abs=1e-4)  # as README.md prints it
     assert len(names["cheapest"]) == 5
 
 
