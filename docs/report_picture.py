@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parent
 PARTS = {  # picture: its element, and the texts before which the numbers stand, in their order
     "answer": (
         "section:has(#section-1)",
-        ["Measure at", "4.71", "16.09", "32 evenly", "1.9", "With the plan"],
+        ["Measure at", "4.71", "15.33", "32 evenly", "1.9", "With the plan"],
     ),
     "bound": (
         "section:has(#section-2) .table",
