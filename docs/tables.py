@@ -161,7 +161,9 @@ def sweep_keys() -> str:
 def columns() -> str:
     """Give the tables of all columns of the tables of a run."""
     schemas = {
-        "compared": schema("compared", "exact_mse", "exact_information", "exact_other_mse"),
+        "compared": schema(
+            "compared", "tried", "exact_mse", "exact_information", "exact_other_mse"
+        ),
         "timings": schema("timings", "part", "particle_steps"),
         "evenly_spaced": schema("evenly_spaced", "plan_mse"),
         "bound": schema("bound", "shares"),
