@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Unpack
 
 from pfdist.common.arguments import paths_argument
-from pfdist.common.measurement_times import EVEN
 from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.engines import AUTO
@@ -33,7 +32,7 @@ from pfdist.runner.information_prover import prover_of
 from pfdist.runner.progress import Detail, Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
-from pfdist.runner.searches import shortlist_of
+from pfdist.runner.searches import RANKING
 from pfdist.store import (
     EVEN_PHASE,
     add_to_provenance,
@@ -219,7 +218,7 @@ def compute(
             yield from compare_evenly_spaced(session, run)
             session.commit()
             for table in ("error_sums", "timings"):
-                for phase in (EVEN_PHASE, shortlist_of(EVEN)):
+                for phase in (EVEN_PHASE, RANKING):
                     session.store.settle(table, phase)
         if prover is not None and proves:
             publish_sets(run)

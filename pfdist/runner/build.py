@@ -43,6 +43,7 @@ from pfdist.runner.contract import few_draws
 from pfdist.runner.planning import check_plannable
 from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
+    RANKING,
     NamedSearch,
     Settings,
     coarse_of,
@@ -73,7 +74,11 @@ class Built:
         references = (
             name for each in self.study.even for name in (coarse_of(each), shortlist_of(each))
         )
-        return [*references, *(phase for search in self.searches for phase in search.phases)]
+        return [
+            RANKING,
+            *references,
+            *(phase for search in self.searches for phase in search.phases),
+        ]
 
     @property
     def comparing(self) -> Estimation:

@@ -26,7 +26,7 @@ from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.search_phase import search_steps
-from pfdist.runner.searches import Settings, coarse_of, shortlist_of
+from pfdist.runner.searches import RANKING, Settings, coarse_of, shortlist_of
 from pfdist.search import Candidate, Race, Refine
 from pfdist.search.programme import Programme
 from pfdist.search.state_space_relaxation import first_relaxation
@@ -44,6 +44,8 @@ _ROUNDS = (
     1.5  # the work of a whole race, whose sets share much, over `_KEPT` sets on `_UNTIL` draws
 )
 _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
+_OF_RANKING, _OF_REFINING, _OF_RACE = 0.25, 0.35, 0.4  # shares of the work
+_LEAST_SPREAD, _MOST_SPREAD = 16, 90  # sets with which an evaluation from coarse to fine begins
 
 
 @dataclass(frozen=True)
@@ -98,8 +100,7 @@ class EvenSearch:
         elif self.built.evaluator.exact:
             ranked, tried = yield from self._candidates(session)
         else:
-            ranked, tried = yield from self._ranked(session)
-            ranked = ranked[:_RACING]
+            ranked, tried = yield from self._finalists(session)
         ranked = ranked or [self.feasible.regular()]
         order = [*dict.fromkeys((*given, *ranked))]
         if len(order) > 1:
@@ -117,7 +118,7 @@ class EvenSearch:
             instants = len(sets) * (self.feasible.horizon + 1)
             session.count_exact(self.phase.name, "opponent", instants)
             return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
-        scale = min(1.0, 0.75 * self.steps / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
+        scale = min(1.0, _OF_RACE * self.steps / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
         draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
         race = Race(tuple(sets), draws, _KEPT, math.ceil(scale * _UNTIL))
         raced = yield from run_phase(self._with(race, race.draws), session)
@@ -132,30 +133,44 @@ class EvenSearch:
         sets = [] if any(line.distance for line in lines) else [*self.even.sets_of(lines)]
         if 0 < len(sets) <= most:
             return sets, 0
-        ranked, tried = yield from self._ranked(session)
+        ranked, tried = yield from self._finalists(session, most)
         return ranked[:most], tried
 
-    def _ranked(self, session: RunSession) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
-        """Candidates, the best first, and how many there were; 0 if these are all."""
-        programme = yield from self.programme(session)
+    def _finalists(
+        self, session: RunSession, most: int = _RACING
+    ) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
+        """Candidates for the race, and how many were looked at; 0 if these are all.
+
+        Windows are short. Where a system remembers longer, their sums rank good sets too low: so
+        half of the candidates are the best of an evaluation from coarse to fine.
+        """
+        programme, ranked, tried = (yield from self.programme(session)), list[Times](), 1
         if programme is not None:
-            return ranking(self.even, programme, _RANKED)
-        spread = int(self.steps / 2 / (_COARSE_DRAWS * self._a_draw * 2.5))
-        refine = Refine(self.even, max(8, min(spread, 60)))
+            ranked, tried = ranking(self.even, programme, _RANKED)
+        share = _OF_REFINING if ranked else 1 - _OF_RACE
+        spread = int(share * self.steps / (_COARSE_DRAWS * self._a_draw * 2.5))
+        if self.built.evaluator.exact or (ranked and spread < _LEAST_SPREAD):
+            return ranked[:most], tried
+        refine = Refine(self.even, max(_LEAST_SPREAD, min(spread, _MOST_SPREAD)))
         draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
         coarse = replace(self._with(refine, draws), name=coarse_of(self.name))
         found = yield from run_phase(coarse, session)
-        return [each.measurement_times for each in found], len(found)
+        refined = [each.measurement_times for each in found]
+        half = most // 2 if ranked else most
+        best = dict.fromkeys((*ranked[: most - half], *refined[:half]))
+        return [*best], len(refined) if not ranked else tried
 
     def programme(self, session: RunSession) -> Generator[WorkBatch, None, Programme | None]:
         """The first programme of the relaxation; None if there is none, or it takes too long."""
-        built, phase, feasible = self.built, self.phase, self.feasible
+        built, study = self.built, self.built.study
+        phase, feasible = replace(self.phase, name=RANKING), study.widest
         if phase.name in session.known:
             return session.known[phase.name]
         if not built.job.criterion.additive or built.job.criterion.by_instant:
             return None
         blocks = _RANKING_DRAWS // BLOCK
-        most = int(self.steps / 2 / (_RANKING_DRAWS * self._a_draw) * (feasible.horizon + 1))
+        a_draw = _RANKING_DRAWS * self._a_draw / (feasible.horizon + 1)
+        most = int(_OF_RANKING * most_steps(built) / a_draw)  # for all numbers of measurements
         try:
             relaxation = first_relaxation(
                 feasible, feasible.measurements, built.evaluator.lag, most

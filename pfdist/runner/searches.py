@@ -74,6 +74,10 @@ def shortlist_of(name: str) -> str:
     return f"{name}.shortlist"
 
 
+RANKING = "evenly_spaced.ranking"
+"""Name of the phase that evaluates the windows by which evenly spaced sets are ranked."""
+
+
 def coarse_of(name: str) -> str:
     """Name of the phase that evaluates evenly spaced sets from coarse to fine."""
     return f"{name}.coarse"
