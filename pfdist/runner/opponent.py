@@ -44,7 +44,7 @@ _ROUNDS = (
     1.5  # the work of a whole race, whose sets share much, over `_KEPT` sets on `_UNTIL` draws
 )
 _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
-_OF_RANKING, _OF_REFINING, _OF_RACE = 0.25, 0.35, 0.4  # shares of the work
+_OF_RANKING, _OF_REFINING, _OF_RACE = 0.5, 0.35, 0.4  # of the work; sets share half of it
 _LEAST_SPREAD, _MOST_SPREAD = 16, 90  # sets with which an evaluation from coarse to fine begins
 
 
