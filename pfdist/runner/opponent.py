@@ -149,7 +149,7 @@ class EvenSearch:
             ranked, tried = ranking(self.even, programme, _RANKED)
         share = _OF_REFINING if ranked else 1 - _OF_RACE
         spread = int(share * self.steps / (_COARSE_DRAWS * self._a_draw * 2.5))
-        if self.built.evaluator.exact or (ranked and spread < _LEAST_SPREAD):
+        if ranked and (self.built.evaluator.exact or spread < _LEAST_SPREAD):
             return ranked[:most], tried
         refine = Refine(self.even, max(_LEAST_SPREAD, min(spread, _MOST_SPREAD)))
         draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
@@ -172,9 +172,7 @@ class EvenSearch:
         a_draw = _RANKING_DRAWS * self._a_draw / (feasible.horizon + 1)
         most = int(_OF_RANKING * most_steps(built) / a_draw)  # for all numbers of measurements
         try:
-            relaxation = first_relaxation(
-                feasible, feasible.measurements, built.evaluator.lag, most
-            )
+            relaxation = first_relaxation(feasible, study.usual, built.evaluator.lag, most)
         except JobError:
             return None
         if relaxation.offsets[-1] > most and not built.evaluator.exact:
