@@ -1,7 +1,7 @@
 """The opponent of a plan: the best evenly spaced set, and the best of all opponents.
 
 The first programme of the relaxation ranks all evenly spaced sets by the sums of their windows, for
-the work of some eighty evaluations. Its windows are short, so an evaluation from coarse to fine adds
+the work of some eighty evaluations. Its windows are short, so one from coarse to fine adds
 other sets; it is alone where no relaxation adds up the errors of instants. A race on fresh draws
 decides between the best of both. With exact errors there is no race. Particle-steps are limited to
 a tenth of those of search and comparison, at any horizon and number.
