@@ -37,6 +37,7 @@ export function mount(element, connection) {
   const kept = new Map(); // the times of each name
   const past = []; // the times before each change, for undo
   const asked = new Map(); // what to do with the answer to each message
+  const errors = new Map(); // of the last message of each kind
   let facts = null, answer = null, online = false, serial = 0, component = 0, drawn = 0;
   let own = [], selected = null, held = null; // own: objects with a measurement and its handle
   let dragged = false; // whether the held one has moved: a drag is one change
@@ -75,7 +76,8 @@ export function mount(element, connection) {
   function ask(message, then) {
     const id = `${view}-${++serial}`;
     asked.set(id, (found) => {
-      trouble.textContent = found.error ?? "";
+      errors.set(message.ask, found.error);
+      trouble.textContent = [...errors.values()].filter(Boolean).join(" ");
       then(found);
     });
     connection.send({ ...message, id });

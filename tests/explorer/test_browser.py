@@ -351,12 +351,18 @@ def test_hostile_names_are_text(open_page: Open, session: ExplorerSession) -> No
         assert page.locator("img").count() == 0
 
 
-def test_a_name_that_is_not_allowed_is_explained(open_page: Open, address: str) -> None:
+def test_a_name_that_is_not_allowed_is_explained(
+    open_page: Open, address: str, session: ExplorerSession
+) -> None:
     page = open_page(address)
     page.get_by_label("Name").fill(HOSTILE)
     page.get_by_role("button", name="Name and keep").click()
     wait(page, lambda: "lower-case letters" in page.get_by_role("alert").inner_text())
     assert page.locator(".kept li").count() == 0
+    slider(page, 12).press("ArrowLeft")
+    answered(page, session)
+    page.wait_for_timeout(500)  # an answer about times does not remove the message about a name
+    assert "lower-case letters" in page.get_by_role("alert").inner_text()
 
 
 # --- what may go wrong ----------------------------------------------------------------------------
