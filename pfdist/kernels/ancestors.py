@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from pfdist.kernels import schemes
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.memory import ahead, call, read
+from pfdist.kernels.memory import ahead, call
 from pfdist.kernels.variates import (
     EXPONENTIAL,
     RESAMPLING,
@@ -532,9 +532,9 @@ def _chosen(search):
 @entry(Search)
 def systematic(search):
     """Find systematic ancestors; see `ENTRIES`."""
-    cumulative, _, _, drawn, scratch = read(search)
+    cumulative, drawn, scratch = search.cumulative, search.drawn, search.scratch
     particles, starts = drawn.particles, scratch.points
-    for number in range(_chosen(read(search))):
+    for number in range(_chosen(search)):
         d = scratch.chosen[number]
         weights = ahead(cumulative, d * drawn.width)
         _fill_noise(scratch, np.int64(LANES), UNIFORM, drawn, drawn.first + d)
@@ -551,8 +551,8 @@ def systematic(search):
 @entry(Search)
 def multinomial(search):
     """Find multinomial ancestors, or conditional ones; see `ENTRIES`."""
-    _, _, kept, drawn, scratch = read(search)
-    some, count = _chosen(read(search)), drawn.particles - kept
+    drawn, scratch = search.drawn, search.scratch
+    some, count = _chosen(search), drawn.particles - search.kept
     for number in range(np.int64(0), some, np.int64(2)):
         pair = np.int64(2) if number + 1 < some else np.int64(1)
         for k in range(pair):
@@ -560,20 +560,20 @@ def multinomial(search):
             # P - 1 points for the others of a conditional cloud. One of P sorted points cannot
             # simply be left out: the point at a given position is not uniform.
             _ascending_points(scratch, k * scratch.span, drawn, draw, count)
-        _place(read(search), number, pair)
+        _place(search, number, pair)
 
 
 @entry(Search)
 def stratified(search):
     """Find stratified ancestors; see `ENTRIES`."""
-    _, _, kept, drawn, scratch = read(search)
-    some, count = _chosen(read(search)), drawn.particles - kept
+    drawn, scratch = search.drawn, search.scratch
+    some, count = _chosen(search), drawn.particles - search.kept
     for number in range(np.int64(0), some, np.int64(2)):
         pair = np.int64(2) if number + 1 < some else np.int64(1)
         for k in range(pair):
             draw = drawn.first + scratch.chosen[number + k]
             _stratified_points(scratch, k * scratch.span, drawn, draw, count)
-        _place(read(search), number, pair)
+        _place(search, number, pair)
 
 
 ENTRIES = {
@@ -592,10 +592,10 @@ scratch.span``, and are counted from the draw's first particle.
 @compiled
 def _place(search, number, pair):
     """Find the ancestors of one draw or two draws from their points."""
-    cumulative, _, kept, drawn, scratch = search
+    kept, drawn, scratch = search.kept, search.drawn, search.scratch
     count, span, chosen = drawn.particles - kept, scratch.span, scratch.chosen
     for k in range(pair):
-        weights = ahead(cumulative, chosen[number + k] * drawn.width)
+        weights = ahead(search.cumulative, chosen[number + k] * drawn.width)
         total = weights[drawn.width - 1]
         _prepare_merge(scratch, k, weights, total, drawn.particles, count)
     to = chosen[number] * span + kept
@@ -654,7 +654,6 @@ def _rows(log_weight: NDArray[np.float64], weight: NDArray[np.float64]) -> _Rows
 
 @entry(_Rows)
 def _weigh_rows(rows):
-    rows = read(rows)
     for d in range(rows.draws):
         weigh(
             rows.log_weight, d * rows.width, rows.width, rows.particles, rows.weight,
@@ -664,7 +663,6 @@ def _weigh_rows(rows):
 
 @entry(_Rows)
 def _cumulate_rows(rows):
-    rows = read(rows)
     for d in range(rows.draws):
         cumulate(rows.weight, d * rows.width, rows.width, rows.cumulative)
 

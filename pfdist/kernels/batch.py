@@ -14,7 +14,7 @@ from pfdist.kernels.ancestors import Resampling, sum_of_first, sum_of_squares, w
 from pfdist.kernels.blocks import Blocks, call_block
 from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
-from pfdist.kernels.memory import ahead, call, readers
+from pfdist.kernels.memory import ahead, call
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.variates import Key, VariateRow
 
@@ -290,12 +290,6 @@ class FilterCall(NamedTuple):
     lines: Lines
 
 
-(
-    blocks_of, request_of, plan_of, results_of, wanted_of, batch_of, scratch_of, saved_of, steps_of,
-    lines_of,
-) = readers(FilterCall)  # fmt: skip
-
-
 class At(NamedTuple):
     """A batch, and the filter of its draws."""
 
@@ -326,14 +320,14 @@ class Slot(NamedTuple):
 @compiled
 def present(at):
     """The half of the cloud with the current particles."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     return ahead(batch.cloud, batch.half[0] * (request.states + 1) * batch.stride)
 
 
 @compiled
 def other(at):
     """The half of the cloud to which a step writes."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     return ahead(batch.cloud, (1 - batch.half[0]) * (request.states + 1) * batch.stride)
 
 
@@ -347,13 +341,13 @@ def copy_numbers(source, target, count):
 @compiled
 def fill_noise(at, process, t, role):
     """Fill a row of noise for each component of a process."""
-    fill_rows(at, process, t, role, batch_of(at.work).noise)
+    fill_rows(at, process, t, role, at.work.batch.noise)
 
 
 @compiled
 def fill_rows(at, process, t, role, noise):
     """Fill rows of noise from a pointer on."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     for c in range(request.components):
         kind = request.kinds[process * request.components + c]
         if kind >= 0:
@@ -361,13 +355,13 @@ def fill_rows(at, process, t, role, noise):
                 batch.words, ahead(noise, c * batch.spacious), batch.width, kind,
                 Key(at.stream, t, role, c), request.first_draw + at.first, at.draws,
             )  # fmt: skip
-            call(scratch_of(at.work).fill, row)
+            call(at.work.scratch.fill, row)
 
 
 @compiled
 def of_particles(at, block, t, source, target):
     """Call a block for all particles of the batch: from states and noise to rows of particles."""
-    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
     which, stride = block * request.instants + t, batch.stride
     call_block(
         blocks,
@@ -383,7 +377,7 @@ def of_particles(at, block, t, source, target):
 @compiled
 def with_given(at, block, t, source, target, given, of_draw, of_component):
     """Call a block that also receives numbers of each draw, from a pointer on with two strides."""
-    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
     which, stride = block * request.instants + t, batch.stride
     call_block(
         blocks,
@@ -399,7 +393,7 @@ def with_given(at, block, t, source, target, given, of_draw, of_component):
 @compiled
 def of_draws(at, block, t, source, target):
     """Call a block for all draws of the batch: from rows of draws to other rows."""
-    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
     which, row = block * request.instants + t, batch.row
     call_block(
         blocks,
@@ -415,7 +409,7 @@ def of_draws(at, block, t, source, target):
 @compiled
 def sensors_at(at, t, component):
     """The pointer to a component of y(t) of the batch's first draw."""
-    request = request_of(at.work)
+    request = at.work.request
     instant = at.first * request.instants + t
     return ahead(request.y, instant * request.measurements + component)
 
@@ -423,8 +417,8 @@ def sensors_at(at, t, component):
 @compiled
 def is_drawn_again(instant):
     """Whether noise is redrawn before a measurement: only for the first sensor of an instant."""
-    request = request_of(instant.at.work)
-    if steps_of(instant.at.work).guide == 0 or request.rows[instant.sensor] == 0:
+    request = instant.at.work.request
+    if instant.at.work.steps.guide == 0 or request.rows[instant.sensor] == 0:
         return False
     is_first = instant.sensors & ((1 << instant.sensor) - 1) == 0
     return is_first and (instant.t > 0 or not request.has_prior)
@@ -433,7 +427,7 @@ def is_drawn_again(instant):
 @compiled
 def measuring(at, s, t):
     """The sensors that measure, a bit for each: the last of 64 is the sign."""
-    request, measured, sensors = request_of(at.work), plan_of(at.work).measured, np.int64(0)
+    request, measured, sensors = at.work.request, at.work.plan.measured, np.int64(0)
     width = (request.sensors + 7) // 8
     for place in range(width):
         byte = np.int64(measured[(s * request.instants + t) * width + place])
@@ -444,7 +438,7 @@ def measuring(at, s, t):
 @compiled
 def fill_mean(at, values, mean, weighed):
     """Fill a row with the weighted mean of each draw's particles, or of draws just weighed."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     for d in range(at.draws):
         if weighed and batch.weighs[d] == 0:
             continue
@@ -463,7 +457,7 @@ def record_sizes(at, t):
     Source: Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of
     the American Statistical Association 89, 1994.
     """
-    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
+    request, results, batch = at.work.request, at.work.results, at.work.batch
     for d in range(at.draws):
         if batch.weighs[d] and batch.error[d] < np.inf:
             squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
@@ -478,8 +472,8 @@ def add_variances(at, s, t, mean, variance):
     Each filter contributes its variance, by the estimator's weights. The first of two filters
     stores its mean, and the second adds the distance to it, as `pfdist.filters.interface` does.
     """
-    request, batch = request_of(at.work), batch_of(at.work)
-    if wanted_of(at.work).moments:
+    request, batch = at.work.request, at.work.batch
+    if at.work.wanted.moments:
         _record(at, t, mean, variance)
     has_distance = request.filters > 1
     if has_distance:
@@ -497,7 +491,7 @@ def add_variances(at, s, t, mean, variance):
 
 @compiled
 def _record(at, t, mean, variance):
-    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
+    request, results, batch = at.work.request, at.work.results, at.work.batch
     for d in range(at.draws):
         if batch.error[d] < np.inf:
             first = ((at.first + d) * request.instants + t) * request.quantities
@@ -509,7 +503,7 @@ def _record(at, t, mean, variance):
 @compiled
 def _measure_distance(at, t, s, mean):
     """Keep the means of the first filter; the second measures the distance of its own to these."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     count = request.quantities * batch.row
     first_means = ahead(batch.first_means, (s * request.instants + t) * count)
     if at.number == 0:
@@ -522,7 +516,7 @@ def _measure_distance(at, t, s, mean):
 @compiled
 def add_squared_errors(at, s, t):
     """Add the errors of the means of z in `moments`; let draws with another sum be infinite."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     quantities, weights = request.quantities, request.weights
     if weights.squared_error != 0.0:
         for d in range(at.draws):
@@ -546,10 +540,10 @@ def add_error(at, s, t, d, error, weight):
     also to the errors at the instant: weighted to a sum over the draws, and else as it is.
     """
     request, results, wanted, batch = (
-        request_of(at.work),
-        results_of(at.work),
-        wanted_of(at.work),
-        batch_of(at.work),
+        at.work.request,
+        at.work.results,
+        at.work.wanted,
+        at.work.batch,
     )
     if not batch.error[d] < np.inf:
         return

@@ -25,7 +25,7 @@ from numba import types
 from pfdist.common.arguments import address_fault
 from pfdist.common.telling import tell
 from pfdist.errors import EngineWarning
-from pfdist.kernels.memory import in_memory, tuple_type
+from pfdist.kernels.memory import Place, in_memory
 
 FOLDER_VARIABLE: Final = "PFDIST_CACHE_DIR"
 """Environment variable with another place for the folder."""
@@ -63,7 +63,7 @@ class Entry:
         if self._code is None:
             with _ONE_AT_A_TIME:
                 if self._code is None:
-                    self._code = _with_code_kept(self._function, tuple_type(self._kind))
+                    self._code = _with_code_kept(self._function, Place(self._kind))
         return int(self._code.address)
 
     def __call__(self, values: Any) -> None:
@@ -81,7 +81,7 @@ def entry(kind: type) -> Callable[[Callable[..., Any]], Entry]:
     return lambda function: Entry(function, kind)
 
 
-def _with_code_kept(function: Callable[..., Any], kind: Any) -> Any:
+def _with_code_kept(function: Callable[..., Any], place: Place) -> Any:
     """The compiled function, from the folder if it is there.
 
     Numba's setting of the folder holds for a whole process. It is read when a function is declared,
@@ -90,7 +90,7 @@ def _with_code_kept(function: Callable[..., Any], kind: Any) -> Any:
     folder, before = _folder(), numba.config.CACHE_DIR
     numba.config.CACHE_DIR = folder or before
     try:
-        signature = types.void(types.CPointer(kind))
+        signature = types.void(place)
         return numba.cfunc(signature, cache=bool(folder), error_model="numpy")(function)
     finally:
         numba.config.CACHE_DIR = before

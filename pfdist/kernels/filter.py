@@ -46,8 +46,6 @@ from pfdist.kernels.batch import (
     add_error,
     add_squared_errors,
     add_variances,
-    batch_of,
-    blocks_of,
     copy_numbers,
     fill_mean,
     fill_noise,
@@ -56,16 +54,9 @@ from pfdist.kernels.batch import (
     of_draws,
     of_particles,
     other,
-    plan_of,
     present,
     record_sizes,
-    request_of,
-    results_of,
-    saved_of,
-    scratch_of,
     sensors_at,
-    steps_of,
-    wanted_of,
     with_given,
 )
 from pfdist.kernels.blocks import Compiled, call_block
@@ -85,7 +76,7 @@ def filter_draws(work):
     earlier set saved for the same draws and filter. The filter of a set pauses at each instant at
     which a later set resumes.
     """
-    request, batch = request_of(work), batch_of(work)
+    request, batch = work.request, work.batch
     for first in range(np.int64(0), request.draws, batch.draws):
         left = request.draws - first
         draws = batch.draws if batch.draws < left else left
@@ -98,7 +89,7 @@ def filter_draws(work):
 @compiled
 def _filter_set(at, s):
     """Filter a batch with a set."""
-    plan, steps = plan_of(at.work), steps_of(at.work)
+    plan, steps = at.work.plan, at.work.steps
     stop = plan.begins[s]
     if stop > 0:
         call(steps.resume, Slot(at, plan.sources[s]))
@@ -124,7 +115,7 @@ def _filter_instant(at, s, t, resamples):
     The cloud is also resampled between two sensors, but not propagated. The estimate comes before
     the last resampling, which adds noise.
     """
-    request, steps = request_of(at.work), steps_of(at.work)
+    request, steps = at.work.request, at.work.steps
     _predict(Instant(at, s, t, 0, 0))
     sensors = measuring(at, s, t)
     instant = Instant(at, s, t, sensors, 0)
@@ -147,7 +138,7 @@ def _filter_instant(at, s, t, resamples):
 @compiled
 def _predict(instant):
     """Propagate to an instant; then a rule decides whether it is measured."""
-    steps = steps_of(instant.at.work)
+    steps = instant.at.work.steps
     if instant.t > 0:
         call(steps.move, instant)
     if steps.put_truth != 0:
@@ -159,7 +150,7 @@ def _predict(instant):
 @compiled
 def _measure(measurement):
     """Weigh the particles by a sensor."""
-    steps = steps_of(measurement.at.work)
+    steps = measurement.at.work.steps
     call(steps.resample, measurement)
     if is_drawn_again(measurement):
         call(steps.guide, measurement)
@@ -175,11 +166,11 @@ def _measure(measurement):
 def _resume(place):
     """Fill the first half from a saved batch."""
     at, slot = read(place)
-    request, saved, batch = request_of(at.work), saved_of(at.work), batch_of(at.work)
+    request, saved, batch = at.work.request, at.work.saved, at.work.batch
     count, row = request.states * batch.stride, batch.row
     batch.half[0] = 0
     copy_numbers(ahead(saved.cloud, slot * count), batch.cloud, count)
-    if steps_of(at.work).set_out != 0:
+    if at.work.steps.set_out != 0:
         copy_numbers(ahead(saved.origin, slot * count), batch.origin, count)
     copy_numbers(ahead(saved.weight, slot * batch.stride), batch.weight, batch.stride)
     copy_numbers(ahead(saved.numbers, 2 * slot * row), batch.total, row)
@@ -192,10 +183,10 @@ def _resume(place):
 def _save(place):
     """Save the batch, because a later set resumes from it."""
     at, slot = read(place)
-    request, saved, batch = request_of(at.work), saved_of(at.work), batch_of(at.work)
+    request, saved, batch = at.work.request, at.work.saved, at.work.batch
     count, row = request.states * batch.stride, batch.row
     copy_numbers(present(at), ahead(saved.cloud, slot * count), count)
-    if steps_of(at.work).set_out != 0:
+    if at.work.steps.set_out != 0:
         copy_numbers(batch.origin, ahead(saved.origin, slot * count), count)
     copy_numbers(batch.weight, ahead(saved.weight, slot * batch.stride), batch.stride)
     copy_numbers(batch.total, ahead(saved.numbers, 2 * slot * row), row)
@@ -207,7 +198,7 @@ def _save(place):
 @compiled
 def _begin(at):
     """Begin a set with an empty sum of errors."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     batch.half[0] = 0
     for d in range(at.draws):
         batch.total[d], batch.error[d] = float(request.particles), 0.0
@@ -218,7 +209,7 @@ def _begin(at):
 def _draw_prior(instant):
     """Begin a set with x(0) in the first half."""
     at = read(instant).at
-    batch = batch_of(at.work)
+    batch = at.work.batch
     _begin(at)
     fill_noise(at, INITIAL_NOISE, np.int64(0), FILTER_INITIAL)
     of_particles(at, INITIAL, np.int64(0), batch.cloud, batch.cloud)
@@ -228,7 +219,7 @@ def _draw_prior(instant):
 def _take_prior(instant):
     """Begin a set with particles of the prior, and their weights, in the first half."""
     at = read(instant).at
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     particles, width, stride = request.particles, batch.width, batch.stride
     _begin(at)
     for d in range(at.draws):
@@ -251,7 +242,7 @@ def _take_prior(instant):
 def _set_out(instant):
     """Keep the states from which noise may be drawn again."""
     at = read(instant).at
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     copy_numbers(present(at), batch.origin, request.states * batch.stride)
 
 
@@ -259,7 +250,7 @@ def _set_out(instant):
 def _move(instant):
     """Fill the other half with x(t)."""
     at, _, t, _, _ = read(instant)
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     fill_noise(at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
     of_particles(at, TRANSITION, t - 1, present(at), other(at))
     batch.half[0] = 1 - batch.half[0]
@@ -269,7 +260,7 @@ def _move(instant):
 def _put_truth(instant):
     """Let particle 0 of each draw be the truth."""
     at, _, t, _, _ = read(instant)
-    request, batch, cloud = request_of(at.work), batch_of(at.work), present(at)
+    request, batch, cloud = at.work.request, at.work.batch, present(at)
     for d in range(at.draws):
         x = ahead(request.x, ((at.first + d) * request.instants + t) * request.states)
         for c in range(request.states):
@@ -283,11 +274,11 @@ def _decide(instant):
     The results have the set of each draw, and the plan has what some draw of the batch measures.
     """
     at, s, t, _, _ = read(instant)
-    request, batch, row = request_of(at.work), batch_of(at.work), batch_of(at.work).row
+    request, batch, row = at.work.request, at.work.batch, at.work.batch.row
     mean = ahead(batch.moments, request.quantities * row)
     variance = ahead(mean, request.quantities * row)
     width = (request.sensors + 7) // 8
-    some = ahead(plan_of(at.work).measured, (s * request.instants + t) * width)
+    some = ahead(at.work.plan.measured, (s * request.instants + t) * width)
     _fill_mean_of_z(at, t, mean, False)
     for place in range(width):
         some[place] = 0
@@ -312,7 +303,7 @@ def _decide(instant):
             for c in range(request.quantities):
                 total += variance[c * row + d]
         _choose(at, t, d, np.sqrt(total), left)
-        own = ahead(results_of(at.work).measured, _set_of(at, t, d))
+        own = ahead(at.work.results.measured, _set_of(at, t, d))
         for place in range(width):
             some[place] |= own[place]
 
@@ -320,8 +311,8 @@ def _decide(instant):
 @compiled
 def _choose(at, t, d, deviation, left):
     """Choose the sensors of a draw, from the highest threshold to the lowest."""
-    request, batch = request_of(at.work), batch_of(at.work)
-    own = ahead(results_of(at.work).measured, _set_of(at, t, d))
+    request, batch = at.work.request, at.work.batch
+    own = ahead(at.work.results.measured, _set_of(at, t, d))
     factor = 1.0
     if request.limit > 0.0:
         factor = ((request.instants - t) / left) ** request.exponent
@@ -334,7 +325,7 @@ def _choose(at, t, d, deviation, left):
         exceeds = deviation > request.thresholds[point] * factor
         if point == request.flipped:
             exceeds = not exceeds
-            results_of(at.work).deviation[at.first + d] = deviation / factor
+            at.work.results.deviation[at.first + d] = deviation / factor
         if exceeds:
             own[sensor // 8] |= 1 << sensor % 8
             batch.spent[d] += price
@@ -345,17 +336,17 @@ def _choose(at, t, d, deviation, left):
 @compiled
 def _set_of(at, t, d):
     """Where the results have the sensors that measure a draw at an instant."""
-    request = request_of(at.work)
+    request = at.work.request
     return ((at.first + d) * request.instants + t) * ((request.sensors + 7) // 8)
 
 
 @compiled
 def _is_measured(at, t, d):
     """Whether a draw of a batch is measured, and not only others, by a rule."""
-    if steps_of(at.work).decide == 0:
+    if at.work.steps.decide == 0:
         return True
-    own, some = ahead(results_of(at.work).measured, _set_of(at, t, d)), False
-    for place in range((request_of(at.work).sensors + 7) // 8):
+    own, some = ahead(at.work.results.measured, _set_of(at, t, d)), False
+    for place in range((at.work.request.sensors + 7) // 8):
         some |= own[place] != 0
     return some
 
@@ -367,7 +358,7 @@ def _is_measured(at, t, d):
 def _forget(instant):
     """Forget which draws were weighed before this instant."""
     at = read(instant).at
-    batch = batch_of(at.work)
+    batch = at.work.batch
     for d in range(at.draws):
         batch.weighs[d] = 0
 
@@ -379,7 +370,7 @@ def _weigh(instant):
     If no particle explains a measurement, the draw is degenerate, and the measurement is left out.
     """
     at, _, t, _, _ = read(instant)
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     _fill_log_weights(read(instant))
     for d in range(at.draws):
         if not _is_measured(at, t, d):
@@ -404,7 +395,7 @@ def _tell(instant):
     The filter is resampled before each measurement.
     """
     at, s, t, _, _ = instant
-    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
     equal = request.log_particles
     for d in range(at.draws):
         batch.noise[d] = np.float32(batch.total[d])
@@ -440,11 +431,11 @@ def _tell(instant):
 def _fill_log_weights(instant):
     """Log-likelihoods, with the logarithms of a proposal and of carried weights."""
     at, _, t, _, sensor = instant
-    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
     cloud, used = present(at), at.draws * batch.width
     y = sensors_at(at, t, request.first_components[sensor])
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
-    if steps_of(at.work).decide == 0:
+    if at.work.steps.decide == 0:
         with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
     else:
         for d in range(at.draws):
@@ -493,7 +484,7 @@ def _resample(instant):
     Behind all sensors, only those with uneven weights are resampled.
     """
     at, _, t, _, sensor = read(instant)
-    request, batch, scratch = request_of(at.work), batch_of(at.work), scratch_of(at.work)
+    request, batch, scratch = at.work.request, at.work.batch, at.work.scratch
     some = False
     for d in range(at.draws):
         weighs = batch.weighs[d] > 0
@@ -508,8 +499,8 @@ def _resample(instant):
     first = request.first_draw + at.first
     drawn = Drawn(at.stream, key, first, at.draws, batch.width, request.particles)
     search = Search(batch.cumulative, batch.resamples, request.holds_truth, drawn, scratch)
-    call(steps_of(at.work).scheme, search)
-    by_rule = steps_of(at.work).decide != 0  # few draws are resampled together, and stay in place
+    call(at.work.steps.scheme, search)
+    by_rule = at.work.steps.decide != 0  # few draws are resampled together, and stay in place
     for d in range(at.draws):
         if by_rule and not batch.resamples[d]:
             continue
@@ -534,7 +525,7 @@ def _estimate(instant):
     """Estimate z(t) of each draw, and add the errors."""
     instant = read(instant)
     at, s, t, sensors, _ = instant
-    request, steps, batch = request_of(at.work), steps_of(at.work), batch_of(at.work)
+    request, steps, batch = at.work.request, at.work.steps, at.work.batch
     by_rule = steps.decide != 0  # which has filled the mean of a draw that it does not measure
     if sensors != 0 or not by_rule:
         _fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row), by_rule)
@@ -546,7 +537,7 @@ def _estimate(instant):
 @compiled
 def _fill_mean_of_z(at, t, mean, weighed):
     """Fill rows of draws with the weighted mean of each component of z; see `fill_mean`."""
-    request, batch, cloud = request_of(at.work), batch_of(at.work), present(at)
+    request, batch, cloud = at.work.request, at.work.batch, present(at)
     if request.is_state:
         for r in range(request.means):
             values = ahead(cloud, request.components_of_state[r] * batch.stride)
@@ -560,15 +551,15 @@ def _fill_mean_of_z(at, t, mean, weighed):
 @compiled
 def _fill_variances(at, t, mean, variance):
     """Fill rows of draws with the variance of each component of z around a mean."""
-    batch = batch_of(at.work)
+    batch = at.work.batch
     with_given(at, DEVIATIONS, t, present(at), batch.quantity, mean, 1, batch.row)
-    _fill_means(at, variance, request_of(at.work).quantities, False)
+    _fill_means(at, variance, at.work.request.quantities, False)
 
 
 @compiled
 def _fill_means(at, means, rows, weighed):
     """Fill rows of draws with the weighted means of z, or of squared deviations."""
-    batch = batch_of(at.work)
+    batch = at.work.batch
     for r in range(rows):
         values = ahead(batch.quantity, r * batch.stride)
         fill_mean(at, values, ahead(means, r * batch.row), weighed)
@@ -578,12 +569,12 @@ def _fill_means(at, means, rows, weighed):
 def _estimate_variance(instant):
     """Compute the variance of z, and what follows from it."""
     at, s, t, sensors, _ = read(instant)
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     quantities, row = request.quantities, batch.row
     mean = ahead(batch.moments, quantities * row)
     variance = ahead(mean, quantities * row)
     _fill_variances(at, t, mean, variance)
-    if wanted_of(at.work).moments and sensors != 0:
+    if at.work.wanted.moments and sensors != 0:
         record_sizes(at, t)
     add_variances(at, s, t, mean, variance)
 
@@ -592,7 +583,7 @@ def _estimate_variance(instant):
 def _rank_truth(instant):
     """The place of the truth's z, which is that of particle 0, among the weighted particles."""
     at, _, t, _, _ = read(instant)
-    results, request, batch = results_of(at.work), request_of(at.work), batch_of(at.work)
+    results, request, batch = at.work.results, at.work.request, at.work.batch
     half = request.draws * request.instants * request.quantities
     of_particles(at, QUANTITY, t, present(at), batch.quantity)
     for d in range(at.draws):
@@ -617,7 +608,7 @@ def _finish(instant):
     """Write the results of a set: mean errors, degenerate draws, and clouds that are wanted."""
     at, s, _, _, _ = read(instant)
     request, results, batch, keep = (
-        request_of(at.work), results_of(at.work), batch_of(at.work), steps_of(at.work).keep,
+        at.work.request, at.work.results, at.work.batch, at.work.steps.keep,
     )  # fmt: skip
     for d in range(at.draws):
         place = (at.first + d) * request.sets + s
@@ -631,7 +622,7 @@ def _finish(instant):
 @entry(Instant)
 def _keep(instant):
     at = read(instant).at
-    request, results, batch = request_of(at.work), results_of(at.work), batch_of(at.work)
+    request, results, batch = at.work.request, at.work.results, at.work.batch
     cloud, particles = present(at), request.particles
     for d in range(at.draws):
         if batch.error[d] < np.inf:

@@ -29,17 +29,12 @@ from pfdist.kernels.batch import (
     TRANSITION,
     At,
     Instant,
-    batch_of,
-    blocks_of,
     copy_numbers,
     fill_rows,
     is_drawn_again,
-    lines_of,
     measuring,
     other,
     present,
-    request_of,
-    scratch_of,
     sensors_at,
 )
 from pfdist.kernels.blocks import call_block
@@ -96,7 +91,7 @@ class _Path(NamedTuple):
 def guide(instant):
     """Redraw the noise since the last measurement, and move the particles accordingly."""
     instant = read(instant)
-    at, request, batch = instant.at, request_of(instant.at.work), batch_of(instant.at.work)
+    at, request, batch = instant.at, instant.at.work.request, instant.at.work.batch
     first, k = last_measured(instant), request.rows[instant.sensor]
     block = SENSORS + request.sensors + BLOCKS * instant.sensor
     steps, sums = instant.t - first, k * (k + 5) // 2
@@ -112,7 +107,7 @@ def guide(instant):
 @compiled
 def last_measured(instant):
     """The instant of the last measurement, or that of the prior; -1 if there is neither."""
-    request, first = request_of(instant.at.work), instant.t - 1
+    request, first = instant.at.work.request, instant.t - 1
     while first >= 0 and measuring(instant.at, instant.s, first) == 0:
         first -= 1
     return first if first >= 0 or not request.has_prior else np.int64(0)
@@ -120,7 +115,7 @@ def last_measured(instant):
 
 @compiled
 def _go(instant, path):
-    request, batch = request_of(path.at.work), batch_of(path.at.work)
+    request, batch = path.at.work.request, path.at.work.batch
     source, target = ahead(present(path.at), path.place), ahead(other(path.at), path.place)
     if path.first >= 0:
         for c in range(request.states):
@@ -152,14 +147,14 @@ def _go(instant, path):
 
 @compiled
 def _record(path, number):
-    request, batch = request_of(path.at.work), batch_of(path.at.work)
+    request, batch = path.at.work.request, path.at.work.batch
     return ahead(batch.records, number * request.record_rows * CHUNK)
 
 
 @compiled
 def _noise(path, step):
     """The rows of noise of a step: as it was drawn, and then the centre of its normal noise."""
-    request, batch = request_of(path.at.work), batch_of(path.at.work)
+    request, batch = path.at.work.request, path.at.work.batch
     return ahead(batch.noises, 2 * step * request.components * batch.spacious + path.place)
 
 
@@ -167,9 +162,9 @@ def _noise(path, step):
 def _call(path, block, t, source, target, noise):
     """Call a block for the particles; t is that of a step, -1 for the one to x(0)."""
     blocks, request, batch = (
-        blocks_of(path.at.work),
-        request_of(path.at.work),
-        batch_of(path.at.work),
+        path.at.work.blocks,
+        path.at.work.request,
+        path.at.work.batch,
     )
     which = block * request.instants + (t if t > 0 else np.int64(0))
     call_block(
@@ -187,7 +182,7 @@ def _call(path, block, t, source, target, noise):
 def _fill_noises(instant, first, k):
     """Fill in the noise of each step, with a centre of 0, and the noise of the block DRAWN."""
     at = instant.at
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     for step in range(instant.t - first):
         t = first + step
         noise = ahead(batch.noises, 2 * step * request.components * batch.spacious)
@@ -208,7 +203,7 @@ def _fill_noises(instant, first, k):
             Key(at.stream, request.start + instant.t, FILTER_PROPOSAL, c),
             request.first_draw + at.first, at.draws,
         )  # fmt: skip
-        call(scratch_of(at.work).fill, row)
+        call(at.work.scratch.fill, row)
     if request.holds_truth:  # the truth's noise is not drawn again
         for d in range(at.draws):
             batch.noise[k * batch.spacious + d * batch.width] = 1.0
@@ -216,7 +211,7 @@ def _fill_noises(instant, first, k):
 
 @compiled
 def _components(at, t):
-    request, count = request_of(at.work), np.int64(0)
+    request, count = at.work.request, np.int64(0)
     process = INITIAL_NOISE if t < 0 else PROCESS_NOISE
     for c in range(request.components):
         count += request.kinds[process * request.components + c] >= 0
@@ -226,7 +221,7 @@ def _components(at, t):
 @compiled
 def _put_truth(at, t, noise):
     """Give the particle 0 of each draw the noise of the truth's step to t."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     for d in range(at.draws):
         first = ((at.first + d) * request.instants + t) * request.components
         for c in range(request.components):
@@ -248,9 +243,9 @@ def _step(path, block, step):
 def _keep_quantities(path):
     """Keep z at the instants within the path, if lines are kept."""
     blocks, request, batch = (
-        blocks_of(path.at.work),
-        request_of(path.at.work),
-        batch_of(path.at.work),
+        path.at.work.blocks,
+        path.at.work.request,
+        path.at.work.batch,
     )
     for step in range(path.steps - 1 if request.lag > 0 else 0):
         t = path.first + step + 1
@@ -258,7 +253,7 @@ def _keep_quantities(path):
         call_block(
             blocks,
             QUANTITY * request.instants + t,
-            (ahead(lines_of(path.at.work).quantity, row), batch.stride),
+            (ahead(path.at.work.lines.quantity, row), batch.stride),
             (_record(path, step + 2), CHUNK),
             (batch.noise, batch.spacious),
             (batch.means, 0, 0),
@@ -270,7 +265,7 @@ def _keep_quantities(path):
 def _look(instant, path):
     """Fill in the linear measurement at the end of the path."""
     at, _, t, _, sensor = instant
-    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
     which = (path.block + SEEN) * request.instants + t
     component = request.first_components[sensor]
     y = sensors_at(at, path.draw * request.instants + t, component)
@@ -287,7 +282,7 @@ def _look(instant, path):
 
 @compiled
 def _step_back(path, step):
-    t, states = path.first + step, request_of(path.at.work).states
+    t, states = path.first + step, path.at.work.request.states
     block = path.block + (SWEPT_INITIAL if t < 0 else SWEPT)
     back = ahead(_record(path, step), states * CHUNK)
     _call(path, block, t, _record(path, step + 1), back, _noise(path, step))
@@ -296,7 +291,7 @@ def _step_back(path, step):
 @compiled
 def _draw(path, is_last):
     """Find the coefficients of the mean; last, draw those of a change, and log p(w) / q(w)."""
-    request, batch = request_of(path.at.work), batch_of(path.at.work)
+    request, batch = path.at.work.request, path.at.work.batch
     behind = request.states * (1 + path.k)
     rho = ahead(_record(path, path.steps), (behind + path.sums) * CHUNK)
     given = ahead(_record(path, np.int64(0)), (behind - path.k) * CHUNK)  # rho, and then the sums
@@ -308,7 +303,7 @@ def _draw(path, is_last):
 @compiled
 def _steer(path, step, is_last):
     """Change the normal noise of a step; before the last round, fill in the centre."""
-    request, batch, t = request_of(path.at.work), batch_of(path.at.work), path.first + step
+    request, batch, t = path.at.work.request, path.at.work.batch, path.first + step
     process = INITIAL_NOISE if t < 0 else PROCESS_NOISE
     normals, row = np.int64(0), np.int64(0)
     for c in range(request.components):
@@ -339,7 +334,7 @@ def leave_out(instant):
     if not is_drawn_again(instant):
         return
     at = instant.at
-    request, batch, source, cloud = request_of(at.work), batch_of(at.work), other(at), present(at)
+    request, batch, source, cloud = at.work.request, at.work.batch, other(at), present(at)
     for d in range(at.draws):
         if not batch.weighs[d]:
             for c in range(request.states):

@@ -24,21 +24,14 @@ from pfdist.kernels.batch import (
     Instant,
     add_squared_errors,
     add_variances,
-    batch_of,
     copy_numbers,
     fill_mean,
     is_drawn_again,
-    lines_of,
     measuring,
     of_draws,
     of_particles,
-    plan_of,
     present,
     record_sizes,
-    request_of,
-    results_of,
-    scratch_of,
-    wanted_of,
 )
 from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.guided import last_measured
@@ -51,7 +44,7 @@ _FEW = np.int64(4)  # fewer lines than one in so many particles are added up one
 def estimate(instant):
     """Keep z and its mean, and at a measurement also the weights."""
     at, _, t, sensors, _ = read(instant)
-    request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
+    request, batch, lines = at.work.request, at.work.batch, at.work.lines
     z, means = _quantity(at, t), ahead(lines.means, t * lines.rows * batch.row)
     of_particles(at, QUANTITY, t, present(at), z)
     for r in range(lines.rows):
@@ -67,7 +60,7 @@ def estimate(instant):
         else:
             for i in range(batch.width):
                 weight[i] = np.float32(1.0 if i < request.particles else 0.0)
-    if wanted_of(at.work).moments:
+    if at.work.wanted.moments:
         record_sizes(at, t)
 
 
@@ -76,7 +69,7 @@ def resample(instant):
     """Resample, and keep the ancestors."""
     instant = read(instant)
     at, event = instant.at, _event(instant.at, instant.t, instant.sensor)
-    batch, lines, scratch = batch_of(at.work), lines_of(at.work), scratch_of(at.work)
+    batch, lines, scratch = at.work.batch, at.work.lines, at.work.scratch
     call(lines.resample, instant)
     for d in range(at.draws):
         lines.moved[event * batch.row + d] = batch.resamples[d]
@@ -90,8 +83,8 @@ def restore(instant):
     """Restore particles that were redrawn for a measurement that is left out, with their paths."""
     instant = read(instant)
     at = instant.at
-    request, batch = request_of(at.work), batch_of(at.work)
-    call(lines_of(at.work).leave_out, instant)
+    request, batch = at.work.request, at.work.batch
+    call(at.work.lines.leave_out, instant)
     if not is_drawn_again(instant):
         return
     for t in range(last_measured(instant) + 1, instant.t):
@@ -108,8 +101,8 @@ def finish(instant):
     """Estimate z of all instants by the lines, and write the results of a set."""
     instant = read(instant)
     at, s, _, _, _ = instant
-    request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
-    end, size = plan_of(at.work).ends[s], lines.rows * batch.row
+    request, batch, lines = at.work.request, at.work.batch, at.work.lines
+    end, size = at.work.plan.ends[s], lines.rows * batch.row
     copy_numbers(lines.means, lines.smoothed, end * size)
     behind = end  # the estimates from here on are known
     for m in range(end - 1, -1, -1):
@@ -132,7 +125,7 @@ def finish(instant):
 @compiled
 def _fill_variances(at, means, variance):
     """Fill the variances of z from the moments of an instant: 1 - R of an angle."""
-    request, row = request_of(at.work), batch_of(at.work).row
+    request, row = at.work.request, at.work.batch.row
     cosine = ahead(means, request.quantities * row)
     for c in range(request.quantities):
         of_component = ahead(variance, c * row)
@@ -147,7 +140,7 @@ def _fill_variances(at, means, variance):
 @compiled
 def _values(at, z, means, row):
     """The numbers of particles whose mean a row has: those of z, or its squared deviations."""
-    request, batch = request_of(at.work), batch_of(at.work)
+    request, batch = at.work.request, at.work.batch
     c = row - request.means
     if c < 0:
         return ahead(z, row * batch.stride)
@@ -161,20 +154,20 @@ def _values(at, z, means, row):
 
 @compiled
 def _event(at, t, number):
-    return t * (request_of(at.work).sensors + 1) + number
+    return t * (at.work.request.sensors + 1) + number
 
 
 @compiled
 def _quantity(at, row):
     """The rows of z at an instant; those of redrawn paths come after those of all instants."""
-    stride = batch_of(at.work).stride
-    return ahead(lines_of(at.work).quantity, row * request_of(at.work).means * stride)
+    stride = at.work.batch.stride
+    return ahead(at.work.lines.quantity, row * at.work.request.means * stride)
 
 
 @compiled
 def _trace(at, s, m, first, behind):
     """Estimate z at the instants from `first`, before `behind`, by the lines of a measurement."""
-    request, batch, lines = request_of(at.work), batch_of(at.work), lines_of(at.work)
+    request, batch, lines = at.work.request, at.work.batch, at.work.lines
     weight = ahead(lines.weight, m * batch.stride)
     for d in range(at.draws):
         lines.total[d] = sum_of_weights(weight, d * batch.width, batch.width)
@@ -201,19 +194,19 @@ def _trace(at, s, m, first, behind):
 @compiled
 def _record_lines(at, t, weights):
     """Record the number of lines of each draw, if moments are wanted."""
-    request, batch = request_of(at.work), batch_of(at.work)
-    for d in range(at.draws if wanted_of(at.work).moments else 0):
-        half = lines_of(at.work).half[d]
+    request, batch = at.work.request, at.work.batch
+    for d in range(at.draws if at.work.wanted.moments else 0):
+        half = at.work.lines.half[d]
         weight, flow, lines = ahead(weights, d * batch.width), _flow(at, half, d), 0
         for i in range(request.particles):
             lines += (weight[i] if half < 0 else flow[i]) > 0.0
-        results_of(at.work).lines[(at.first + d) * request.instants + t] = lines
+        at.work.results.lines[(at.first + d) * request.instants + t] = lines
 
 
 @compiled
 def _clear(at):
     """Leave zeros in `flow`."""
-    batch, lines = batch_of(at.work), lines_of(at.work)
+    batch, lines = at.work.batch, at.work.lines
     for d in range(at.draws):
         flow, index = _flow(at, lines.half[d], d), ahead(lines.listed, d * batch.width)
         for i in range(lines.number[d] if lines.half[d] >= 0 else 0):
@@ -222,14 +215,14 @@ def _clear(at):
 
 @compiled
 def _flow(at, half, d):
-    batch = batch_of(at.work)
-    return ahead(lines_of(at.work).flow, half * batch.stride + d * batch.width)
+    batch = at.work.batch
+    return ahead(at.work.lines.flow, half * batch.stride + d * batch.width)
 
 
 @compiled
 def _fill_mean(at, weight, z, mean):
     """Fill a row of draws with the mean of z, weighted with the lines through each particle."""
-    batch, lines = batch_of(at.work), lines_of(at.work)
+    batch, lines = at.work.batch, at.work.lines
     for d in range(at.draws):
         origin, half = d * batch.width, lines.half[d]
         if half < 0:
@@ -247,7 +240,7 @@ def _fill_mean(at, weight, z, mean):
 @compiled
 def _back(at, weight, event):
     """Move the weights of each draw that was resampled to ancestors, and list these."""
-    batch, lines = batch_of(at.work), lines_of(at.work)
+    batch, lines = at.work.batch, at.work.lines
     for d in range(at.draws):
         if lines.moved[event * batch.row + d] == 0:
             continue

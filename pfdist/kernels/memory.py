@@ -1,13 +1,14 @@
 """Named tuples in memory, which compiled functions read through an address.
 
-If a compiled function receives a large named tuple directly, each field is a separate argument. One
-address takes far less time to compile. All fields take eight bytes: whole numbers (also for a
-bool), numbers of double precision, and the addresses of arrays. A named tuple within another one
-lies where its field is.
+If a compiled function receives a large named tuple directly, each field is a separate argument, and
+Numba copies all fields for each variable. A `Place` takes far less time to compile: its attributes
+are the fields, read from memory where they are used. All fields take eight bytes: whole numbers
+(also for a bool), numbers of double precision, and the addresses of arrays. A named tuple within
+another one lies where its field is; it is a place, too.
 """
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from types import UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -16,12 +17,50 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 from numpy.typing import NDArray
 
 _CACHE_LINE = 64  # bytes
 _NUMBERS = {int: types.int64, bool: types.int64, np.uint64: types.uint64, float: types.float64}
 _FORMATS = {types.int64: "q", types.uint64: "Q", types.float64: "d"}
+
+
+class Place(types.Type):  # type: ignore[misc]  # Numba has no types
+    """The type of the address of a named tuple."""
+
+    def __init__(self, kind: type) -> None:
+        self.kind = kind
+        super().__init__(f"{kind.__module__}.{kind.__qualname__}")
+
+
+register_model(Place)(models.OpaqueModel)
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):  # type: ignore[misc]
+    key = Place
+
+    def generic_resolve(self, place: Any, name: str) -> Any:
+        return _field(place.kind, name)[1]
+
+
+@lower_getattr_generic(Place)
+def _read_field(context: Any, builder: Any, place: Any, address: Any, name: str) -> Any:
+    number, field = _field(place.kind, name)
+    there = builder.gep(address, [ir.Constant(ir.IntType(64), 8 * number)])
+    return there if isinstance(field, Place) else _load(context, builder, there, field)
+
+
+@cache
+def _field(kind: Any, name: str) -> tuple[int, Any]:
+    """How many numbers lie before a field, and its type; a named tuple is a place."""
+    types_of_fields = list(tuple_type(kind))
+    number = kind._fields.index(name)
+    before, field = types_of_fields[:number], types_of_fields[number]
+    is_tuple = isinstance(field, types.BaseTuple)
+    field = Place(field.instance_class) if is_tuple else field
+    return len(_flat(before, types.BaseTuple)), field
 
 
 @cache
@@ -40,7 +79,7 @@ def _type_of(hint: Any) -> Any:
         (number,) = get_args(get_args(hint)[1])
         return types.CPointer(numba.from_dtype(np.dtype(number)))
     if get_origin(hint) is Annotated:
-        return types.CPointer(tuple_type(get_args(hint)[1]))
+        return Place(get_args(hint)[1])
     return _NUMBERS[hint] if hint in _NUMBERS else tuple_type(hint)
 
 
@@ -113,34 +152,19 @@ def _flat(values: Any, kind: type = tuple) -> list[Any]:
 
 
 @intrinsic
-def read(context: Any, pointer: Any) -> Any:
-    """The named tuple at an address; compiled code never changes it."""
+def read(context: Any, place: Any) -> Any:
+    """The named tuple at a place; compiled code never changes it."""
+    kind = tuple_type(place.kind)
 
     def generate(context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
-        return _load(builder, values[0])
+        return _load(context, builder, values[0], kind)
 
-    return pointer.dtype(pointer), generate
-
-
-def readers(kind: type) -> tuple[Callable[[Any], Any], ...]:
-    """A function for each field of a named tuple, which reads it from the named tuple's address."""
-    return tuple(map(_reader, range(len(tuple_type(kind)))))
+    return kind(place), generate
 
 
-def _reader(place: int) -> Any:
-    @intrinsic
-    def read_field(context: Any, pointer: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
-            index = [ir.Constant(ir.IntType(32), number) for number in (0, place)]
-            return _load(builder, builder.gep(values[0], index))
-
-        return pointer.dtype[place](pointer), generate
-
-    return read_field
-
-
-def _load(builder: Any, address: Any) -> Any:
-    loaded = builder.load(address)
+def _load(context: Any, builder: Any, address: Any, kind: Any) -> Any:
+    pointer = builder.bitcast(address, context.get_value_type(kind).as_pointer())
+    loaded = builder.load(pointer)
     loaded.set_metadata("invariant.load", builder.module.add_metadata([]))
     return loaded
 
@@ -173,7 +197,9 @@ def call(context: Any, address: Any, values: Any) -> Any:
 
 
 def _cast(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> Any:
-    """A named tuple with fields of the wanted types."""
+    """A named tuple with fields of the wanted types; one that is given by its place is read."""
+    if isinstance(wanted, types.BaseTuple) and isinstance(given, Place):
+        return _load(context, builder, value, wanted)
     if not isinstance(wanted, types.BaseTuple):
         return context.cast(builder, value, given, wanted)
     fields = [

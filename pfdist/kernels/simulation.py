@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.blocks import Blocks, call_block
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.memory import ahead, call, readers
+from pfdist.kernels.memory import ahead, call
 from pfdist.kernels.variates import (
     TRUTH_INITIAL,
     TRUTH_MEASUREMENT,
@@ -63,9 +63,6 @@ class SimulationCall(NamedTuple):
     fill: int  # address of `pfdist.kernels.variates.fill_of_draws`
 
 
-_blocks, _request, _x, _y, _z, _states, _values, _noise, _words, _fill_row = readers(SimulationCall)
-
-
 class _Now(NamedTuple):
     """The draws that are simulated side by side, and the instant."""
 
@@ -77,71 +74,71 @@ class _Now(NamedTuple):
 @entry(SimulationCall)
 def simulate_draws(work):
     """Fill x, y and z."""
-    request = _request(work)
+    request = work.request
     for begin in range(np.int64(0), request.draws, TOGETHER):
         left, here = request.draws - begin, np.int64(0)
         draws = TOGETHER if left > TOGETHER else left
         _begin(work, _Now(begin, draws, np.int64(0)))
         for k in range(request.instants):
             now = _Now(begin, draws, k)
-            states = ahead(_states(work), here * request.states * TOGETHER)
-            _spread(work, now, states, _x(work), np.int64(0), request.states, request.states)
+            states = ahead(work.states, here * request.states * TOGETHER)
+            _spread(work, now, states, work.x, np.int64(0), request.states, request.states)
             _measure(work, now, states)
-            _evaluate(work, QUANTITY, k, states, _values(work), _noise(work))
+            _evaluate(work, QUANTITY, k, states, work.values, work.noise)
             count = request.quantities
-            _spread(work, now, _values(work), _z(work), np.int64(0), count, count)
+            _spread(work, now, work.values, work.z, np.int64(0), count, count)
             if k + 1 < request.instants:
                 here = 1 - here
                 _fill(work, now, PROCESS_NOISE, request.start + k, TRUTH_PROCESS)
-                following = ahead(_states(work), here * request.states * TOGETHER)
-                _evaluate(work, TRANSITION, k, states, following, _noise(work))
+                following = ahead(work.states, here * request.states * TOGETHER)
+                _evaluate(work, TRANSITION, k, states, following, work.noise)
 
 
 @compiled
 def _begin(work, now):
     """Fill the first half with the given states, or with x(0)."""
-    request = _request(work)
+    request = work.request
     if request.has_begun:
         for d in range(TOGETHER):
             row = now.begin + (d if d < now.draws else now.draws - 1)
             for c in range(request.states):
                 place = row * request.instants * request.states + c
-                _states(work)[c * TOGETHER + d] = _x(work)[place]
+                work.states[c * TOGETHER + d] = work.x[place]
     else:
         _fill(work, now, INITIAL_NOISE, np.int64(0), TRUTH_INITIAL)
-        _evaluate(work, INITIAL, np.int64(0), _states(work), _states(work), _noise(work))
+        _evaluate(work, INITIAL, np.int64(0), work.states, work.states, work.noise)
 
 
 @compiled
 def _measure(work, now, states):
-    request = _request(work)
+    request = work.request
     _fill(work, now, MEASUREMENT_NOISE, request.start + now.k, TRUTH_MEASUREMENT)
     for sensor in range(request.sensors):
-        noise = ahead(_noise(work), request.first_noises[sensor] * TOGETHER)
-        _evaluate(work, MEASUREMENT + sensor, now.k, states, _values(work), noise)
+        noise = ahead(work.noise, request.first_noises[sensor] * TOGETHER)
+        _evaluate(work, MEASUREMENT + sensor, now.k, states, work.values, noise)
         first = request.first_components[sensor]
         count = request.first_components[sensor + 1] - first
-        _spread(work, now, _values(work), _y(work), first, count, request.measurements)
+        _spread(work, now, work.values, work.y, first, count, request.measurements)
 
 
 @compiled
 def _fill(work, now, process, t, role):
     """A row of noise for each component of a process."""
-    request = _request(work)
+    request = work.request
     for c in range(request.components):
         kind = request.kinds[process * request.components + c]
         if kind >= 0:
             row = VariateRow(
-                _words(work), ahead(_noise(work), c * TOGETHER), 1, kind,
+                work.words, ahead(work.noise, c * TOGETHER), 1, kind,
                 Key(request.stream, t, role, c), request.first_draw + now.begin, now.draws,
             )  # fmt: skip
-            call(_fill_row(work), row)
+            call(work.fill, row)
 
 
 @compiled
 def _evaluate(work, block, k, states, values, noise):
     """Call a block for all draws that are simulated side by side."""
-    blocks, which = _blocks(work), block * _request(work).instants + k
+    blocks, which = work.blocks, block * work.request.instants + k
     call_block(
         blocks, which, (values, TOGETHER), (states, TOGETHER), (noise, TOGETHER),
         (states, 0, 0), (1, TOGETHER),
@@ -153,5 +150,5 @@ def _spread(work, now, values, result, first, count, components):
     """Copy rows of draws to some components of an array (draws, instants, components)."""
     for c in range(count):
         for d in range(now.draws):
-            place = ((now.begin + d) * _request(work).instants + now.k) * components + first + c
+            place = ((now.begin + d) * work.request.instants + now.k) * components + first + c
             result[place] = values[c * TOGETHER + d]
