@@ -76,23 +76,34 @@ def _count(answer: Backtest) -> int:
 
 
 def _headline(answer: Backtest) -> str:
-    gains = []
+    gains, same = [], []
     grids = [name for name in (FROM_START, CENTRED, EVEN) if name in answer.sets]
     for name in sorted(grids, key=lambda name: answer.promises[name].found):
         gain = answer.promises[name]
+        if _is_same(gain.found, gain.found_interval):
+            same.append(answer.sets[name])
+            continue
         ends = [each if math.isfinite(each) else None for each in gain.found_interval]
         change = change_of(gain.found, ends).replace("few draws", "few replicates")
         gains.append(f"{change} than with {answer.sets[name]}")
     ratio, (low, high) = answer.ratios[PLAN]
     value, lowest, highest = with_interval(ratio, low, high)
     interval = f" (95 % CI {lowest} to {highest})" if high < _MUCH else ""
-    return (
-        f"With the plan, the error is {', and '.join(gains)}. It is {value} times the error that "
-        f"the model foresees{interval}."
-    )
+    found = [f"The plan has the same times as {each}." for each in same]
+    found += [f"With the plan, the error is {', and '.join(gains)}."] if gains else []
+    subject = "It" if gains else "Its error"
+    ending = f"{subject} is {value} times the error that the model foresees{interval}."
+    return " ".join([*found, ending])
+
+
+def _is_same(gain: float, interval: tuple[float, float]) -> bool:
+    """Whether all errors are equal, as only those of the same times are."""
+    return gain == 0 and interval == (0, 0)
 
 
 def _gain(gain: float, interval: tuple[float, float]) -> Cell:
+    if _is_same(gain, interval):
+        return Cell("the same times", gain)
     if not all(map(math.isfinite, interval)):
         return Cell(f"{100 * gain:.2g} %", gain)
     value, low, high = with_interval(*(100 * each for each in (gain, *interval)))

@@ -371,3 +371,7 @@ def test_the_best_evenly_spaced_times_of_the_run_are_a_third_grid(tmp_path: Path
     real = again.means["real"]
     assert real["same"] == real["evenly_spaced"]
     assert "than with the best evenly spaced times" in str(found._page())
+    same = replace(found.promises["evenly_spaced"], found=0.0, found_interval=(0.0, 0.0))
+    text = str(replace(found, promises={**found.promises, "evenly_spaced": same})._page())
+    assert "The plan has the same times as the best evenly spaced times. With" in text
+    assert "(exact) than" not in text
