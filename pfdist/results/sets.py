@@ -98,15 +98,15 @@ def fault_of_summary(run: StoredRun) -> str:
     return "" if is_same else "says something else than the tables"
 
 
-def _agree(one: Any, other: Any) -> bool:
+def _agree(known: Any, computed: Any) -> bool:
     """Whether values differ by rounding alone: versions of a library add in other orders."""
-    if isinstance(one, float) and isinstance(other, float):
-        return math.isclose(one, other, rel_tol=1e-9)
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return _agree([*one.items()], [*other.items()])
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        return len(one) == len(other) and all(map(_agree, one, other))
-    return bool(one == other)
+    if isinstance(known, float) and isinstance(computed, float):
+        return math.isclose(known, computed, rel_tol=1e-9)
+    if isinstance(known, Mapping) and isinstance(computed, Mapping):
+        return _agree([*known.items()], [*computed.items()])
+    if isinstance(known, list | tuple) and isinstance(computed, list | tuple):
+        return len(known) == len(computed) and all(map(_agree, known, computed))
+    return bool(known == computed)
 
 
 def rows_of_sets(run: StoredRun) -> list[Row]:
