@@ -13,6 +13,7 @@ LIBRARIES = ("llvmlite", "numba", "ray")
 PUBLIC = {
     "llvmlite", "llvmlite.binding", "llvmlite.ir", "numba", "numba.core.cgutils", "numba.errors",
     "numba.config", "numba.extending", "numba.types",
+    "numba.core.typing.templates.AttributeTemplate",  # which `infer_getattr` demands
 }  # fmt: skip
 
 
