@@ -17,7 +17,6 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 from numpy.typing import NDArray
 
@@ -38,10 +37,15 @@ register_model(Place)(models.OpaqueModel)
 
 
 @infer_getattr
-class _Fields(AttributeTemplate):  # type: ignore[misc]
+class _Fields:
+    """The types of the fields, for Numba, which makes it with its context."""
+
     key = Place
 
-    def generic_resolve(self, place: Any, name: str) -> Any:
+    def __init__(self, context: Any) -> None:
+        pass
+
+    def resolve(self, place: Any, name: str) -> Any:
         return _field(place.kind, name)[1]
 
 
