@@ -17,6 +17,7 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 from numpy.typing import NDArray
 
@@ -37,15 +38,10 @@ register_model(Place)(models.OpaqueModel)
 
 
 @infer_getattr
-class _Fields:
-    """The types of the fields, for Numba, which makes it with its context."""
-
+class _Fields(AttributeTemplate):  # type: ignore[misc]
     key = Place
 
-    def __init__(self, context: Any) -> None:
-        pass
-
-    def resolve(self, place: Any, name: str) -> Any:
+    def generic_resolve(self, place: Any, name: str) -> Any:
         return _field(place.kind, name)[1]
 
 
