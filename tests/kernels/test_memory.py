@@ -55,20 +55,6 @@ def test_compiled_code_gets_all_fields_of_a_named_tuple() -> None:
     np.testing.assert_array_equal(out, [0.0, 0.5, 1.0, 8.0])
 
 
-@entry(Twice)
-def _write_by_place(twice):  # type: ignore[no-untyped-def]
-    outer = twice.outer
-    call(twice.write, outer)
-    outer.out[0] = outer.inner.scale * outer.count
-
-
-def test_the_fields_of_a_place_are_those_of_the_named_tuple() -> None:
-    values, out = np.arange(1, 4, dtype=np.float32), np.empty(4)
-    outer = Outer(3, Inner(0.5, True), np.uint64(2**63), values, out)
-    _write_by_place(Twice(outer, _write.address))
-    np.testing.assert_array_equal(out, [1.5, 1.0, 1.5, 8.0])
-
-
 def test_compiled_code_calls_another_function_by_its_address() -> None:
     values, out = np.arange(1, 4, dtype=np.float32), np.empty(4)
     outer = Outer(3, Inner(0.5, True), np.uint64(2**63), values, out)
