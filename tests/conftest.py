@@ -69,13 +69,18 @@ class AcrossProcesses:
         fcntl.flock(self._file, fcntl.LOCK_UN)
         self._lock.release()
 
+    def close(self) -> None:
+        self._file.close()
+
 
 @pytest.fixture(scope="session", autouse=True)
 def one_compiles(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Let one process compile a function that is not kept yet; the other loads it then."""
-    with pytest.MonkeyPatch.context() as patch:
+    with contextlib.ExitStack() as stack:
         if "PYTEST_XDIST_WORKER" in os.environ:
             lock = AcrossProcesses(tmp_path_factory.getbasetemp().parent / "compiling")
+            stack.callback(lock.close)
+            patch = stack.enter_context(pytest.MonkeyPatch.context())
             patch.setattr("pfdist.kernels.cached._ONE_AT_A_TIME", lock)
         yield
 
