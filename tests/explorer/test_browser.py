@@ -39,7 +39,7 @@ def open_page(browser: Any) -> Iterator[Open]:
         context = browser.new_context(
             viewport={"width": width, "height": 900}, color_scheme=scheme, **settings
         )
-        context.set_default_timeout(10_000)
+        context.set_default_timeout(30_000)
         contexts.append(context)
         own.append(address)
         page = context.new_page()
@@ -99,7 +99,7 @@ def shown(page: Any, term: str) -> str:
     return text
 
 
-def wait(page: Any, is_so: Callable[[], bool], seconds: float = 20.0) -> None:
+def wait(page: Any, is_so: Callable[[], bool], seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not is_so():
         assert time.monotonic() < end
