@@ -1,11 +1,11 @@
 """The opponent of a plan: the best evenly spaced set, and the best of all opponents.
 
 The first programme of the relaxation ranks all evenly spaced sets by the sums of their windows, for
-the work of some eighty evaluations. Its windows are short, so one from coarse to fine adds
-other sets; it is alone where no relaxation adds up the errors of instants. A race on fresh draws
-decides between the best of both. With exact errors there is no race. Particle-steps are limited to
-a twentieth of those of search, comparison and proof, at any horizon and number, unless that is
-less than seconds.
+the work of some eighty evaluations. Its windows are short, so an evaluation from coarse to fine
+adds other sets; it is alone where no relaxation adds up the errors of instants. A race on fresh
+draws decides between the best of both. With exact errors there is no race. The particle-steps of
+all this are at most a twentieth of those of search, comparison and proof, at any horizon and
+number; small jobs may take `_LEAST_STEPS`.
 """
 
 import math
@@ -244,7 +244,7 @@ def settings_of(built: Built) -> Settings:
 
 
 def most_steps(built: Built) -> float:
-    """The largest share of particle-steps of an answer beside the plan's."""
+    """The most particle-steps of one answer beside the plan: its share of all."""
     planned = sum(search_steps(built, search) for search in built.searches)
     proved = _PROVED if built.job.criterion.bound != "none" else 1
     return SHARE * proved * (planned + comparison_steps(built))
@@ -258,9 +258,8 @@ def opponent_steps(built: Built) -> float:
 def _most(built: Built) -> float:
     """The most particle-steps of all opponents.
 
-    Small jobs may take more than the share, unless the simulator is the user's own and may be slow:
-    with 4,000 draws in the comparison, the opponent would be 3 % worse for some models of the
-    gallery.
+    The share of a small job is too little: with 4,000 draws in the comparison, the opponent had 3 %
+    more error for some models of the gallery. A batched model may be slow, and keeps to the share.
     """
     is_slow = isinstance(built.evaluator.model, BatchedModel)
     return max(most_steps(built), 0.0 if is_slow else _LEAST_STEPS)
