@@ -17,6 +17,7 @@ import numpy as np
 
 from pfdist.common.measurement_times import Times, random, random_below, regular
 from pfdist.errors import MeasurementTimesError
+from pfdist.kernels.left import Left, StepLimits
 from pfdist.problem.affordable import Affordable, Completions, nearest
 from pfdist.problem.constraints import Constraints, Limit, check_constraints
 from pfdist.problem.spacing import Spacing
@@ -266,6 +267,107 @@ class Feasible(Constraints):
                 return chosen
         return None
 
+    @cached_property
+    def step_limits(self) -> StepLimits:
+        """The constraints in the order of time."""
+        points, spacing, visits, ways = self.points, self.spacing, self.visits, self.points.ways
+        firsts, most, apart = range(0, self.possible, ways), list[int](), list[Times]()
+        for limit in self.limits:
+            most.append(self.possible if limit.most is None else limit.most)
+            apart.append(limit.spacing.successors if limit.spacing else (0,) * len(firsts))
+        install = {way: float(price) for price, of in self.installs for way in of}
+        group = {w: k for k, of in enumerate(self.groups, 1) for w in chain.from_iterable(of)}
+        return StepLimits(
+            () if spacing.is_free else tuple(points.instant(spacing.after(t)) for t in firsts),
+            tuple(map(float, self.price or (1,) * self.possible)),
+            points.delays,
+            self.required,
+            tuple(most) if {*most} - {self.possible} else (),
+            tuple(apart) if any(limit.spacing for limit in self.limits) else (),
+            points.repeats,
+            tuple(group.get(way, 0) for way in range(ways)) if group else (),
+            tuple(install.get(way, 0.0) for way in range(ways)) if install else (),
+            *(() if visits is None else (
+                visits.ends, float(visits.price),
+                self.possible if visits.most is None else visits.most, visits.open_until,
+            )),
+        )  # fmt: skip
+
+    @property
+    def budget(self) -> float:
+        """The largest number of measurements, or the money."""
+        return float(self.measurement_budget or self.total_price or 0)
+
+    def left(self, limit: float | None = None, draws: int = 1) -> Left:
+        """What may still be measured of some draws; `limit` is that of `Left`, else the budget."""
+        most = self.budget if limit is None else limit
+        given = self.step_limits, self.points.ways, self.allowed, self.horizon + 1
+        return Left(*given, most, draws)
+
+    def left_after(self, taken: Times, first: int, in_flight: Times = ()) -> Left:
+        """What may still be measured from an instant on, after some measurements."""
+        left = self.left()
+        left.take(taken)
+        left.wait(self.horizon + 1)
+        left.wait(first)
+        left.take(in_flight)
+        return left
+
+    def rest(self, taken: Times, first: int, in_flight: Times = ()) -> "Feasible | None":
+        """The feasible sets of what is left after the measurements that were taken.
+
+        `taken` is sorted, and need not be the start of a feasible set. `first` is the first instant
+        that may still be measured, and the times of the result count from it. The result is None if
+        no measurement is left or fits. If fewer fit than are left, the sets have as many as fit. A
+        required time that can no longer be measured is left out. Measurements in flight were made,
+        and their values arrive from `first` on: all sets contain them.
+
+        >>> rest = Feasible(horizon=9, measurement_budget=3, minimum_spacing=3).rest((4,), 5)
+        >>> rest.allowed, rest.total  # 7, 8 and 9 may be measured, and no two of them
+        ((2, 3, 4), 1)
+        """
+        if first > self.horizon or not (first or taken or in_flight):
+            return None if first else self
+        points, start, limits = self.points, self.points.first(first), list[Limit]()
+        left = self.left_after(taken, first, in_flight)
+        required = {*in_flight, *left.required()}
+        usable = {
+            time for time in range(start, self.possible) if time in required or left.may(time)
+        }
+        if not usable:
+            return None
+        for sensor, limit in enumerate(self.limits):
+            spacing = limit.spacing
+            if spacing is not None:
+                spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
+            own = len(points.of_way(sensor, taken))
+            limits.append(Limit(None if limit.most is None else max(0, limit.most - own), spacing))
+        make = partial(
+            replace,
+            self,
+            horizon=self.horizon - first,
+            forbidden=tuple({*range(self.possible - start)} - {time - start for time in usable}),
+            required=tuple(sorted(time - start for time in required)),
+            points=points.since(first),
+            limits=tuple(limits),
+            visits=self.visits and self.visits.since(start, taken),
+            installs=tuple(
+                (price, ways)
+                for price, ways in self.installs
+                if not any(points.way(time) in ways for time in taken)
+            ),
+        )
+        if self.price is not None and self.total_price is not None:
+            money = max(self.total_price, self.price_of((*taken, *in_flight)))
+            money -= self.price_of(taken)
+            return make(price=self.price[start:], total_price=money)
+        number = max(len(in_flight), self.total - len(taken))
+        if self.smaller:
+            number = min(number, len(usable))
+        else:
+            number = min(number, make(measurement_budget=len(required)).capacity(()))
+        return make(measurement_budget=number) if number else None
+
     def _may_follow(self, times: Times, t: int) -> bool:
         """Whether a possible measurement may follow a prefix within the limits of sensors."""
         last, longer = times[-1] if times else -1, (*times, t)
@@ -421,84 +523,3 @@ class Feasible(Constraints):
         while leaving and not self.allows({*others, new}):
             others = others - {leaving.pop()}
         return self.completed({*others, new}) if self.allows({*others, new}) else None
-
-
-def rest_of(feasible: Feasible, taken: Times, first: int, in_flight: Times = ()) -> Feasible | None:
-    """The feasible sets of what is left after the measurements that were taken.
-
-    `taken` is sorted, and need not be the start of a feasible set. `first` is the first instant
-    that may still be measured, and the times of the result count from it. The result is None if no
-    measurement is left or fits. If fewer fit than are left, the sets have as many as fit. A
-    required time that can no longer be measured is left out. Measurements in flight were made, and
-    their values arrive from `first` on: all sets contain them.
-
-    >>> rest = rest_of(Feasible(horizon=9, measurement_budget=3, minimum_spacing=3), (4,), 5)
-    >>> rest.allowed, rest.total  # 7, 8 and 9 may be measured, and no two of them
-    ((2, 3, 4), 1)
-    """
-    if first > feasible.horizon:
-        return None
-    points, start = feasible.points, feasible.points.first(first)
-    left = range(start, feasible.possible)
-    barred, limits = _barred(feasible, taken, first), list[Limit]()
-    barred -= {*in_flight}
-    if barred.issuperset(left):
-        return None
-    for sensor, limit in enumerate(feasible.limits):
-        own, spacing = points.of_way(sensor, taken), limit.spacing
-        if spacing is not None:
-            spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
-        most = None if limit.most is None else max(0, limit.most - len(own))
-        limits.append(Limit(most, spacing))
-    required = [*in_flight]
-    for time in sorted({*feasible.required} - {*in_flight}):
-        is_left = time in left and time not in barred
-        if is_left and feasible.is_within_limits((*taken, *required, time)):
-            required.append(time)
-    make = partial(
-        replace,
-        feasible,
-        horizon=feasible.horizon - first,
-        forbidden=tuple(time - start for time in left if time in barred),
-        points=points.since(first),
-        limits=tuple(limits),
-        visits=feasible.visits and feasible.visits.since(start, taken),
-        installs=tuple(
-            (price, ways)
-            for price, ways in feasible.installs
-            if not any(points.way(time) in ways for time in taken)
-        ),
-    )
-    if feasible.price is not None and feasible.total_price is not None:
-        spent, price = feasible.price_of(taken), feasible.price[start:]
-        money = max(feasible.total_price, feasible.price_of((*taken, *in_flight))) - spent
-        paid = feasible.price_of((*taken, *required)) <= spent + money
-        required = required if paid else [*in_flight]
-        if min(feasible.price_of((*taken, t)) for t in left if t not in barred) > spent + money:
-            return None
-        times = tuple(sorted(time - start for time in required))
-        return make(required=times, price=price, total_price=money)
-    number = max(len(in_flight), feasible.total - len(taken))
-    times = tuple(sorted(time - start for time in required[:number]))
-    if feasible.smaller:
-        number = min(number, len({*left} - barred))
-        return make(required=times, measurement_budget=number) if number else None
-    capacity = make(required=times, measurement_budget=len(times)).capacity(())
-    number = min(number, capacity)
-    return make(required=times, measurement_budget=number) if number else None
-
-
-def _barred(feasible: Feasible, taken: Times, first: int) -> set[int]:
-    """The times that can no longer be measured, from the instant `first` on."""
-    points, start = feasible.points, feasible.points.first(first)
-    left = range(start, feasible.possible)
-    barred = feasible.spacing.near(taken).union(feasible.forbidden)
-    barred |= {time for time in left if points.made_at(time) < first}
-    for sensor, limit in enumerate(feasible.limits):
-        if limit.spacing is not None:
-            near = limit.spacing.near(points.of_way(sensor, taken))
-            barred |= {points.alike(sensor)[t] for t in near}
-    visits = feasible.visits and feasible.visits.since(start, taken)
-    if visits and visits.most == 0:
-        barred |= {*range(start + visits.open_until, feasible.possible)}
-    return barred

@@ -12,7 +12,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.one_filter import OneFilter, filter_of_truths, with_truths
 from pfdist.filters.work import FilterWork, Result
 from pfdist.models import StateSpaceModel
-from pfdist.problem.feasible import Feasible, rest_of
+from pfdist.problem.feasible import Feasible
 from pfdist.runner.planning import Now, Planning, Replanner
 
 # A step of a plan takes longer than a step of the comparison: measurements are near each other,
@@ -106,7 +106,7 @@ def _steps(feasible: Feasible, planning: Planning) -> int:
     planning.optimiser(feasible)  # checks that the method can search; any rest has fewer sets
     times, steps = feasible.regular(), 0.0
     for number in range(1, len(times)):
-        rest = rest_of(feasible, times[:number], feasible.points.instant(times[number - 1]) + 1)
+        rest = feasible.rest(times[:number], feasible.points.instant(times[number - 1]) + 1)
         if rest is not None:
             sets = planning.optimiser(rest).evaluations * planning.draws
             steps += (rest.horizon + 1) * (sets + 2 * planning.judging_draws)

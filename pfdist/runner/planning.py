@@ -20,7 +20,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.variates import generator
-from pfdist.problem.feasible import Feasible, rest_of
+from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
 from pfdist.problem.search_section import SearchSection
 from pfdist.search.base import Candidate, Optimiser
@@ -122,7 +122,7 @@ class Replanner:
         ModelError
             A formula failed.
         """
-        rest = rest_of(self.feasible, taken, now.first, in_flight)
+        rest = self.feasible.rest(taken, now.first, in_flight)
         if rest is None:
             return ()
         stream = stream_key(self.stream, draw, now.first, len(taken))

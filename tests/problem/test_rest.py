@@ -7,7 +7,7 @@ import pytest
 from oracles.every_set import every_set
 from pfdist.common.measurement_times import Times
 from pfdist.problem.clock import Clock
-from pfdist.problem.feasible import Feasible, rest_of
+from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 
 PROBLEMS: list[dict[str, Any]] = [
@@ -34,7 +34,7 @@ def test_the_rest_completes_what_was_taken(problem: dict[str, Any]) -> None:
     feasible, sets, checked = Feasible(**problem), every_set(**problem), 0
     beginnings = {(times[:k], times[k - 1] + 1) for times in sets for k in (1, 2)}
     for taken, first in sorted(beginnings):
-        rest, wanted = rest_of(feasible, taken, first), completions(sets, taken, first)
+        rest, wanted = feasible.rest(taken, first), completions(sets, taken, first)
         found = {tuple(first + time for time in times) for times in rest.every()} if rest else {()}
         if feasible.counted:
             assert found == wanted
@@ -58,14 +58,14 @@ def test_the_rest_contains_the_values_in_flight(first: int) -> None:
         parts.setdefault((taken, in_flight), set()).add(left)
     assert {len(in_flight) for _, in_flight in parts} == {0, 1, 2}
     for (taken, in_flight), wanted in parts.items():
-        rest, skipped = rest_of(feasible, taken, first, in_flight), points.first(first)
+        rest, skipped = feasible.rest(taken, first, in_flight), points.first(first)
         assert rest is not None
         assert {tuple(skipped + time for time in times) for times in rest.every()} == wanted
 
 
 def test_at_the_start_everything_is_left() -> None:
     feasible = Feasible(9, 3, forbidden=(2,), required=(5,), minimum_spacing=2)
-    assert rest_of(feasible, (), 0) == feasible
+    assert feasible.rest((), 0) == feasible
 
 
 @pytest.mark.parametrize(
@@ -80,27 +80,27 @@ def test_at_the_start_everything_is_left() -> None:
 def test_measurements_that_no_longer_fit_are_given_up(
     taken: Times, first: int, budget: int | None, allowed: Times | None
 ) -> None:
-    rest = rest_of(Feasible(9, 3, minimum_spacing=2), taken, first)
+    rest = Feasible(9, 3, minimum_spacing=2).rest(taken, first)
     assert (rest and rest.measurement_budget, rest and rest.allowed) == (budget, allowed)
 
 
 def test_a_required_time_that_was_missed_is_left_out() -> None:
-    rest = rest_of(Feasible(9, 3, required=(2, 8)), (0,), 4)
+    rest = Feasible(9, 3, required=(2, 8)).rest((0,), 4)
     assert rest is not None
     assert (rest.required, rest.total) == ((4,), 2)
 
 
 def test_without_money_nothing_is_left() -> None:
     feasible = Feasible(3, price=(2, 2, 3, 3), total_price=5)
-    assert rest_of(feasible, (0, 2), 3) is None
-    rest = rest_of(feasible, (0,), 1)
+    assert feasible.rest((0, 2), 3) is None
+    rest = feasible.rest((0,), 1)
     assert rest is not None
     assert set(rest.every()) == {(0,), (1,), (2,)}
 
 
 def test_where_smaller_sets_are_feasible_nothing_more_needs_to_be_measured() -> None:
     feasible = Feasible(3, price=(2, 2, 3, 3), total_price=5, smaller=True)
-    assert rest_of(feasible, (), 0) == feasible
-    rest = rest_of(feasible, (0,), 1)
+    assert feasible.rest((), 0) == feasible
+    rest = feasible.rest((0,), 1)
     assert rest is not None
     assert set(rest.every()) == {(), (0,), (1,), (2,)}

@@ -24,7 +24,7 @@ from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.clock import Clock
 from pfdist.problem.even_sets import EvenSets
-from pfdist.problem.feasible import Feasible, rest_of
+from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.search import Exchange, Optimiser, StateSpaceRelaxation
 from pfdist.search.first_windows import relaxation_with
@@ -313,7 +313,7 @@ def test_the_rest_are_the_sets_that_begin_with_what_was_measured(kind: str) -> N
     keys, is_feasible = KINDS[kind]
     feasible, every = _feasible(keys), _every(HORIZON + 1, is_feasible)
     for taken, first in (((), 2), ((2,), 3), ((1, 4), 5), ((4, 5), 6), ((1,), 7)):
-        rest = rest_of(feasible, taken, first)
+        rest = feasible.rest(taken, first)
         left = [times for times in every if times[: len(taken)] == taken]
         wanted = sorted({t[len(taken) :] for t in left if all(x >= first for x in t[len(taken) :])})
         if rest is None:
@@ -325,7 +325,7 @@ def test_the_rest_are_the_sets_that_begin_with_what_was_measured(kind: str) -> N
 def test_at_the_end_fewer_measurements_fit_than_are_left() -> None:
     feasible = _feasible({"measurement_budget": 4, "visits": {"most": 2, "within": 3}})
     for first in range(1, HORIZON + 1):
-        rest = rest_of(feasible, (0,), first)
+        rest = feasible.rest((0,), first)
         assert rest is not None
         assert rest.total == min(3, HORIZON + 1 - first)
 
@@ -333,7 +333,7 @@ def test_at_the_end_fewer_measurements_fit_than_are_left() -> None:
 def test_required_times_that_no_visit_is_left_for_are_left_out() -> None:
     visits = {"most": 2, "within": 2}
     feasible = _feasible({"measurement_budget": 4, "required": [5, 9], "visits": visits})
-    rest = rest_of(feasible, (0,), 1)
+    rest = feasible.rest((0,), 1)
     assert rest is not None
     assert rest.required == (4,)
 
@@ -342,10 +342,10 @@ def test_required_times_that_no_visit_is_left_for_are_left_out() -> None:
 def test_what_is_left_of_what_is_left(taken: Times) -> None:
     """A visit that has begun goes on, however often the rest is taken."""
     feasible = _feasible({"measurement_budget": 5, "visits": {"most": 2, "within": 4}})
-    once, (first, *later), stop = rest_of(feasible, taken, taken[-1] + 1), taken, taken[-1] + 1
-    rest = rest_of(feasible, (first,), first + 1)
+    once, (first, *later), stop = feasible.rest(taken, taken[-1] + 1), taken, taken[-1] + 1
+    rest = feasible.rest((first,), first + 1)
     assert rest is not None
-    twice = rest_of(rest, tuple(t - first - 1 for t in later), stop - first - 1)
+    twice = rest.rest(tuple(t - first - 1 for t in later), stop - first - 1)
     assert once is not None
     assert twice is not None
     assert [*once.every()] == [*twice.every()]
