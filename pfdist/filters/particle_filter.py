@@ -129,16 +129,16 @@ def _filter(
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
     rule, sensors = settings.rule or Rule(()), len(model.parts)
-    prices, apart, flipped = np.empty(0), np.empty(0, np.int64), -1
-    thresholds, turns = np.empty((0, 0)), np.empty((0, 0), np.int64)
+    thresholds, turns, flipped = np.empty((0, 0)), np.empty((0, 0), np.int64), -1
+    follows = settings.follows.arrays(sensors, draws.instants)
     if settings.rule is not None:  # the filter fills the set of each draw itself
         own = np.unpackbits(planned.measured[0], axis=1, count=sensors, bitorder="little")
-        paid = np.reshape(settings.prices, (-1, sensors))[draws.start :] if settings.prices else 1.0
-        prices = own * paid
+        follows = follows._replace(prices=follows.prices * own.ravel())
         points = np.arange(draws.start * sensors, (draws.start + len(own)) * sensors)
         thresholds = np.reshape(rule.thresholds_of(points), own.shape)
-        turns = np.argsort(-thresholds, axis=1, kind="stable")
-        apart = np.array(settings.apart[draws.start :] or draws.instants) - draws.start
+        arrives = np.arange(len(own))[:, None] + follows.delays
+        of_instant = np.pad(thresholds, ((0, follows.longest_delay), (0, 0)))
+        turns = np.argsort(-of_instant[arrives, range(sensors)], axis=1, kind="stable")
         planned = planned._replace(measured=np.zeros_like(planned.measured))
         shape = len(draws.index), *planned.measured.shape[1:]
         others["measured"] = np.zeros(shape, np.uint8)
@@ -196,8 +196,7 @@ def _filter(
         thresholds=thresholds,
         turns=turns,
         flipped=flipped,
-        prices=prices,
-        apart=apart,
+        follows=follows,
     )
     filter_all(blocks, request, planned, results, scheme.name)
     callbacks.raise_callback_error()

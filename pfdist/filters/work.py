@@ -21,6 +21,7 @@ from pfdist.kernels.estimators import (
     INFORMATION,
     SQUARED_ERROR,
 )
+from pfdist.kernels.left import UNLIMITED, StepLimits
 from pfdist.kernels.prefixes import plan_prefixes
 from pfdist.kernels.rules import Rule
 from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
@@ -53,10 +54,7 @@ class Estimation:
     lag: Lag = 0
     rule: Rule | None = None  # decides at which of the given times each draw is measured
     flipped: int | None = None  # a point at which the rule decides the opposite
-    # (T+1,): after a measurement at each instant, the first that a rule may measure; the same one
-    # if several sensors may measure at an instant
-    apart: Times = ()
-    prices: tuple[float, ...] = ()  # of each point, for a rule; by default 1
+    follows: StepLimits = UNLIMITED  # what a rule may measure after other measurements
 
     @property
     def carries(self) -> bool:
@@ -70,9 +68,9 @@ class Estimation:
         del recorded["prior"], recorded["lag"]
         if not self.carries:
             del recorded["threshold"]
-        for name in ("rule", "apart", "prices"):
-            if not recorded[name]:
-                del recorded[name]
+        if self.rule is None:
+            del recorded["rule"]
+        recorded |= recorded.pop("follows").recorded
         if self.proposal == PLAIN:
             del recorded["proposal"]
         if self.flipped is None:

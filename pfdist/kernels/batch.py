@@ -14,6 +14,7 @@ from pfdist.kernels.ancestors import Resampling, sum_of_first, sum_of_squares, w
 from pfdist.kernels.blocks import Blocks, call_block
 from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
+from pfdist.kernels.left import StepArrays
 from pfdist.kernels.memory import ahead, call
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.variates import Key, VariateRow
@@ -102,11 +103,7 @@ class FilterRequest(NamedTuple):
     # (T+1, sensors): the sensors, from the highest threshold at an instant to the lowest
     turns: NDArray[np.int64]
     flipped: int  # the point at which the rule decides the opposite; -1: none
-    # (T+1, sensors): prices, 0 where the rule may not measure; empty without a rule
-    prices: NDArray[np.float64]
-    # (T+1,): the first instant that may be measured after a measurement at each; the same one if
-    # several sensors may measure at an instant
-    apart: NDArray[np.int64]
+    follows: StepArrays
 
 
 INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
@@ -205,8 +202,8 @@ class CloudBatch(NamedTuple):
     weighs: NDArray[np.uint8]  # whether the last measurement of the instant gave the weights
     resamples: NDArray[np.uint8]
     degenerate: NDArray[np.uint8]
-    spent: NDArray[np.float64]  # by the rule: the sum of prices,
-    following: NDArray[np.int64]  # and the first instant that it may measure
+    left: NDArray[np.float64]  # (draws, n): with a rule, records, see `pfdist.kernels.filter`
+    trial: NDArray[np.float64]  # (n,): another one
     first_means: NDArray[np.float64]  # (U, T+1, q, row) of two filters; else empty
 
 

@@ -61,9 +61,9 @@ from pfdist.kernels.batch import (
 )
 from pfdist.kernels.blocks import Compiled, call_block
 from pfdist.kernels.cached import Entry, compiled, entry
+from pfdist.kernels.left import ROUNDING
 from pfdist.kernels.memory import ahead, call, read, zeros
 from pfdist.kernels.prefixes import Plan
-from pfdist.kernels.rules import ROUNDING
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, number_of_words
 from pfdist.kernels.vectors import LANES
 
@@ -284,10 +284,8 @@ def _decide(instant):
         some[place] = 0
     has_variance = False
     for d in range(at.draws):
-        if t == 0:
-            batch.spent[d], batch.following[d] = 0.0, 0
-        left = request.limit - batch.spent[d] if request.limit > 0.0 else np.inf
-        if not left > 0.0 or t < batch.following[d]:
+        left = _with_arrived(at, t, d)
+        if not left > 0.0:
             continue
         total = 0.0
         if request.is_state and batch.weighted[d] == 0:  # the same, in one pass
@@ -302,35 +300,121 @@ def _decide(instant):
             has_variance = True
             for c in range(request.quantities):
                 total += variance[c * row + d]
-        _choose(at, t, d, np.sqrt(total), left)
+        _choose(at, t, d, np.sqrt(total))
+    for d in range(at.draws):
         own = ahead(at.work.results.measured, _set_of(at, t, d))
         for place in range(width):
             some[place] |= own[place]
 
 
 @compiled
-def _choose(at, t, d, deviation, left):
+def _choose(at, t, d, deviation):
     """Choose the sensors of a draw, from the highest threshold to the lowest."""
     request, batch = at.work.request, at.work.batch
-    own = ahead(at.work.results.measured, _set_of(at, t, d))
-    factor = 1.0
+    follows, factor = request.follows, 1.0
     if request.limit > 0.0:
-        factor = ((request.instants - t) / left) ** request.exponent
+        spent = batch.left[d * (4 + 2 * request.sensors)]
+        if follows.longest_delay > 0:
+            _may_follow(at, t, d, -1, False)
+            spent = batch.trial[0]
+        factor = ((request.instants - t) / (request.limit - spent)) ** request.exponent
     for turn in range(request.sensors):
         sensor = request.turns[t * request.sensors + turn]
-        point = t * request.sensors + sensor
-        price = request.prices[point]
-        if not 0.0 < price <= left + ROUNDING * request.limit or t < batch.following[d]:
+        arrives = t + follows.delays[sensor]
+        point = arrives * request.sensors + sensor
+        if arrives >= request.instants or not follows.prices[point] > 0.0:
             continue
-        exceeds = deviation > request.thresholds[point] * factor
-        if point == request.flipped:
-            exceeds = not exceeds
+        exceeds = deviation > request.thresholds[point] * factor or follows.required[point] != 0
+        is_flipped = point == request.flipped
+        if not (exceeds or is_flipped) or not _may_follow(at, t, d, point, True):
+            continue
+        if is_flipped:
             at.work.results.deviation[at.first + d] = deviation / factor
-        if exceeds:
+        if exceeds != is_flipped:
+            own = ahead(at.work.results.measured, _set_of(at, arrives, d))
             own[sensor // 8] |= 1 << sensor % 8
-            batch.spent[d] += price
-            left -= price
-            batch.following[d] = request.apart[t]
+
+
+# What may follow what a draw has measured; `pfdist.kernels.left.Left` is the twin. A record has
+# what is spent, the first instant that may be measured, the first point after the last visit, and
+# the number of visits; then, for each sensor, the number of measurements and the last instant.
+
+
+@compiled
+def _with_arrived(at, t, d):
+    """Bring the record of a draw to an instant; what is left to spend, 0 if nothing may follow."""
+    request, batch = at.work.request, at.work.batch
+    record = ahead(batch.left, d * (4 + 2 * request.sensors))
+    if t == 0:
+        for place in range(4 + request.sensors):
+            record[place] = 0.0
+        for sensor in range(request.sensors):
+            record[4 + request.sensors + sensor] = -1.0
+    else:
+        for sensor in range(request.sensors):
+            if _has(at, t - 1, d, sensor):
+                _add(at, record, t - 1, sensor)
+    if t + request.follows.longest_delay < record[1]:
+        return 0.0
+    return request.limit - record[0] if request.limit > 0.0 else np.inf
+
+
+@compiled
+def _may_follow(at, t, d, added, requires):
+    """Whether a point may be added to what a draw has measured, with the required ones or not.
+
+    The trial record then has all that was measured, so that it tells what is spent.
+    """
+    request, batch = at.work.request, at.work.batch
+    follows, count = request.follows, 4 + 2 * request.sensors
+    copy_numbers(ahead(batch.left, d * count), batch.trial, count)
+    last = max(t + follows.longest_delay, follows.last_required if requires else t)
+    for at_instant in range(t, min(last + 1, request.instants)):
+        for sensor in range(request.sensors):
+            point = at_instant * request.sensors + sensor
+            is_wanted = point == added or (requires and follows.required[point] != 0)
+            is_wanted |= _has(at, at_instant, d, sensor)
+            if is_wanted and not _add(at, batch.trial, at_instant, sensor):
+                return False
+    return True
+
+
+@compiled
+def _add(at, record, t, sensor):
+    """Add a measurement, the latest so far, to a record; whether it breaks no constraint."""
+    request = at.work.request
+    follows, sensors = request.follows, request.sensors
+    point, number, latest = t * sensors + sensor, ahead(record, 4), ahead(record, 4 + sensors)
+    fits = t >= record[1] and number[sensor] < follows.most[sensor]
+    if latest[sensor] >= 0.0:
+        fits &= t >= follows.own_apart[sensor * request.instants + np.int64(latest[sensor])]
+    price, before, group = follows.prices[point], 0.0, follows.group[sensor]
+    for way in range(sensors):
+        if follows.alike[way] == follows.alike[sensor]:
+            before += number[way]
+        elif group > 0 and follows.group[way] == group:
+            fits &= latest[way] != t
+    if before == 0.0:
+        price += follows.install[sensor]
+    if point >= record[2]:
+        fits &= record[3] < follows.most_visits
+        price += follows.visit_price
+        record[2] = follows.visit_ends[point]
+        record[3] += 1.0
+    if request.limit > 0.0:
+        fits &= price <= request.limit - record[0] + ROUNDING * request.limit
+    record[0] += price
+    record[1] = follows.apart[t]
+    number[sensor] += 1.0
+    latest[sensor] = t
+    return fits
+
+
+@compiled
+def _has(at, t, d, sensor):
+    """Whether a sensor measures a draw, so that its value arrives at an instant."""
+    own = ahead(at.work.results.measured, _set_of(at, t, d))
+    return ((own[sensor // 8] >> sensor % 8) & 1) != 0
 
 
 @compiled
@@ -660,7 +744,7 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    if request.prices.size and (request.sensors > 1 or request.rows.size or request.lag):
+    if request.thresholds.size and (request.sensors > 1 or request.rows.size or request.lag):
         draws = 1  # by a rule, each draw has a separate set
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
@@ -692,7 +776,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         save=address(_save, saves),
         move=address(_move),
         put_truth=address(_put_truth, request.holds_truth),
-        decide=address(_decide, request.prices.size > 0),
+        decide=address(_decide, request.thresholds.size > 0),
         forget=address(_forget),
         weigh=address(_weigh),
         leave_out=address(guided.leave_out, draws_again),
@@ -726,7 +810,7 @@ def _arrays(
     sets = request.sets if request.filters > 1 else 0
     steps, most = 0, int(request.rows.max(initial=0))
     if request.rows.size:
-        by_rule = request.prices.size > 0  # which may leave any gap
+        by_rule = request.thresholds.size > 0  # which may leave any gap
         steps = (request.instants if by_rule else guided.longest_gap(plan)) + 1
     memory, arrays = zeros(
         CloudBatch,
@@ -752,8 +836,8 @@ def _arrays(
         weighs=row,
         resamples=row,
         degenerate=row,
-        spent=row,
-        following=row,
+        left=draws * (4 + 2 * request.sensors),
+        trial=4 + 2 * request.sensors,
         first_means=sets * request.instants * quantities * row,
     )
     kept, places = zeros(

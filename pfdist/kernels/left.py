@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.points import PointNumbers
@@ -42,6 +42,63 @@ class StepLimits(NamedTuple):
         """The fields that are not empty."""
         return {name: value for name, value in self._asdict().items() if value}
 
+    def arrays(self, sensors: int, instants: range) -> "StepArrays":
+        """The constraints as arrays, with instants and points counted from the first instant."""
+        points = PointNumbers(sensors)
+        start, first, possible = (
+            instants.start,
+            points.first(instants.start),
+            points.first(instants.stop),
+        )
+
+        def filled(values: Any, default: Any, of: slice = slice(None), before: int = 0) -> Any:
+            return np.ascontiguousarray((np.array(values) if values else default)[..., of] - before)
+
+        here, every = slice(start, None), np.arange(sensors)
+        required = np.isin(range(first, possible), self.required)
+        return StepArrays(
+            apart=filled(self.apart, np.arange(instants.stop), here, start),
+            prices=filled(self.prices, np.ones(possible), slice(first, None)),
+            delays=filled(self.delays, 0 * every),
+            longest_delay=max(self.delays, default=0),
+            required=required.astype(np.uint8),
+            last_required=points.instant(max(self.required, default=-1)) - start,
+            most=filled(self.most, possible + 0 * every),
+            own_apart=filled(
+                self.own_apart, np.zeros((sensors, instants.stop), np.int64), here, start
+            ),
+            alike=filled(self.alike, every),
+            group=filled(self.group, 0 * every),
+            install=filled(self.install, np.zeros(sensors)),
+            visit_ends=filled(
+                self.visit_ends, np.zeros(possible, np.int64), slice(first, None), first
+            ),
+            visit_price=self.visit_price,
+            most_visits=self.most_visits if self.visit_ends else possible + 1,
+        )
+
+
+UNLIMITED = StepLimits()
+
+
+class StepArrays(NamedTuple):
+    """The fields of `StepLimits` for compiled functions."""
+
+    apart: NDArray[np.int64]
+    prices: NDArray[np.float64]  # 0 where nothing may be measured
+    delays: NDArray[np.int64]
+    longest_delay: int
+    required: NDArray[np.uint8]  # (points,): whether each point is
+    last_required: int  # instant; below 0: none
+    most: NDArray[np.int64]
+    own_apart: NDArray[np.int64]
+    alike: NDArray[np.int64]
+    group: NDArray[np.int64]
+    install: NDArray[np.float64]
+    visit_ends: NDArray[np.int64]
+    visit_price: float
+    most_visits: int
+
 
 class Left:
     """What may still be measured of each of D draws, which differ in what was measured.
@@ -73,23 +130,14 @@ class Left:
         limit: float = 0.0,
         draws: int = 1,
     ) -> None:
-        self._points, self._limit = PointNumbers(ways), limit
-        possible = self._points.first(instants)
-        self._allowed = np.isin(range(possible), [*allowed])
-        own = limits.own_apart or np.zeros((ways, instants), np.int64)
-        self._own_apart = np.pad(own, ((0, 0), (0, 1)))  # at index -1: nothing was measured
-        every = np.arange(ways)
-        alike, group = np.array(limits.alike or every), np.array(limits.group or 0 * every)
-        self._alike = alike[:, None] == alike
-        self._excludes = (group[:, None] == group) & (group > 0) & ~self._alike
-        self._prices = np.array(limits.prices or np.ones(possible))
-        self._delays = np.array(limits.delays or 0 * every)
-        self._limits, self.now = limits, 0
+        self._points, self._limit, self.instants = PointNumbers(ways), limit, instants
+        self._allowed, self._arrays = {*allowed}, limits.arrays(ways, range(instants))
+        self._required, self.now = {*limits.required}, 0
         sizes = [("spent", np.float64), *((n, np.int64) for n in ("following", "open", "visits"))]
         state: Any = [*sizes, ("number", np.int64, ways), ("last", np.int64, ways)]
         self._state = np.zeros(draws, state)  # after the measurements before `now`
         self._state["last"], self._state["open"] = -1, limits.open_until
-        self._waiting = np.zeros((draws, possible), np.bool_)  # was measured, not in the state
+        self._waiting = np.zeros((draws, self._points.first(instants)), np.bool_)  # in flight
 
     @property
     def spent(self) -> NDArray[np.float64]:
@@ -106,9 +154,26 @@ class Left:
             return np.zeros(len(self._state), np.bool_)
         return ~self._waiting[:, point] & (self._broken(point) <= self._broken())
 
-    def take(self, points: int | Sequence[int], draws: ArrayLike = True) -> None:
+    def may_all(self, points: Iterable[int]) -> bool:
+        """Whether all draws may be measured at some points, which they take one after another."""
+        for point in points:
+            if not self.may(point).all():
+                return False
+            self.take(point)
+        return True
+
+    def take(self, points: int | Sequence[int], draws: Flags | bool = True) -> None:
         """Measure draws at points. They are in flight until time has passed these."""
         self._waiting.T[np.array(points, np.int64)] |= draws
+
+    def made_at(self, instant: int) -> list[int]:
+        """The points that are measured at an instant: their values may arrive later."""
+        arrives = enumerate((instant + self._arrays.delays).tolist())
+        return [self._points.first(t) + way for way, t in arrives if t < self.instants]
+
+    def requires(self, point: int) -> bool:
+        """Whether a point is always measured."""
+        return point in self._required
 
     def wait(self, instant: int) -> None:
         """Let time pass, so that this instant is the first that may be measured."""
@@ -120,9 +185,7 @@ class Left:
 
     def required(self) -> Times:
         """The required points that can still be measured in each draw."""
-        return tuple(
-            p for p, broken in self._walk() if p in self._limits.required and not broken.any()
-        )
+        return tuple(p for p, broken in self._walk() if self.requires(p) and not broken.any())
 
     @property
     def _in_flight(self) -> list[int]:
@@ -130,49 +193,41 @@ class Left:
         return points
 
     def _is_open(self, point: int) -> bool:
-        made_at = self._points.instant(point) - self._delays[self._points.way(point)]
-        return bool(self._allowed[point] and made_at >= self.now)
+        made_at = self._points.instant(point) - self._arrays.delays[self._points.way(point)]
+        return bool(point in self._allowed and made_at >= self.now)
 
     def _broken(self, more: int | None = None) -> NDArray[np.int64]:
         """How many measurements break a constraint: in flight, required, and an added one, (D,)."""
-        return sum((broken for _, broken in self._walk(more)), np.zeros(len(self._state), np.int64))
+        return np.sum([np.zeros(len(self._state)), *(each for _, each in self._walk(more))], axis=0)
 
     def _walk(self, more: int | None = None) -> Iterator[tuple[int, Flags]]:
-        """Each point in flight, required or added, and the draws in which it breaks a constraint."""
-        state, added = self._state.copy(), filter(self._is_open, self._limits.required)
-        for point in sorted({*self._in_flight, *added, *([] if more is None else [more])}):
+        """Each point in flight, required or added, and where it breaks a constraint, (D,)."""
+        state, wanted = self._state.copy(), {*filter(self._is_open, self._required)}
+        wanted |= set() if more is None else {more}
+        for point in sorted({*self._in_flight, *wanted}):
             made = self._waiting[:, point]
-            is_added = point == more or (point in self._limits.required and self._is_open(point))
-            yield point, self._add(state, point, made, made | is_added)
+            yield point, self._add(state, point, made, made | (point in wanted))
 
     def _add(self, state: Any, point: int, made: Flags, wanted: Flags | None = None) -> Flags:
         """Add a measurement, the latest so far, where it was made, or is wanted and possible.
 
         Returns the draws in which it breaks a constraint.
         """
-        limits, t, way = self._limits, self._points.instant(point), self._points.way(point)
-        number, last = state["number"], state["last"]
-        paid = np.full(len(state), self._prices[point])
-        if limits.install:
-            paid += limits.install[way] * (number[:, self._alike[way]].sum(axis=1) == 0)
-        begins = np.zeros(len(state), np.bool_)
-        if limits.visit_ends:
-            begins = point >= state["open"]
-            paid += limits.visit_price * begins
-        broken = (t < state["following"]) | (t < self._own_apart[way, last[:, way]])
-        broken |= (last[:, self._excludes[way]] == t).any(axis=1)
+        limits, t, way = self._arrays, self._points.instant(point), self._points.way(point)
+        number, last, alike = state["number"], state["last"], limits.alike == limits.alike[way]
+        begins, is_first = point >= state["open"], number[:, alike].sum(axis=1) == 0
+        paid = limits.prices[point] + limits.visit_price * begins + limits.install[way] * is_first
+        broken = (t < state["following"]) | (number[:, way] >= limits.most[way])
+        broken |= (last[:, way] >= 0) & (t < limits.own_apart[way, last[:, way]])
+        excludes = (limits.group == limits.group[way]) & (limits.group > 0) & ~alike
+        broken |= (last[:, excludes] == t).any(axis=1)
+        broken |= begins & (state["visits"] >= limits.most_visits)
         if self._limit:
             broken |= paid > self._limit - state["spent"] + ROUNDING * self._limit
-        if limits.most:
-            broken |= number[:, way] >= limits.most[way]
-        if limits.visit_ends:
-            broken |= begins & (state["visits"] >= limits.most_visits)
         made = made if wanted is None else made | (wanted & ~broken)
         state["spent"] += paid * made
-        state["following"][made] = limits.apart[t] if limits.apart else t
+        state["following"][made], last[made, way] = limits.apart[t], t
         number[:, way] += made
-        last[made, way] = t
-        if limits.visit_ends:
-            state["visits"] += begins & made
-            state["open"][begins & made] = limits.visit_ends[point]
+        state["visits"] += begins & made
+        state["open"][begins & made] = limits.visit_ends[point]
         return broken if wanted is None else broken & wanted

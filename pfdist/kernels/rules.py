@@ -1,12 +1,13 @@
 """Rules: at each instant, the spread of the particles decides which sensors measure."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-ROUNDING = 1e-9  # share of the budget by which sums of prices may be rounded
+from pfdist.kernels.left import ROUNDING, Left
+
 ALWAYS, NEVER = -1.0, float("inf")
 """Thresholds with which each draw is measured, even if its particles agree; and none."""
 
@@ -47,46 +48,26 @@ class Rule(NamedTuple):
             return [NEVER] * len(thresholds)
         return [threshold * (instants / left) ** self.exponent for threshold in thresholds]
 
-    def chosen(
-        self,
-        deviation: float,
-        points: Sequence[int],
-        instants: int,
-        spent: float,
-        prices: Sequence[float],
-        *,
-        several: bool,
-    ) -> list[int]:
-        """The sensors that measure at an instant, from the highest threshold to the lowest.
+    def chosen(self, deviation: float, t: int, left: Left) -> list[int]:
+        """The points that are measured at an instant, from the highest threshold to the lowest.
 
-        Parameters
-        ----------
-        deviation : float
-            The predicted standard deviation of z.
-        points : sequence of int
-            Those of the instant: one of each sensor.
-        instants : int
-            Those that are left, this one included.
-        spent : float
-            Money, or number of measurements, before this instant.
-        prices : sequence of float
-            The price of each sensor at this instant; 0 if it may not measure.
-        several : bool
-            Whether several sensors may measure at an instant.
+        The predicted standard deviation of z decides, and what may follow what was measured.
+        `left`, of one draw, takes these points.
 
         Examples
         --------
-        >>> cheap_and_sharp, at = Rule((2.0, 5.0)), (0, 1)
-        >>> [cheap_and_sharp.chosen(d, at, 9, 0, (1, 4), several=False) for d in (1, 3, 6)]
-        [[], [0], [1]]
+        >>> from pfdist.kernels.left import StepLimits
+        >>> rule, cheap_and_sharp = Rule((2.0, 5.0)), StepLimits(apart=(1, 2))
+        >>> [rule.chosen(d, 1, Left(cheap_and_sharp, 2, range(4), 2)) for d in (1, 3, 6)]
+        [[], [2], [3]]
         """
-        levels, chosen = self.levels(points, instants, spent), list[int]()
-        for sensor in sorted(range(len(levels)), key=lambda sensor: -levels[sensor]):
-            left = (self.limit or NEVER) * (1 + ROUNDING) - spent
-            is_free = several or not chosen
-            if is_free and 0 < prices[sensor] <= left and deviation > levels[sensor]:
-                chosen.append(sensor)
-                spent += prices[sensor]
+        points, chosen = left.made_at(t), list[int]()
+        levels = self.levels(points, left.instants - t, float(left.spent[0]))
+        for place in sorted(range(len(points)), key=lambda place: -levels[place]):
+            is_wanted = deviation > levels[place] or left.requires(points[place])
+            if is_wanted and left.may(points[place])[0]:
+                left.take(points[place])
+                chosen.append(points[place])
         return chosen
 
     def scaled(self, factor: float) -> "Rule":

@@ -304,9 +304,11 @@ class Feasible(Constraints):
         given = self.step_limits, self.points.ways, self.allowed, self.horizon + 1
         return Left(*given, most, draws)
 
-    def left_after(self, taken: Times, first: int, in_flight: Times = ()) -> Left:
+    def left_after(
+        self, taken: Times, first: int, in_flight: Times = (), limit: float | None = None
+    ) -> Left:
         """What may still be measured from an instant on, after some measurements."""
-        left = self.left()
+        left = self.left(limit)
         left.take(taken)
         left.wait(self.horizon + 1)
         left.wait(first)

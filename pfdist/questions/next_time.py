@@ -26,7 +26,6 @@ from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.problem.clock import Clock, Time
-from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, few_at
@@ -45,7 +44,6 @@ from pfdist.questions.rule import NextByRule, rule_of
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
-from pfdist.runner.ruling import apart_of, prices_of
 
 _SHOWN = 4  # planned times that are named
 _SEE_SURPRISE = (
@@ -296,7 +294,7 @@ def next_time(
     first = max(last + 1, start)
     kept = [t for t in plan.times if t not in spent and points.made_at(t) >= first]
     before = tuple(sorted(sorted(kept, key=points.made_at)[:left]))
-    still = _is_possible(feasible, spent, before)
+    still = feasible.left_after(planner._taken, first, planner._in_flight).may_all(before)
     expected, *expected_before = planner.expected(
         planner.plan(), *([points.written_of(before)] if still else [])
     )
@@ -333,26 +331,24 @@ def _by_rule(
     filtering, taken, measured = _followed(plan, rows)
     estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
     at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
-    prices, apart = prices_of(feasible), apart_of(feasible)
-    spent = sum(prices[point] for point in taken)
-    first = max(start, apart[points.instant(max(taken))] if apart and taken else 0)
     passed = max([start - 1, *(k for k in range(len(clock.times)) if at[k] <= last)])
     if now is not None:
         passed = _instant_now(now, max(passed, start), clock)
+    waiting = tuple(point for point in rows.in_flight if points.instant(point) > passed)
+    left = feasible.left_after(taken, passed + 1, waiting, rule.limit)
     following, spread, level = None, math.nan, math.nan
-    for k in points.instants(feasible.allowed):
-        if k < first or k <= passed:
+    for k in range(passed + 1, len(clock.times)):
+        left.wait(k)
+        here, spent = left.made_at(k), float(left.spent[0])
+        if not any(left.may(point)[0] for point in here):
             continue
-        here, left = points.at(k), feasible.horizon + 1 - k
-        paid = [prices[point] * (point in feasible.index) for point in here]
         squares = filtering.predict(at[k]).standard_deviation ** 2  # of an angle, 1 - R counts
         squares = np.where(believed.is_angle, -np.expm1(-squares / 2), squares)
         spread = float(np.sqrt(squares.sum()))
-        chosen = rule.chosen(spread, here, left, spent, paid, several=not apart)
-        levels = rule.levels(here, left, spent)
-        level = min(levels[way] for way in chosen or range(points.ways))
+        chosen = rule.chosen(spread, k, left)
+        level = min(rule.levels(chosen or here, len(clock.times) - k, spent))
         if chosen:
-            written = points.written_of(here[way] for way in sorted(chosen))
+            written = points.written_of(sorted(chosen))
             following = ", ".join(written) if points.sensors else written[0]
             break
     surprise = _surprise_of(estimates)
@@ -360,13 +356,6 @@ def _by_rule(
     doubts = few_at(None if few is None else rows.clock.time(few), clock)
     doubts += [_SEE_SURPRISE] * (surprise is not None and surprise < IMPROBABLE)
     return NextByRule(plan.run.path, rule, measured, following, spread, level, feasible, doubts)
-
-
-def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
-    """Whether times may still be measured, by their spacing, their limits and the total price."""
-    apart, money = feasible.spacing.apart(sorted((*measured[-1:], *left))), feasible.total_price
-    apart = apart and feasible.is_within_limits((*measured, *left))
-    return apart and (money is None or feasible.price_of((*measured, *left)) <= money)
 
 
 def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:

@@ -47,7 +47,6 @@ from pfdist.runner.door import RunSession, WorkBatch, complete
 from pfdist.runner.every_strategy import bound_of_strategies
 from pfdist.runner.ruling import (
     TUNING_DRAWS,
-    budget_of,
     filtered_by,
     followed,
     rule_of_set,
@@ -107,7 +106,7 @@ class Ruled(Shown):
     @property
     def budget(self) -> float:
         """The number of measurements, or the total price, that the rule may spend on average."""
-        return budget_of(self.feasible)
+        return self.feasible.budget
 
     @property
     def what(self) -> str:
@@ -291,8 +290,8 @@ def rule(
     StoreError
         There is no finished run of the job, or the run is of another job or of other models.
     JobError
-        The job has required times, visits, delays or limits of single sensors, a criterion other
-        than the expected MSE and a quantile, an exact engine, or a model with its own error.
+        The job has a criterion other than the expected MSE and a quantile, an exact engine, or a
+        model with its own error.
     TaskError, PoolError
         A task failed, or no worker answers. All finished draws are kept.
     """
@@ -315,8 +314,7 @@ def rule(
 
 def check_rule(built: Built) -> None:
     """Raise `JobError` if no rule can be tuned for a job."""
-    job, feasible, evaluator = built.job, built.feasible, built.evaluator
-    problem = job.problem
+    job, evaluator = built.job, built.evaluator
     refused = {
         f"the criterion {job.criterion.name}, which is not judged by the MSE of each draw alone":
             not isinstance(job.criterion, Quantile) and not job.criterion.is_mean,
@@ -324,12 +322,7 @@ def check_rule(built: Built) -> None:
             not evaluator.has_particles,
         "filter.engine = 'numpy' (which takes too long)": evaluator.engine == NUMPY.name,
         "an error that the model defines": evaluator.model.error is not squared_error,
-        "a delay (a rule decides when a value arrives, not when it is measured)":
-            any(each.delay for each in [problem.sensor, *(problem.sensors or {}).values()] if each),
-        "visits, installations, or limits of single sensors":
-            feasible.is_limited,
         "search = [] (there is no plan)": not job.search,
-        "problem.required": bool(feasible.required),
     }  # fmt: skip
     for what, is_given in refused.items():
         if is_given:
@@ -368,7 +361,7 @@ def _judge(
         work = work_of(built, own, len(table))
         session.reporter.foresee(work.steps)
         ((mse, spent, degenerate),) = yield from filtered_by(session, work)
-    bound = yield from bound_of_strategies(session, budget_of(feasible), is_hard=is_hard)
+    bound = yield from bound_of_strategies(session, feasible.budget, is_hard=is_hard)
     session.commit()
     for name in ("draws", "timings"):
         for phase in store.phases_of(name, RULE_PHASE):
@@ -382,7 +375,7 @@ def _judge(
     labels |= {"online": "online times"} if "mse_online" in table else {}
     unit = unit_of(built.evaluator.model)
     numbers = {
-        name: float(feasible.price_of(measured[name])) if name in measured else budget_of(feasible)
+        name: float(feasible.price_of(measured[name])) if name in measured else feasible.budget
         for name in labels
     }
     criterion = built.job.criterion
@@ -439,6 +432,7 @@ def rule_json(rule: Rule, feasible: Feasible) -> dict[str, Any]:
     """
     points, allowed = feasible.points, np.isin(range(feasible.possible), feasible.allowed)
     thresholds = np.where(allowed, rule.thresholds_of(range(feasible.possible)), NEVER)
+    thresholds[[*feasible.required]] = ALWAYS
     each = thresholds.reshape(-1, points.ways).T.tolist()
     threshold = dict(zip(points.sensors, each, strict=True)) if points.sensors else each[0]
     return finite({"threshold": threshold, "exponent": rule.exponent, "limit": rule.limit})

@@ -20,7 +20,8 @@ from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, Result
-from pfdist.kernels.rules import ALWAYS, NEVER, ROUNDING, Rule
+from pfdist.kernels.left import ROUNDING, Left
+from pfdist.kernels.rules import ALWAYS, NEVER, Rule
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.runner.build import Built
@@ -76,27 +77,15 @@ class RuleWork(FilterWork):
         draws = evaluator.draws(range(*self.draws), self.draws_stream)
         sets, ends, (stream, *_) = self.measurement_times[:1], self.ends[:1], self.filter_streams
         found = evaluator.filter_sets(draws, sets, ends, stream, self.estimation)
-        prices = self.estimation.prices[-found.measured.shape[1] :]
-        columns = [found.mse, found.measured @ np.array(prices), found.deviation]
+        left = Left(
+            self.estimation.follows, evaluator.points.ways, (), evaluator.horizon + 1,
+            draws=len(found.mse),
+        )  # fmt: skip
+        for point, measured in enumerate(found.measured.T, evaluator.points.first(evaluator.start)):
+            left.take(point, measured > 0)
+        columns = [found.mse, left.spent, found.deviation]
         values = np.column_stack(columns[: len(self.ids)])
         return Result(values, degenerate=np.repeat(found.degenerate, len(self.ids), axis=1))
-
-
-def budget_of(feasible: Feasible) -> float:
-    """The budget of a rule: a number of measurements, or money."""
-    return feasible.measurement_budget or float(feasible.total_price or 0)
-
-
-def prices_of(feasible: Feasible) -> tuple[float, ...]:
-    """The price of each point; 1 if measurements are counted."""
-    return tuple(map(float, feasible.price or (1,) * feasible.possible))
-
-
-def apart_of(feasible: Feasible) -> Times:
-    """For each instant, the first that may be measured after it; empty if nothing is too near."""
-    points, spacing = feasible.points, feasible.spacing
-    first = range(0, feasible.possible, points.ways)
-    return () if spacing.is_free else tuple(points.instant(spacing.after(t)) for t in first)
 
 
 def work_of(
@@ -119,7 +108,7 @@ def work_of(
         for role in (["filter", "rule"], ["draws"])
     )
     estimation = replace(
-        built.comparing, rule=rule, apart=apart_of(feasible), prices=prices_of(feasible),
+        built.comparing, rule=rule, follows=feasible.step_limits,
         particles=particles or built.comparing.particles, flipped=flipped,
     )  # fmt: skip
     parts = feasible.allowed, noise, of_draws
@@ -148,19 +137,22 @@ def followed(evaluator: Evaluator, work: RuleWork, draw: int) -> RuledDraw:
     draws, points = own.draws(range(draw, draw + 1), work.draws_stream), own.points
     (found,) = own.filter_each(draws, work.measurement_times[:1], [noise], work.estimation)
     chosen = (np.flatnonzero(found.measured) + points.first(own.start)).tolist()
-    measured, estimation = [*points.instants(chosen)], replace(work.estimation, rule=None)
-    ends, first = [*measured, own.horizon + 1], own.start
+    arrive, estimation = [*points.instants(chosen)], replace(work.estimation, rule=None)
+    ends, first, end = [*arrive, own.horizon + 1], own.start, own.horizon + 1
     sets = [tuple(p for p in chosen if points.instant(p) < end) for end in ends]
     path, variances, levels = list[int](), list[Array](), list[list[float]]()
+    left, delays = Left(estimation.follows, points.ways, (), end), estimation.follows.delays
+    made_at = [points.instant(p) - (delays[points.way(p)] if delays else 0) for p in chosen]
     filters = replace(own, lag=0).filter_each(draws, sets, [noise] * len(sets), estimation)
-    for times, end, each in zip(sets, ends, filters, strict=True):
+    for end, each in zip(ends, filters, strict=True):
         here = range(first, min(end, own.horizon) + 1)
-        spent = sum(work.estimation.prices[point] for point in times)
         path, first = [*path, *here], end
         variances.append(each.variance[0, here.start - own.start : here.stop - own.start])
-        levels += [rule.levels(points.at(t), own.horizon + 1 - t, spent) for t in here]
+        for t in here:
+            left.take([p for p, made in zip(chosen, made_at, strict=True) if made < t])
+            levels.append(rule.levels(points.at(t), own.horizon + 1 - t, float(left.spent[0])))
     deviation = np.sqrt(np.concatenate(variances).sum(axis=1))
-    return RuledDraw(draw, measured, path, deviation, np.array(levels))
+    return RuledDraw(draw, sorted({*made_at}), path, deviation, np.array(levels))
 
 
 def filtered_by(
@@ -205,11 +197,11 @@ class _Search:
     def __init__(self, session: RunSession, draws: int, *, is_hard: bool) -> None:
         self._session, self._built, self._draws = session, session.built, draws
         feasible, evaluator = session.built.feasible, session.built.evaluator
-        self._budget, self._is_hard = budget_of(feasible), is_hard
+        self._budget, self._is_hard = feasible.budget, is_hard
         self._few, self._every = max(2, draws // _FEW), range(feasible.possible)
         self._even = Rule((1.0,) * feasible.points.ways)
         self._sweeps = _SWEEPS if session.built.job.criterion.is_mean else ()
-        self._groups = point_groups(feasible.allowed, feasible.points.ways, _MOST_GROUPS)
+        self._groups = point_groups(feasible.optional, feasible.points.ways, _MOST_GROUPS)
         first = work_of(session.built, self._even, draws, "rule")
         evaluator.compile(first.estimation)  # before the first task, whose time is limited
         own = first.estimation.particles

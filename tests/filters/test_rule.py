@@ -19,6 +19,7 @@ from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
+from pfdist.kernels.left import UNLIMITED, StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Rule
 from pfdist.models.learned import learned
 
@@ -58,7 +59,7 @@ def test_both_engines_decide_alike_and_as_filters_with_the_sets_that_they_choose
 ) -> None:
     draws, candidates = simulate(ungm, 12, range(5, 9), 17), INSTANTS[1:]
     apart = tuple(t + 2 for t in INSTANTS) if rule.limit == 4 else ()
-    settings = Estimation(70, "systematic", rule=rule, lag=lag, apart=apart)
+    settings = Estimation(70, "systematic", rule=rule, lag=lag, follows=StepLimits(apart))
     found = check_against_plain(ungm, draws, candidates, settings)
     assert not found.measured[:, 0].any()
     assert found.measured.any(axis=1).all()
@@ -181,7 +182,7 @@ def test_sensors_decide_alike_in_both_engines_and_as_filters_with_their_sets(
     model, prices = SYSTEMS[0].as_model(), (1.0, 0.25, 2.0)
     draws, candidates = simulate(model, HORIZON, range(5, 9), 17), tuple(range(1, 3 * HORIZON))
     apart = () if several else tuple(range(1, HORIZON + 2))
-    settings = Estimation(70, rule=rule, apart=apart, prices=prices * (HORIZON + 1))
+    settings = Estimation(70, rule=rule, follows=StepLimits(apart, prices * (HORIZON + 1)))
     found = check_against_plain(model, draws, candidates, settings)
     each = found.measured.reshape(4, HORIZON + 1, 3)
     assert each.any(axis=(0, 1)).tolist() == [True, True, rule.thresholds[2] < np.inf]
@@ -190,12 +191,42 @@ def test_sensors_decide_alike_in_both_engines_and_as_filters_with_their_sets(
     check_against_fixed_sets(model, draws, found, settings)
 
 
+ENDS = tuple(p for t in range(HORIZON + 1) for p in [3 * (t + 4)] * 3)
+LIMITED = {
+    "most, apart, required": StepLimits(
+        required=(8, 22), most=(3, 99, 2), own_apart=((0,) * (HORIZON + 1), *[
+            tuple(t + 2 for t in range(HORIZON + 1))] * 2),
+    ),
+    "groups, delays": StepLimits(delays=(0, 2, 1), alike=(0, 1, 1), group=(1, 1, 1)),
+    "paid visits and installations": StepLimits(
+        install=(1.0, 0.5, 0.5), alike=(0, 1, 1), visit_ends=ENDS, visit_price=1.0, most_visits=3,
+        required=(22,),
+    ),
+    "visits": StepLimits(visit_ends=ENDS, most_visits=2, required=(10,)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("limit", [0.0, 8.0])
+@pytest.mark.parametrize("name", LIMITED)
+def test_the_compiled_filter_asks_what_may_follow_as_the_plain_one(name: str, limit: float) -> None:
+    model, follows = SYSTEMS[0].as_model(), LIMITED[name]
+    delays, every = follows.delays or (0, 0, 0), range(3 * (HORIZON + 1))
+    candidates = tuple(p for p in every if p // 3 >= delays[p % 3])
+    draws, rule = simulate(model, HORIZON, range(5, 9), 17), Rule((0.25, 0.3, 0.28), 0.5, limit)
+    settings = Estimation(70, rule=rule, follows=follows)
+    found = check_against_plain(model, draws, candidates, settings)
+    free = check_against_plain(model, draws, candidates, replace(settings, follows=UNLIMITED))
+    assert (found.measured != free.measured).any(axis=1).sum() > 2  # the constraints bind
+    assert found.measured[:, list(follows.required)].all()
+    check_against_fixed_sets(model, draws, found, settings)
+
+
 def test_with_two_sensors_a_rule_is_the_fixed_set_of_its_thresholds() -> None:
     draws, sets = simulate(watched.WALK, watched.HORIZON, range(8), 1), {}
     apart = tuple(range(1, watched.HORIZON + 2))
     for thresholds in ((1.55, 1.85), (1.6, 1.3), (1.2, np.inf), (np.inf, 1.55)):
         error, price, points, near = watched.of_thresholds(thresholds)
-        settings = Estimation(4000, rule=Rule(thresholds), apart=apart)
+        settings = Estimation(4000, rule=Rule(thresholds), follows=StepLimits(apart))
         every = tuple(range(2 * watched.HORIZON + 2))
         found = filter_checked_draws(watched.WALK, draws, every, 2, settings)
         assert near > 0.05, thresholds  # more than 4 standard errors of a deviation

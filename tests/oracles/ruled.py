@@ -10,6 +10,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.filters import plain
 from pfdist.filters.draws import Draws
 from pfdist.filters.work import Estimation
+from pfdist.kernels.left import Left
 from pfdist.kernels.rules import Rule
 
 
@@ -19,20 +20,16 @@ def filter_by_rule(
     """Whether each draw is measured at each point, and the MSE of each draw."""
     rule, fixed, end = settings.rule or Rule(()), replace(settings, rule=None), draws.instants.stop
     every = range(model.points.first(end))
-    prices = [(settings.prices[p] if settings.prices else 1.0) * (p in candidates) for p in every]
     sets, errors = list[Times](), list[float]()
     for place in range(len(draws.index)):
-        alone, times, t, spent = draws[place : place + 1], Times(), 0, 0.0
-        while t < end:
-            given = model, alone, times, stream, replace(fixed, lag=0)
+        alone, times = draws[place : place + 1], Times()
+        left = Left(settings.follows, model.points.ways, candidates, end, rule.limit)
+        for t in range(end):
+            left.wait(t)
+            arrived = tuple(p for p in times if model.points.instant(p) < t)
+            given = model, alone, arrived, stream, replace(fixed, lag=0)
             deviation = np.sqrt(plain.filter_checked_draws(*given).variance[0, t].sum())
-            here = model.points.at(t)
-            own = prices[here.start : here.stop]
-            several = not settings.apart
-            chosen = rule.chosen(deviation, here, end - t, spent, own, several=several)
-            times += tuple(sorted(here[sensor] for sensor in chosen))
-            spent += sum(own[sensor] for sensor in chosen)
-            t = settings.apart[t] if chosen and settings.apart else t + 1
+            times = tuple(sorted((*times, *rule.chosen(deviation, t, left))))
         sets.append(times)
         errors.append(plain.filter_checked_draws(model, alone, times, stream, fixed).mse[0])
     return np.array([np.isin(every, times) for times in sets]), np.array(errors)

@@ -179,11 +179,7 @@ def test_where_no_rule_is_better_than_the_plan_the_answer_is_the_plan(tmp_path: 
     ("changes", "what"),
     [
         (["model.name=random_walk", "filter.engine=kalman"], "a rule is a fixed set"),
-        (["problem.required=3"], "problem.required"),
-        (["problem.sensor.delay=2"], "a delay"),
-        (["problem.sensor.delay=2", "problem.estimate=smoothed"], "a delay"),
         (["problem.criterion=worst_instant"], "worst_instant"),
-        (["problem.visits.most=2", "problem.visits.within=3"], "visits"),
         (["search=[]", "comparison.sets.mine=[0, 4, 8]"], "no plan"),
     ],
 )
@@ -433,6 +429,29 @@ def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacin
     assert (found.measured, found.next) == ((1, 4), 7)
     assert found.level == pytest.approx(1e-3 * (13 - 7) / 2)
     assert pfdist.next_time(run, table, now=5, rule=True).next == 7  # within the spacing
+
+
+def test_required_times_and_visits_hold_in_each_draw(
+    finished: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ruling, "_CLEARLY", -np.inf)  # the rule is not the plan
+    monkeypatch.setattr(ruling, "_SWEEPS", ())
+    given = finished("problem.required=[6]", "problem.visits.most=2", "problem.visits.within=3")
+    run = pfdist.open_run(shutil.copytree(given, tmp_path / "run"))
+    found = asked(run, hard=True)
+    assert not found.is_plan
+    assert found.table["measurements"].between(1, 4).all()
+    built = build(load_job(run.path / "job.toml"))
+    for draw in range(3):
+        shown = ruling.followed(built.evaluator, ruling.work_of(built, found.rule, 3), draw)
+        assert 6 in shown.measured
+        assert built.feasible.allows(shown.measured)
+        assert len(shown.measured) == found.table["measurements"][draw]
+    assert json.loads((run.path / "rule.json").read_text())["rule"]["threshold"][6] == ALWAYS
+    keep_rule(run.path, {"rule": rule_json(Rule((1e-9,), 0.0, 4), built.feasible)})
+    for t, following in (([1, 2], 3), ([0, 1, 2], 6)):
+        table = pd.DataFrame({"t": t, "y0": 0.5})
+        assert pfdist.next_time(run, table, rule=True).next == following
 
 
 def test_a_budget_of_decimal_prices_is_spent_whole(
