@@ -34,6 +34,7 @@ from .questions.plan import plan as plan
 from .questions.planner import Planner as Planner
 from .questions.report import report as report
 from .questions.rule import rule as rule
+from .questions.rule_file import Rule as Rule
 from .questions.run import run as run
 from .questions.simulate import simulate as simulate
 from .questions.sweep import Sweep as Sweep

@@ -247,6 +247,9 @@ class FilterEstimate:
         For an angle the mean direction in -pi..pi, and sqrt(-2 log R), where R is the length of the
         mean of the particles' unit vectors. For a narrow distribution, this is the usual standard
         deviation.
+    spread : float
+        The standard deviation of all components together, which rules compare: the root of the sum
+        of their variances; that of an angle is 1 - R.
     effective_sample_size : float or None
         Number of particles with equal weights that would be as informative as the weighted
         particles; None for the engine "kalman".
@@ -263,6 +266,7 @@ class FilterEstimate:
     measured: bool
     mean: Array
     standard_deviation: Array
+    spread: float
     effective_sample_size: float | None
     surprise: float | None
     _belief: Belief = field(repr=False)
@@ -308,6 +312,7 @@ def estimate_of(
         surprise is not None,
         mean,
         np.sqrt(squares),
+        float(np.sqrt(variance.sum())),
         size,
         surprise,
         belief,

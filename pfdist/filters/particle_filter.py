@@ -29,7 +29,7 @@ from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan_prefixes
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import Thresholds
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
@@ -128,7 +128,7 @@ def _filter(
 ) -> FilterArrays:
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
-    rule, sensors = settings.rule or Rule(()), len(model.parts)
+    rule, sensors = settings.rule or Thresholds(()), len(model.parts)
     thresholds, turns, flipped = np.empty((0, 0)), np.empty((0, 0), np.int64), -1
     follows = settings.follows.arrays(sensors, draws.instants)
     if settings.rule is not None:  # the filter fills the set of each draw itself

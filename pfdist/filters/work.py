@@ -23,7 +23,7 @@ from pfdist.kernels.estimators import (
 )
 from pfdist.kernels.left import UNLIMITED, StepLimits
 from pfdist.kernels.prefixes import plan_prefixes
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import Thresholds
 from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class Estimation:
     # instants: the estimate of z(t) uses measurements until t + lag; see `pfdist.kernels.lines`. A
     # tuple, (T+1,), has the lag of each instant
     lag: Lag = 0
-    rule: Rule | None = None  # decides at which of the given times each draw is measured
+    rule: Thresholds | None = None  # decides at which of the given times each draw is measured
     flipped: int | None = None  # a point at which the rule decides the opposite
     follows: StepLimits = UNLIMITED  # what a rule may measure after other measurements
 

@@ -335,9 +335,10 @@ def _choose(at, t, d, deviation):
             own[sensor // 8] |= 1 << sensor % 8
 
 
-# What may follow what a draw has measured; `pfdist.kernels.left.Left` is the twin. A record has
-# what is spent, the first instant that may be measured, the first point after the last visit, and
-# the number of visits; then, for each sensor, the number of measurements and the last instant.
+# The constraints on the measurements that may follow in a draw; `pfdist.kernels.left.Left` is the
+# twin. A record has what is spent, the first instant that may be measured, the first point after
+# the last visit, and the number of visits; then, for each sensor, the number of measurements and
+# the last instant.
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""What may still be measured, in the order of time: the constraints of a job, step by step.
+"""The constraints of a job in the order of time: whether a measurement may follow those before.
 
 The compiled filter takes the same steps, see `pfdist.kernels.filter`.
 """
@@ -51,8 +51,10 @@ class StepLimits(NamedTuple):
             points.first(instants.stop),
         )
 
-        def filled(values: Any, default: Any, of: slice = slice(None), before: int = 0) -> Any:
-            return np.ascontiguousarray((np.array(values) if values else default)[..., of] - before)
+        def filled(values: Any, default: Any, used: slice = slice(None), before: int = 0) -> Any:
+            return np.ascontiguousarray(
+                (np.array(values) if values else default)[..., used] - before
+            )
 
         here, every = slice(start, None), np.arange(sensors)
         required = np.isin(range(first, possible), self.required)
@@ -101,7 +103,7 @@ class StepArrays(NamedTuple):
 
 
 class Left:
-    """What may still be measured of each of D draws, which differ in what was measured.
+    """The measurements that may still follow in each of D draws, which differ in those before.
 
     A measurement may follow if it, those that were made, and the required ones to come satisfy all
     constraints and can be paid for. So what is measured on the way always satisfies them, and each
@@ -117,7 +119,7 @@ class Left:
     instants : int
         T + 1.
     limit : float
-        What may be spent on each draw; 0 if there is no limit.
+        The most that each draw may cost; 0 if there is no limit.
     draws : int
     """
 
@@ -141,7 +143,7 @@ class Left:
 
     @property
     def spent(self) -> NDArray[np.float64]:
-        """What was spent on each draw, (D,): a number, or a price."""
+        """The number of measurements of each draw, or their price, (D,)."""
         state = self._state.copy()
         for point in self._in_flight:
             self._add(state, point, self._waiting[:, point])
@@ -165,6 +167,10 @@ class Left:
     def take(self, points: int | Sequence[int], draws: Flags | bool = True) -> None:
         """Measure draws at points. They are in flight until time has passed these."""
         self._waiting.T[np.array(points, np.int64)] |= draws
+
+    def drop(self, points: Sequence[int]) -> None:
+        """Take back measurements that are still in flight: they were not made."""
+        self._waiting[:, points] = False
 
     def made_at(self, instant: int) -> list[int]:
         """The points that are measured at an instant: their values may arrive later."""

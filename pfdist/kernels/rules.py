@@ -12,7 +12,7 @@ ALWAYS, NEVER = -1.0, float("inf")
 """Thresholds with which each draw is measured, even if its particles agree; and none."""
 
 
-class Rule(NamedTuple):
+class Thresholds(NamedTuple):
     """Measure at a point if the predicted standard deviation of z exceeds its level there.
 
     The level is threshold * (rest of time / rest of budget)^exponent, in the unit of z. With
@@ -28,7 +28,7 @@ class Rule(NamedTuple):
     def thresholds_of(self, points: ArrayLike) -> NDArray[np.float64]:
         """The thresholds of some points.
 
-        >>> Rule((2.0, 5.0)).thresholds_of(range(3)).tolist()
+        >>> Thresholds((2.0, 5.0)).thresholds_of(range(3)).tolist()
         [2.0, 5.0, 2.0]
         """
         return np.array(self.thresholds, np.float64)[np.array(points) % len(self.thresholds)]
@@ -36,10 +36,14 @@ class Rule(NamedTuple):
     def levels(self, points: Iterable[int], instants: int, spent: float) -> list[float]:
         """The levels of an instant's points with so many instants left, this one included.
 
-        >>> Rule((6.0,)).levels([31], 30, 5), Rule((3.0, 9.0), 0.5, 21).levels((58, 59), 32, 13)
-        ([6.0], [6.0, 18.0])
-        >>> Rule((3.0,), 0.5, 2).levels([1], 9, 2), Rule((ALWAYS,), 0.5, 2).levels([1], 8, 0)
-        ([inf], [-2.0])
+        >>> Thresholds((6.0,)).levels([31], 30, 5)
+        [6.0]
+        >>> Thresholds((3.0, 9.0), 0.5, 21).levels((58, 59), 32, 13)
+        [6.0, 18.0]
+        >>> Thresholds((3.0,), 0.5, 2).levels([1], 9, 2)
+        [inf]
+        >>> Thresholds((ALWAYS,), 0.5, 2).levels([1], 8, 0)
+        [-2.0]
         """
         thresholds, left = self.thresholds_of([*points]).tolist(), self.limit - spent
         if not self.limit:
@@ -57,7 +61,7 @@ class Rule(NamedTuple):
         Examples
         --------
         >>> from pfdist.kernels.left import StepLimits
-        >>> rule, cheap_and_sharp = Rule((2.0, 5.0)), StepLimits(apart=(1, 2))
+        >>> rule, cheap_and_sharp = Thresholds((2.0, 5.0)), StepLimits(apart=(1, 2))
         >>> [rule.chosen(d, 1, Left(cheap_and_sharp, 2, range(4), 2)) for d in (1, 3, 6)]
         [[], [2], [3]]
         """
@@ -70,7 +74,7 @@ class Rule(NamedTuple):
                 chosen.append(points[place])
         return chosen
 
-    def scaled(self, factor: float) -> "Rule":
+    def scaled(self, factor: float) -> "Thresholds":
         """The rule whose thresholds are so many times as high; "always" remains "always"."""
         thresholds = (float(f"{c * factor:.4g}") if c > 0 else c for c in self.thresholds)
         return self._replace(thresholds=tuple(thresholds))

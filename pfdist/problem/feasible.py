@@ -275,8 +275,12 @@ class Feasible(Constraints):
         for limit in self.limits:
             most.append(self.possible if limit.most is None else limit.most)
             apart.append(limit.spacing.successors if limit.spacing else (0,) * len(firsts))
-        install = {way: float(price) for price, of in self.installs for way in of}
-        group = {w: k for k, of in enumerate(self.groups, 1) for w in chain.from_iterable(of)}
+        install = {way: float(price) for price, ways in self.installs for way in ways}
+        group = {
+            way: number
+            for number, sensors in enumerate(self.groups, 1)
+            for way in chain.from_iterable(sensors)
+        }
         return StepLimits(
             () if spacing.is_free else tuple(points.instant(spacing.after(t)) for t in firsts),
             tuple(map(float, self.price or (1,) * self.possible)),
@@ -299,7 +303,7 @@ class Feasible(Constraints):
         return float(self.measurement_budget or self.total_price or 0)
 
     def left(self, limit: float | None = None, draws: int = 1) -> Left:
-        """What may still be measured of some draws; `limit` is that of `Left`, else the budget."""
+        """The measurements that may follow; `limit` is that of `Left`, by default the budget."""
         most = self.budget if limit is None else limit
         given = self.step_limits, self.points.ways, self.allowed, self.horizon + 1
         return Left(*given, most, draws)
@@ -307,7 +311,7 @@ class Feasible(Constraints):
     def left_after(
         self, taken: Times, first: int, in_flight: Times = (), limit: float | None = None
     ) -> Left:
-        """What may still be measured from an instant on, after some measurements."""
+        """The measurements that may follow from an instant on, after some measurements."""
         left = self.left(limit)
         left.take(taken)
         left.wait(self.horizon + 1)

@@ -11,7 +11,6 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
@@ -40,7 +39,8 @@ from pfdist.questions.planned_run import (
     table_argument,
 )
 from pfdist.questions.planner import Planner
-from pfdist.questions.rule import NextByRule, rule_of
+from pfdist.questions.rule import NextByRule
+from pfdist.questions.rule_file import rule_of
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
@@ -342,9 +342,7 @@ def _by_rule(
         here, spent = left.made_at(k), float(left.spent[0])
         if not any(left.may(point)[0] for point in here):
             continue
-        squares = filtering.predict(at[k]).standard_deviation ** 2  # of an angle, 1 - R counts
-        squares = np.where(believed.is_angle, -np.expm1(-squares / 2), squares)
-        spread = float(np.sqrt(squares.sum()))
+        spread = filtering.predict(at[k]).spread
         chosen = rule.chosen(spread, k, left)
         level = min(rule.levels(chosen or here, len(clock.times) - k, spent))
         if chosen:

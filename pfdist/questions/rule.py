@@ -1,27 +1,25 @@
 """A rule that measures when it is needed, against times that are fixed in advance."""
 
-import json
 import math
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, unrounded
-from pfdist.common.section import JobSection, checked
+from pfdist.common.section import checked
 from pfdist.common.shown import Shown
-from pfdist.errors import JobError, StoreError
+from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion, CriterionValue, OtherCriterion, Quantile, Sample
 from pfdist.filters.engines import NUMPY
 from pfdist.filters.estimate import Evaluation
-from pfdist.kernels.rules import ALWAYS, NEVER, Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
@@ -35,6 +33,7 @@ from pfdist.questions.options import (
     following,
     with_options,
 )
+from pfdist.questions.rule_file import keep_rule, rule_json
 from pfdist.questions.run_of_job import own_store, run_and_job
 from pfdist.questions.subject import change_of, effect, is_clear, mse_cell, number_of
 from pfdist.results import Run, finite
@@ -53,8 +52,7 @@ from pfdist.runner.ruling import (
     tuned,
     work_of,
 )
-from pfdist.store import RULE as FILE
-from pfdist.store import RULE_PHASE, read_rule, run_key, write_about
+from pfdist.store import RULE_PHASE
 
 RULE = "rule"
 _DIGITS = 9  # of prices, whose sums are rounded
@@ -68,7 +66,7 @@ class Ruled(Shown):
     ----------
     run : Path
         Folder of the run.
-    rule : Rule
+    rule : Thresholds
         The tuned rule: thresholds (below 0: always), exponent, limit (0: none).
     feasible : Feasible
         The constraints of the job: its budget, prices and sensors.
@@ -92,7 +90,7 @@ class Ruled(Shown):
     """
 
     run: Path
-    rule: Rule
+    rule: Thresholds
     feasible: Feasible
     criterion: Criterion
     plan: str
@@ -156,6 +154,7 @@ class Ruled(Shown):
             {
                 "run": str(self.run),
                 "rule": rule_json(self.rule, self.feasible),
+                "constraints": self.feasible.step_limits.recorded,
                 "budget": self.budget,
                 **self._error_json(RULE),
                 "draws": len(self.table),
@@ -397,13 +396,15 @@ def _compared(run: Run, draws: int | None) -> pd.DataFrame:
     return table.drop(columns="draw").reset_index(drop=True)
 
 
-def level_text(rule: Rule, feasible: Feasible, unit: str = "") -> str:
+def level_text(rule: Thresholds, feasible: Feasible, unit: str = "") -> str:
     """The levels of a rule as a formula; thresholds that differ are given by their range.
 
     >>> counted = Feasible(horizon=3, measurement_budget=2)
-    >>> level_text(Rule((6.0,)), counted, "m"), level_text(Rule((3.5,), 0.5, 2), counted)
-    ('6 m', '3.5 x (rest of time / rest of budget)^0.5, at most 2 times')
-    >>> level_text(Rule((2.0, NEVER, 3.5, ALWAYS)), counted)
+    >>> level_text(Thresholds((6.0,)), counted, "m")
+    '6 m'
+    >>> level_text(Thresholds((3.5,), 0.5, 2), counted)
+    '3.5 x (rest of time / rest of budget)^0.5, at most 2 times'
+    >>> level_text(Thresholds((2.0, NEVER, 3.5, ALWAYS)), counted)
     '2 to 3.5 by the time, always at t = 3, never at t = 1'
     """
     points, levels = feasible.points, list[str]()
@@ -425,19 +426,6 @@ def level_text(rule: Rule, feasible: Feasible, unit: str = "") -> str:
     return ", ".join(levels) + power + f", at most {paid}" * (limit > 0)
 
 
-def rule_json(rule: Rule, feasible: Feasible) -> dict[str, Any]:
-    """A rule as JSON values: a threshold for each instant, -1 for always, null for never.
-
-    With sensors, `threshold` has those of each.
-    """
-    points, allowed = feasible.points, np.isin(range(feasible.possible), feasible.allowed)
-    thresholds = np.where(allowed, rule.thresholds_of(range(feasible.possible)), NEVER)
-    thresholds[[*feasible.required]] = ALWAYS
-    each = thresholds.reshape(-1, points.ways).T.tolist()
-    threshold = dict(zip(points.sensors, each, strict=True)) if points.sensors else each[0]
-    return finite({"threshold": threshold, "exponent": rule.exponent, "limit": rule.limit})
-
-
 # --- real measurements ----------------------------------------------------------------------------
 
 
@@ -448,7 +436,7 @@ class NextByRule(Shown):
     Parameters
     ----------
     run : Path
-    rule : Rule
+    rule : Thresholds
         That of the file ``rule.json`` in the folder of the run.
     measured : tuple of int or float
         Times with a measurement.
@@ -465,7 +453,7 @@ class NextByRule(Shown):
     """
 
     run: Path
-    rule: Rule
+    rule: Thresholds
     measured: tuple[Time, ...]
     next: Time | str | None
     standard_deviation: float
@@ -491,46 +479,3 @@ class NextByRule(Shown):
             facts.append(("predicted standard deviation", spread))
         blocks = Text(f"{said}.", prominent=True), Facts(facts)
         return Page("", "", [Section("", blocks)], alarms=self.doubts)
-
-
-Number = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Level = Annotated[float, Field(ge=ALWAYS, allow_inf_nan=False)]
-
-
-class _Written(JobSection):
-    """A rule as `rule_json` writes it."""
-
-    threshold: dict[str, list[Level | None] | Level | None]  # of each sensor
-    exponent: Number
-    limit: Number
-
-
-def rule_from(rule: Mapping[str, Any], feasible: Feasible) -> Rule:
-    """The rule of `rule_json`, or that of older files: a single threshold for all instants."""
-    points, alone = feasible.points, rule["threshold"]
-    given = {**rule, "threshold": alone if points.sensors else {"": alone}}
-    written = _Written.model_validate(given)
-    instants = feasible.horizon + 1
-    each = [written.threshold[name] for name in points.sensors or [""]]
-    columns = [own if isinstance(own, list) else [own] * instants for own in each]
-    if {*map(len, columns)} != {instants}:
-        raise ValueError(f"thresholds of {len(columns[0])} instants, not of {instants}")
-    rows = zip(*columns, strict=True)
-    thresholds = tuple(NEVER if level is None else level for row in rows for level in row)
-    if any(ALWAYS < threshold < 0.0 for threshold in thresholds):
-        raise ValueError("a threshold must be at least 0, -1 (always) or null (never)")
-    return Rule(thresholds, written.exponent, written.limit)
-
-
-def keep_rule(run: Path, answer: Mapping[str, Any]) -> None:
-    """Write the answer about a rule to rule.json; the caller holds the run's lock."""
-    write_about(run, run_key(run) or "", {FILE: json.dumps(answer, indent=2)})
-
-
-def rule_of(run: Path, feasible: Feasible) -> Rule:
-    """The rule that was tuned last for a run; a `StoreError` if there is none."""
-    answer = read_rule(run)
-    try:
-        return rule_from(answer["rule"], feasible)
-    except (ValueError, TypeError, KeyError) as error:
-        raise StoreError(f"{run / FILE} is damaged: `pfdist rule {run}` writes it again") from error

@@ -21,7 +21,7 @@ from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, Result
 from pfdist.kernels.left import ROUNDING, Left
-from pfdist.kernels.rules import ALWAYS, NEVER, Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.runner.build import Built
@@ -60,7 +60,7 @@ _AROUND, _NARROW, _SLOPE = (0.4, 2.5), 8, 1.14  # factors of thresholds: ends, h
 _GUESSES = 200  # draws that show how large z is
 
 Array = NDArray[np.float64]
-Candidates = Callable[[Rule], Iterable[Rule]]
+Candidates = Callable[[Thresholds], Iterable[Thresholds]]
 
 
 class RuleWork(FilterWork):
@@ -90,7 +90,7 @@ class RuleWork(FilterWork):
 
 def work_of(
     built: Built,
-    rule: Rule,
+    rule: Thresholds,
     draws: int,
     purpose: str = "",
     particles: int = 0,
@@ -131,7 +131,7 @@ class RuledDraw(NamedTuple):
 
 def followed(evaluator: Evaluator, work: RuleWork, draw: int) -> RuledDraw:
     """One draw of a work, with the spread that its filter sees before each measurement."""
-    rule, (noise, *_) = work.estimation.rule or Rule(()), work.filter_streams
+    rule, (noise, *_) = work.estimation.rule or Thresholds(()), work.filter_streams
     numbers = evaluator.scenarios_of(work.draws_stream, range(draw, draw + 1))
     own = evaluator if numbers is None else evaluator.of_scenarios[numbers[0]]
     draws, points = own.draws(range(draw, draw + 1), work.draws_stream), own.points
@@ -177,7 +177,7 @@ def filtered_by(
 
 def tuned(
     session: RunSession, plan: Times, *, is_hard: bool, draws: int = TUNING_DRAWS
-) -> Generator[WorkBatch, None, Rule]:
+) -> Generator[WorkBatch, None, Thresholds]:
     """The rule of least error that spends at most the budget on average, or with a hard limit.
 
     The search starts with the best constant threshold of each sensor. If the criterion is the
@@ -199,7 +199,7 @@ class _Search:
         feasible, evaluator = session.built.feasible, session.built.evaluator
         self._budget, self._is_hard = feasible.budget, is_hard
         self._few, self._every = max(2, draws // _FEW), range(feasible.possible)
-        self._even = Rule((1.0,) * feasible.points.ways)
+        self._even = Thresholds((1.0,) * feasible.points.ways)
         self._sweeps = _SWEEPS if session.built.job.criterion.is_mean else ()
         self._groups = point_groups(feasible.optional, feasible.points.ways, _MOST_GROUPS)
         first = work_of(session.built, self._even, draws, "rule")
@@ -217,7 +217,7 @@ class _Search:
         z = any_draws.draws(range(_GUESSES), first.draws_stream).z
         self._largest = 4.0 * float(np.sqrt(np.mean(np.var(z, axis=0).sum(axis=1)))) or 1.0
 
-    def best(self, planned: Rule) -> Generator[WorkBatch, None, Rule]:
+    def best(self, planned: Thresholds) -> Generator[WorkBatch, None, Thresholds]:
         """The rule of least error that keeps the budget, or the limit."""
         error, best = yield from self._constant()
         found, constant = {best: error}, self._of_points(best)
@@ -244,7 +244,7 @@ class _Search:
                 break
         return best
 
-    def is_better(self, rule: Rule, planned: Rule) -> Generator[WorkBatch, None, bool]:
+    def is_better(self, rule: Thresholds, planned: Thresholds) -> Generator[WorkBatch, None, bool]:
         """Whether a rule is clearly better than the plan, on separate draws."""
         works = (work_of(self._built, each, self._draws, "rule", sweep=-1)
                  for each in (rule, planned))  # fmt: skip
@@ -252,7 +252,7 @@ class _Search:
         pair = Evaluation((), own.mse), Evaluation((), other.mse)
         return self._built.job.criterion.difference(*pair).is_negative(_CLEARLY)
 
-    def _constant(self) -> Generator[WorkBatch, None, tuple[float, Rule]]:
+    def _constant(self) -> Generator[WorkBatch, None, tuple[float, Thresholds]]:
         """The best threshold of each sensor for all instants, and its error."""
         while not (yield from self._tried(self._even.scaled(self._largest), self._few))[1]:
             self._largest *= 8.0  # a filter with another model may be more unsure than z varies
@@ -262,7 +262,7 @@ class _Search:
         best = yield from _least(self._even, ratios, self._error_of)
         return (yield from self._lowest(best, self._few, self._wide, _HALVINGS))
 
-    def _limited(self, rule: Rule) -> Generator[WorkBatch, None, tuple[float, Rule]]:
+    def _limited(self, rule: Thresholds) -> Generator[WorkBatch, None, tuple[float, Thresholds]]:
         """The best exponent with a hard limit, with the best multiple of the thresholds."""
         evaluator = self._built.evaluator
         instants = evaluator.horizon + 1 - evaluator.start
@@ -274,7 +274,7 @@ class _Search:
     def _wide(self) -> tuple[float, float]:
         return self._largest / _RANGE, self._largest
 
-    def _of_points(self, rule: Rule) -> Rule:
+    def _of_points(self, rule: Thresholds) -> Thresholds:
         return rule._replace(thresholds=tuple(rule.thresholds_of(self._every).tolist()))
 
     def _values(
@@ -283,7 +283,9 @@ class _Search:
         found = yield from filtered_by(self._session, *works, phase=f"{RULE_PHASE}.{part}")
         return [Tried(*each[:-1], *[each[0]] * (len(each) == 3)) for each in found]
 
-    def _tried(self, rule: Rule, number: int) -> Generator[WorkBatch, None, tuple[float, bool]]:
+    def _tried(
+        self, rule: Thresholds, number: int
+    ) -> Generator[WorkBatch, None, tuple[float, bool]]:
         """The error on the first common draws, and whether a rule keeps the budget."""
         works = [work_of(self._built, rule, number, "rule")]
         (found,) = yield from self._values(works, f"tuning{number}")
@@ -293,8 +295,8 @@ class _Search:
         return error, most <= self._budget * (1 + ROUNDING)
 
     def _lowest(
-        self, rule: Rule, number: int, ends: tuple[float, float], halvings: int
-    ) -> Generator[WorkBatch, None, tuple[float, Rule]]:
+        self, rule: Thresholds, number: int, ends: tuple[float, float], halvings: int
+    ) -> Generator[WorkBatch, None, tuple[float, Thresholds]]:
         """The lowest multiple of the thresholds that keeps the budget, and its error."""
         low, high = ends
         error, is_kept = yield from self._tried(rule.scaled(high), number)
@@ -306,14 +308,14 @@ class _Search:
             low, high, error = (low, middle, found) if is_kept else (middle, high, error)
         return error, rule.scaled(high)
 
-    def _error_of(self, rule: Rule) -> Generator[WorkBatch, None, float]:
+    def _error_of(self, rule: Thresholds) -> Generator[WorkBatch, None, float]:
         """The error of a rule with a limit, or of ratios of thresholds."""
         given = rule, self._few
         found = self._tried(*given) if rule.limit else self._lowest(*given, self._wide, _HALVINGS)
         return (yield from found)[0]
 
     def _swept(
-        self, number: int, rule: Rule, constant: Rule, changes: Mapping[Points, Any]
+        self, number: int, rule: Thresholds, constant: Thresholds, changes: Mapping[Points, Any]
     ) -> Generator[WorkBatch, None, SweepState]:
         """A rule after a sweep, on separate draws with few particles."""
         share, pooled = self._sweeps[number]
@@ -349,19 +351,19 @@ class _Search:
         return state
 
 
-def rule_of_set(times: Times, feasible: Feasible) -> Rule:
+def rule_of_set(times: Times, feasible: Feasible) -> Thresholds:
     """The rule that always measures at the times of a set, and never elsewhere."""
     measured = np.isin(range(feasible.possible), times)
-    return Rule(tuple(np.where(measured, ALWAYS, NEVER).tolist()))
+    return Thresholds(tuple(np.where(measured, ALWAYS, NEVER).tolist()))
 
 
 def _least(
-    rule: Rule,
+    rule: Thresholds,
     rounds: Iterable[Candidates],
-    error: Callable[[Rule], Generator[WorkBatch, None, float]],
-) -> Generator[WorkBatch, None, Rule]:
+    error: Callable[[Thresholds], Generator[WorkBatch, None, float]],
+) -> Generator[WorkBatch, None, Thresholds]:
     """The rule of least error among the candidates of each round around the best so far."""
-    errors = dict[Rule, float]()
+    errors = dict[Thresholds, float]()
     for candidates in rounds:
         for each in (rule, *candidates(rule)):
             if each not in errors:
@@ -370,17 +372,17 @@ def _least(
     return rule
 
 
-def _with_ratios(sensor: int, factors: Iterable[float], rule: Rule) -> Iterator[Rule]:
+def _with_ratios(sensor: int, factors: Iterable[float], rule: Thresholds) -> Iterator[Thresholds]:
     """Rules with another threshold of a sensor, the smallest threshold 1."""
     for factor in factors:
         changed = [c * factor if s == sensor else c for s, c in enumerate(rule.thresholds)]
         if math.isfinite(min(changed)):
-            yield Rule(tuple(c / min(changed) for c in changed))
+            yield Thresholds(tuple(c / min(changed) for c in changed))
 
 
 def _around(
-    instants: int, steps: Iterable[float], factors: Iterable[float], rule: Rule
-) -> Iterator[Rule]:
+    instants: int, steps: Iterable[float], factors: Iterable[float], rule: Thresholds
+) -> Iterator[Thresholds]:
     """Rules with other exponents, and about the same level at the beginning."""
     for step, factor in product(steps, factors):
         exponent = max(0.0, rule.exponent + step * max(1.0, rule.exponent))

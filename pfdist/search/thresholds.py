@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.kernels.rules import ALWAYS, NEVER, Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 
 Array = NDArray[np.float64]
 Points = tuple[int, ...]
@@ -27,7 +27,7 @@ TURNS = 8
 class Trial(NamedTuple):
     """A rule to evaluate, and the point at which it decides the opposite; None for the rule."""
 
-    rule: Rule
+    rule: Thresholds
     flipped: int | None = None
 
 
@@ -71,7 +71,7 @@ def best_threshold(changes: Changes, price: float) -> float:
 class SweepState:
     """Progress of a sweep."""
 
-    rule: Rule
+    rule: Thresholds
     left: tuple[tuple[Points, ...], ...]  # groups that are still to come, those together first
     changes: Mapping[Points, tuple[Changes, ...]]
     trials: tuple[Trial, ...] = ()  # those that were asked for
@@ -83,7 +83,7 @@ class ThresholdSweep:
 
     Parameters
     ----------
-    rule : Rule
+    rule : Thresholds
         Where the sweep starts, with a threshold for each point.
     groups : tuple of tuple of int
         Points that share a threshold, in order; one, drawn at random, stands for all of a group.
@@ -95,7 +95,7 @@ class ThresholdSweep:
         Those of the sweeps before.
     """
 
-    rule: Rule
+    rule: Thresholds
     groups: tuple[Points, ...]
     price: float
     pooled: int = 1

@@ -20,7 +20,7 @@ from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.work import BLOCK, GUIDED, PLAIN, Estimation, sum_of_draws
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import Thresholds
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL
 from pfdist.models.sensed import sensed
 
@@ -48,7 +48,7 @@ SENSINGS = {
     "delay": Sensing(delay=2),
     "all": Sensing(-1.0, 1.0, 0.4, 2, 1),
 }
-RULES = None, Rule((1.5,)), Rule((1.0,), 0.5, 3.0)
+RULES = None, Thresholds((1.5,)), Thresholds((1.0,), 0.5, 3.0)
 LAGS = 0, 3, HORIZON, (0, 3, 2, 1) * 2 + (1, 0)
 SETTINGS: dict[str, tuple[Any, ...]] = {
     "sensing": tuple(SENSINGS),

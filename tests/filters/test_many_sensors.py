@@ -12,7 +12,7 @@ from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import GUIDED, Estimation
 from pfdist.kernels.prefixes import plan_prefixes
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import Thresholds
 
 MOST = 64
 SETS = (
@@ -92,7 +92,7 @@ def test_the_ninth_sensor_guides_and_is_chosen_by_a_rule_as_any_other() -> None:
     exact = kalman.filter_draws(model, draws, times, 1, 5, trajectories=True)
     apart = np.mean((guided.estimate - exact.estimate) ** 2)
     assert apart < 5 * np.mean(exact.variance) / 4000
-    rule = Rule((infinite,) * 8 + (1.5,))
+    rule = Thresholds((infinite,) * 8 + (1.5,))
     found = filter_checked_draws(model, draws, range(54), 5, Estimation(70, rule=rule))
     for draw, own in enumerate(found.measured):
         chosen = tuple(np.flatnonzero(own).tolist())

@@ -20,12 +20,12 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.left import UNLIMITED, StepLimits
-from pfdist.kernels.rules import ALWAYS, NEVER, Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.models.learned import learned
 
 INSTANTS = tuple(range(13))
 SLOW = pytest.mark.slow
-RULES = Rule((5.0,)), Rule((3.0,), 0.5, 4), Rule((2.0,), 1.0, 2)
+RULES = Thresholds((5.0,)), Thresholds((3.0,), 0.5, 4), Thresholds((2.0,), 1.0, 2)
 
 
 def check_against_plain(
@@ -55,7 +55,7 @@ def check_against_fixed_sets(
     + [pytest.param(RULES[k], lag, marks=SLOW) for k in range(3) for lag in (3, 12 * (k != 1))],
 )
 def test_both_engines_decide_alike_and_as_filters_with_the_sets_that_they_choose(
-    ungm: StateSpaceModel, rule: Rule, lag: Lag
+    ungm: StateSpaceModel, rule: Thresholds, lag: Lag
 ) -> None:
     draws, candidates = simulate(ungm, 12, range(5, 9), 17), INSTANTS[1:]
     apart = tuple(t + 2 for t in INSTANTS) if rule.limit == 4 else ()
@@ -69,12 +69,12 @@ def test_both_engines_decide_alike_and_as_filters_with_the_sets_that_they_choose
     check_against_fixed_sets(ungm, draws, found, settings)
 
 
-EACH = Rule((ALWAYS, 3.0, NEVER, 2.0, 6.0, ALWAYS, 4.0, NEVER, 1.0, 5.0, ALWAYS, 3.0, 2.0))
+EACH = Thresholds((ALWAYS, 3.0, NEVER, 2.0, 6.0, ALWAYS, 4.0, NEVER, 1.0, 5.0, ALWAYS, 3.0, 2.0))
 
 
 @pytest.mark.parametrize("rule", [EACH, EACH._replace(exponent=0.5, limit=5)])
 def test_thresholds_of_instants_decide_as_in_the_plain_filter(
-    ungm: StateSpaceModel, rule: Rule
+    ungm: StateSpaceModel, rule: Thresholds
 ) -> None:
     draws, settings = simulate(ungm, 12, range(5, 9), 17), Estimation(70, rule=rule)
     found = check_against_plain(ungm, draws, INSTANTS, settings)
@@ -90,7 +90,7 @@ def test_a_set_of_times_is_a_rule_even_where_all_particles_agree(ungm: StateSpac
         "initial": lambda w, p: (2.0,), "transition": lambda x, t, w, p: (0.5 * x[0],)
     }  # fmt: skip
     collapsed = replace(ungm, process_noise=(), initial_noise=(), **formulas)
-    rule = Rule(tuple(ALWAYS if t in times else NEVER for t in INSTANTS), 0.5, 4)
+    rule = Thresholds(tuple(ALWAYS if t in times else NEVER for t in INSTANTS), 0.5, 4)
     for model in (ungm, collapsed):
         draws = simulate(model, 12, range(5, 9), 17)
         found = filter_checked_draws(model, draws, INSTANTS, 3, Estimation(70, rule=rule))
@@ -99,9 +99,9 @@ def test_a_set_of_times_is_a_rule_even_where_all_particles_agree(ungm: StateSpac
         assert (found.mse == fixed.mse).all()
 
 
-@pytest.mark.parametrize("rule", [Rule((4.0,)), EACH._replace(exponent=0.2, limit=7)])
+@pytest.mark.parametrize("rule", [Thresholds((4.0,)), EACH._replace(exponent=0.2, limit=7)])
 def test_a_flipped_point_is_decided_the_other_way_and_all_before_it_as_usual(
-    ungm: StateSpaceModel, rule: Rule
+    ungm: StateSpaceModel, rule: Thresholds
 ) -> None:
     draws, point = simulate(ungm, 12, range(40), 17), 6
     given = ungm, draws, [INSTANTS], [12], 3
@@ -119,7 +119,7 @@ def test_a_flipped_point_is_decided_the_other_way_and_all_before_it_as_usual(
 
 @pytest.mark.parametrize("rule", [RULES[1], *(pytest.param(RULES[k], marks=SLOW) for k in (0, 2))])
 def test_a_guided_filter_decides_as_filters_with_the_sets_that_it_chooses(
-    ungm: StateSpaceModel, rule: Rule
+    ungm: StateSpaceModel, rule: Thresholds
 ) -> None:
     draws, settings = simulate(ungm, 12, range(5, 9), 17), Estimation(70, rule=rule)
     settings = replace(settings, proposal="guided")
@@ -139,7 +139,7 @@ def test_a_guided_filter_decides_as_filters_with_the_sets_that_it_chooses(
 def test_any_spread_and_any_weights_decide_as_in_the_plain_filter(
     model: StateSpaceModel, level: float, settings: Estimation
 ) -> None:
-    settings = replace(settings, rule=Rule((level,)))
+    settings = replace(settings, rule=Thresholds((level,)))
     found = check_against_plain(model, simulate(model, 12, range(4), 17), INSTANTS, settings)
     assert 0 < found.measured.sum() < found.measured.size
 
@@ -155,7 +155,7 @@ def test_without_a_spread_that_depends_on_y_a_rule_is_a_fixed_set() -> None:
             times += (t,) * int(deviation > level)
             gap = min(gap, abs(deviation / level - 1))
         found = filter_checked_draws(
-            model, draws, INSTANTS, 2, Estimation(4000, rule=Rule((level,)))
+            model, draws, INSTANTS, 2, Estimation(4000, rule=Thresholds((level,)))
         )
         wrong = (found.measured != np.isin(INSTANTS, times)).any(axis=1).mean()
         assert gap > 0.06  # more than 5 standard errors of a deviation of 4,000 particles
@@ -170,14 +170,14 @@ def test_without_a_spread_that_depends_on_y_a_rule_is_a_fixed_set() -> None:
 @pytest.mark.parametrize(
     ("rule", "several"),
     [
-        (Rule((0.45, 0.6, 0.8)), True),
-        (Rule((0.4, 0.3, np.inf), 0.5, 3.0), False),
-        pytest.param(Rule((0.45, 0.6, 0.8)), False, marks=SLOW),
-        pytest.param(Rule((0.4, 0.3, np.inf), 0.5, 3.0), True, marks=SLOW),
+        (Thresholds((0.45, 0.6, 0.8)), True),
+        (Thresholds((0.4, 0.3, np.inf), 0.5, 3.0), False),
+        pytest.param(Thresholds((0.45, 0.6, 0.8)), False, marks=SLOW),
+        pytest.param(Thresholds((0.4, 0.3, np.inf), 0.5, 3.0), True, marks=SLOW),
     ],
 )
 def test_sensors_decide_alike_in_both_engines_and_as_filters_with_their_sets(
-    rule: Rule, several: bool
+    rule: Thresholds, several: bool
 ) -> None:
     model, prices = SYSTEMS[0].as_model(), (1.0, 0.25, 2.0)
     draws, candidates = simulate(model, HORIZON, range(5, 9), 17), tuple(range(1, 3 * HORIZON))
@@ -212,7 +212,10 @@ def test_the_compiled_filter_asks_what_may_follow_as_the_plain_one(name: str, li
     model, follows = SYSTEMS[0].as_model(), LIMITED[name]
     delays, every = follows.delays or (0, 0, 0), range(3 * (HORIZON + 1))
     candidates = tuple(p for p in every if p // 3 >= delays[p % 3])
-    draws, rule = simulate(model, HORIZON, range(5, 9), 17), Rule((0.25, 0.3, 0.28), 0.5, limit)
+    draws, rule = (
+        simulate(model, HORIZON, range(5, 9), 17),
+        Thresholds((0.25, 0.3, 0.28), 0.5, limit),
+    )
     settings = Estimation(70, rule=rule, follows=follows)
     found = check_against_plain(model, draws, candidates, settings)
     free = check_against_plain(model, draws, candidates, replace(settings, follows=UNLIMITED))
@@ -226,7 +229,7 @@ def test_with_two_sensors_a_rule_is_the_fixed_set_of_its_thresholds() -> None:
     apart = tuple(range(1, watched.HORIZON + 2))
     for thresholds in ((1.55, 1.85), (1.6, 1.3), (1.2, np.inf), (np.inf, 1.55)):
         error, price, points, near = watched.of_thresholds(thresholds)
-        settings = Estimation(4000, rule=Rule(thresholds), follows=StepLimits(apart))
+        settings = Estimation(4000, rule=Thresholds(thresholds), follows=StepLimits(apart))
         every = tuple(range(2 * watched.HORIZON + 2))
         found = filter_checked_draws(watched.WALK, draws, every, 2, settings)
         assert near > 0.05, thresholds  # more than 4 standard errors of a deviation
@@ -240,7 +243,9 @@ def test_with_two_sensors_a_rule_is_the_fixed_set_of_its_thresholds() -> None:
 def test_what_is_not_known_of_a_learned_parameter_counts_as_spread() -> None:
     model = learned(WALK, {"drift": {"normal": (0.0, 0.3)}})
     draws, t = simulate(model, 12, range(8), 1), np.arange(13.0)
-    found = filter_checked_draws(model, draws, INSTANTS, 2, Estimation(4000, rule=Rule((2.0,))))
+    found = filter_checked_draws(
+        model, draws, INSTANTS, 2, Estimation(4000, rule=Thresholds((2.0,)))
+    )
     deviation = np.sqrt(1.0 + SD**2 * t + (1.0 + t**2) * 0.3**2)  # before a measurement
     first = int(np.argmax(deviation > 2.0))
     assert abs(deviation[[first - 1, first]] / 2.0 - 1.0).min() > 0.05
@@ -252,11 +257,11 @@ def test_on_a_chain_of_two_states_the_best_rule_is_worse_than_the_plan_and_than_
     instants, rules = (
         range(beliefs.HORIZON + 1),
         [
-            Rule((threshold,), exponent, beliefs.BUDGET)
+            Thresholds((threshold,), exponent, beliefs.BUDGET)
             for threshold in np.linspace(0.05, 0.5, 4)
             for exponent in (0.0, 1.0, 2.0)
         ]
-        + [Rule((0.18,), 1.0, beliefs.BUDGET)],
+        + [Thresholds((0.18,), 1.0, beliefs.BUDGET)],
     )
     (best, number), rule = min((beliefs.of_rule(rule), rule) for rule in rules)
     plan = min(map(beliefs.of_set, combinations(instants, beliefs.BUDGET)))
@@ -266,7 +271,7 @@ def test_on_a_chain_of_two_states_the_best_rule_is_worse_than_the_plan_and_than_
     assert round(policy, 5) == 0.12118
     bound = beliefs.average_bound(beliefs.BUDGET, np.linspace(0.03, 0.07, 3))
     assert bound <= policy < plan < best
-    for average in (Rule((0.458,)), Rule((0.43,))):
+    for average in (Thresholds((0.458,)), Thresholds((0.43,))):
         error, number = beliefs.of_rule(average)
         assert error >= beliefs.average_bound(number, np.array([0.05, 0.1]))
     # The particle filter finds the same error: the best rule's decisions leave room for its noise.

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from pfdist import StateSpaceModel, where
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import Thresholds
 
 HORIZON, BUDGET = 8, 3
 STAYS, SHARP, BLUNT = 0.9, 0.95, 0.6
@@ -64,7 +64,7 @@ def errors(goes: Callable[[int, float, int], bool]) -> tuple[float, float]:
     return error / (HORIZON + 1), number
 
 
-def of_rule(rule: Rule) -> tuple[float, float]:
+def of_rule(rule: Thresholds) -> tuple[float, float]:
     def goes(t: int, belief: float, spent: int) -> bool:
         return bool(np.sqrt(belief * (1 - belief)) > rule.levels([t], HORIZON + 1 - t, spent)[0])
 

@@ -11,14 +11,18 @@ from pfdist.filters import plain
 from pfdist.filters.draws import Draws
 from pfdist.filters.work import Estimation
 from pfdist.kernels.left import Left
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import Thresholds
 
 
 def filter_by_rule(
     model: StateSpaceModel, draws: Draws, candidates: Times, stream: int, settings: Estimation
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Whether each draw is measured at each point, and the MSE of each draw."""
-    rule, fixed, end = settings.rule or Rule(()), replace(settings, rule=None), draws.instants.stop
+    rule, fixed, end = (
+        settings.rule or Thresholds(()),
+        replace(settings, rule=None),
+        draws.instants.stop,
+    )
     every = range(model.points.first(end))
     sets, errors = list[Times](), list[float]()
     for place in range(len(draws.index)):

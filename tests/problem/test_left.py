@@ -1,4 +1,4 @@
-"""What may follow, asked in the order of time, against the sets that the constraints allow."""
+"""The measurements that may follow in the order of time, and the sets that a job allows."""
 
 from dataclasses import replace
 from itertools import combinations, product

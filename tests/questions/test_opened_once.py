@@ -14,9 +14,9 @@ import pfdist
 from oracles.guided import sharp_walk
 from pfdist import Job, Problem
 from pfdist.filters.work import GUIDED, PLAIN
-from pfdist.kernels.rules import Rule
+from pfdist.kernels.rules import Thresholds
 from pfdist.problem.feasible import Feasible
-from pfdist.questions.rule import keep_rule, rule_json
+from pfdist.questions.rule_file import keep_rule, rule_json
 from pfdist.runner import build as builds
 from pfdist.store import listing
 from pfdist.store.tables import _known as tables
@@ -102,7 +102,9 @@ def test_commands_open_no_file_of_a_run_that_files_json_does_not_list(
     """Whatever is not listed with its hash may have come from anybody, or be half written."""
     run, table = small_run.path, tmp_path / "one.csv"
     table.write_text("t,y0\n1,0.5\n")
-    keep_rule(run, {"rule": rule_json(Rule((1.0,)), Feasible(horizon=12, measurement_budget=4))})
+    keep_rule(
+        run, {"rule": rule_json(Thresholds((1.0,)), Feasible(horizon=12, measurement_budget=4))}
+    )
     said("report", run)
     tables.clear()
     listing._known.clear()

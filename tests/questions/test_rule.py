@@ -17,20 +17,20 @@ from oracles import beliefs, watched
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
-from pfdist.errors import JobError, StoreError
-from pfdist.kernels.rules import ALWAYS, NEVER, Rule
+from pfdist.common.streams import stream_of
+from pfdist.errors import ArgumentError, JobError, StoreError
+from pfdist.kernels.left import StepLimits
+from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
+from pfdist.questions.planned_run import filter_of
 from pfdist.questions.rule import (
     NextByRule,
     Ruled,
     _draw,
     check_rule,
-    keep_rule,
-    rule_from,
-    rule_json,
-    rule_of,
     unit_of,
 )
+from pfdist.questions.rule_file import keep_rule, rule_from, rule_json, rule_of
 from pfdist.runner import every_strategy, ruling
 from pfdist.runner.build import build
 from pfdist.store import listing
@@ -139,9 +139,9 @@ def test_a_figure_shows_a_draw_even_if_others_are_degenerate(run: Run) -> None:
     assert [file.name for file in _draw(found, built)] == ["rule.svg"]
 
 
-@pytest.mark.parametrize("rule", [Rule((3.0,)), Rule((2.0,), 0.5, 4.0)])
+@pytest.mark.parametrize("rule", [Thresholds((3.0,)), Thresholds((2.0,), 0.5, 4.0)])
 def test_the_draw_of_the_figure_is_measured_where_its_deviation_exceeds_the_level(
-    small_job: Job, rule: Rule
+    small_job: Job, rule: Thresholds
 ) -> None:
     built = build(small_job)
     work = ruling.work_of(built, rule, 8)
@@ -229,10 +229,14 @@ def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
     run, table = watched_by_two, pd.DataFrame({"t": [0], "sensor": "sharp", "y0": 1.0})
     feasible = build(load_job(run.path / "job.toml")).feasible
     for rule, now, following in (
-        (Rule((1.2, 1.6)), None, "2 cheap"),  # the deviation is 1.02 at t = 1, and 1.43 at t = 2
-        (Rule((1.2, 1.6)), 2, "3 sharp"),  # 1.74, above both levels
-        (Rule((1.2, 1.6), 0.0, 3.0), 2, "3 cheap"),  # 1 is left, and the sharp one costs 2
-        (Rule((np.inf, 1.6), 0.0, 3.0), 2, None),
+        (
+            Thresholds((1.2, 1.6)),
+            None,
+            "2 cheap",
+        ),  # the deviation is 1.02 at t = 1, and 1.43 at t = 2
+        (Thresholds((1.2, 1.6)), 2, "3 sharp"),  # 1.74, above both levels
+        (Thresholds((1.2, 1.6), 0.0, 3.0), 2, "3 cheap"),  # 1 is left, and the sharp one costs 2
+        (Thresholds((np.inf, 1.6), 0.0, 3.0), 2, None),
     ):
         keep_rule(run.path, {"rule": rule_json(rule, feasible)})
         found = pfdist.next_time(run, table, rule=True, now=now)
@@ -241,11 +245,11 @@ def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
 
 
 def test_a_file_with_one_threshold_for_all_instants_is_read() -> None:
-    mixed = Rule((2.0, ALWAYS, NEVER, 0.0) * 3 + (1.0,), 0.5, 3.0)
+    mixed = Thresholds((2.0, ALWAYS, NEVER, 0.0) * 3 + (1.0,), 0.5, 3.0)
     assert rule_from(json.loads(json.dumps(rule_json(mixed, COUNTED))), COUNTED) == mixed
     older = {"threshold": 2.5, "exponent": 0.0, "limit": 0.0}
-    assert rule_from(older, COUNTED) == Rule((2.5,) * 13)
-    assert rule_from({**older, "threshold": None}, COUNTED) == Rule((NEVER,) * 13)
+    assert rule_from(older, COUNTED) == Thresholds((2.5,) * 13)
+    assert rule_from({**older, "threshold": None}, COUNTED) == Thresholds((NEVER,) * 13)
     with pytest.raises(ValueError, match="12 instants, not of 13"):
         rule_from({**older, "threshold": [2.0] * 12}, COUNTED)
 
@@ -307,20 +311,99 @@ def test_the_standard_deviation_of_an_angle_has_no_unit() -> None:
     assert unit_of(tumour) == tumour.named("z")[0].unit
 
 
+def code_of_the_manual() -> list[str]:
+    text = (Path(__file__).parents[2] / "docs" / "rule.md").read_text(encoding="utf-8")
+    return [part.partition("```")[0] for part in text.split("```python\n")[1:]]
+
+
+@pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")
+@pytest.mark.parametrize("hard", [False, True])
+def test_the_loop_in_the_manual_measures_as_the_filter_of_the_run(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, hard: bool
+) -> None:
+    job = small_job.with_changes(["problem.minimum_spacing=2", "problem.required=[6]"])
+    built = build(job)
+    rule = Thresholds((4.0, 2.0, NEVER) * 4 + (ALWAYS,), 0.3 * hard, 4.0 * hard)
+    (tmp_path / "results" / "robot").mkdir(parents=True)
+    answer = {
+        "rule": rule_json(rule, built.feasible),
+        "constraints": built.feasible.step_limits.recorded,
+    }
+    (tmp_path / "results/robot/rule.json").write_text(json.dumps(answer))
+    monkeypatch.chdir(tmp_path)
+    same_noise = (stream_of("filter", job.seed),)  # as `pfdist.Filter` has it
+    work = replace(ruling.work_of(built, rule, 4), filter_streams=same_noise)
+    for draw in range(4):
+        y = built.evaluator.draws(range(draw, draw + 1), work.draws_stream).y[0]
+        measured = list[int]()
+
+        def look(t: int, y: Any = y, measured: list[int] = measured) -> Any:
+            measured.append(t)
+            return y[t]
+
+        monkeypatch.setattr(
+            pfdist, "Filter", lambda *_, draw=draw, **__: filter_of(built, draw=draw)
+        )
+        exec(code_of_the_manual()[0], {"look": look})
+        assert measured == ruling.followed(built.evaluator, work, draw).measured
+        assert 6 in measured
+        assert len(measured) <= (4 if hard else 7)
+
+
+def test_a_rule_in_use_keeps_what_is_spent_and_takes_back_what_was_not_made() -> None:
+    limits = StepLimits(prices=(1.0, 2.0) * 4, delays=(0, 1), apart=(1, 2, 3, 4))
+    used = pfdist.Rule(Thresholds((1.0, 2.0) * 4, 0.0, 5.0), limits, ["cheap", "sharp"])
+    assert used.decide(0.5, 0) == []
+    assert used.decide(1.5, 1) == ["cheap"]
+    assert used.spent == 1.0
+    used.not_made()
+    assert used.spent == 0.0
+    assert used.decide(np.float64(3.0), 2) == ["cheap", "sharp"]  # one value arrives at t = 3
+    assert used.spent == 3.0
+    for belief in (np.nan, -1.0, "3", None):
+        with pytest.raises(ArgumentError, match="belief must be a Filter, or a number"):
+            used.decide(belief, 3)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match=r"t must lie in 3\.\.3, got 2"):
+        used.decide(3.0, 2)
+    assert (
+        used.decide(3.0, 3) == []
+    )  # one value an instant, and that of the sharp one arrives
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {},
+        {"constraints": {"apart": [1, 2]}},
+        {"constraints": {"prices": ["one"] * 13}},
+        {"constraints": {"own_apart": [[1]]}},
+        {"constraints": {"delays": [-1]}},
+        {"constraints": {"required": [13]}},
+        {"constraints": {"more": 1}},
+    ],
+)
+def test_a_rule_is_loaded_only_with_right_constraints(
+    tmp_path: Path, wrong: dict[str, Any]
+) -> None:
+    file = tmp_path / "rule.json"
+    file.write_text(json.dumps({"rule": rule_json(Thresholds((2.0,)), COUNTED), **wrong}))
+    with pytest.raises(StoreError, match="or an earlier version wrote it: `pfdist rule"):
+        pfdist.Rule.load(file)
+
+
 def test_the_function_in_the_manual_decides_as_the_rule(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "rule.md").read_text(encoding="utf-8")
-    code = text.partition("```python\n")[2].partition("```")[0]
+    code = code_of_the_manual()[-1]
     (tmp_path / "results" / "plan").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     mixed = (2.0, ALWAYS, NEVER, 0.0) * 3 + (1.0,)
     rules = (
-        Rule((2.0,)),
-        Rule((2.0,), 0.5, 3),
-        Rule((2.0,), 40.0, 3),
-        Rule(mixed),
-        Rule(mixed, 0.5, 3),
+        Thresholds((2.0,)),
+        Thresholds((2.0,), 0.5, 3),
+        Thresholds((2.0,), 40.0, 3),
+        Thresholds(mixed),
+        Thresholds(mixed, 0.5, 3),
     )
     for rule in rules:
         answer = json.dumps({"rule": rule_json(rule, COUNTED)})
@@ -356,7 +439,7 @@ def test_next_measures_where_the_filter_of_the_run_would(
     table.to_csv(tmp_path / "one.csv", index=False)
     assert main(["next", str(run.path), str(tmp_path / "one.csv"), "--rule", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["next"] == found.next
-    keep_rule(run.path, {"rule": rule_json(Rule((1.0,), 0.5, 1), COUNTED)})
+    keep_rule(run.path, {"rule": rule_json(Thresholds((1.0,), 0.5, 1), COUNTED)})
     assert pfdist.next_time(run.path / "job.toml", table, **given).next is None
 
 
@@ -365,8 +448,8 @@ def test_a_rule_is_read_only_as_it_was_written(
 ) -> None:
     """Listed with its hash, a plain file, of finite numbers, none below 0 but -1 for always."""
     run = shutil.copytree(finished(), tmp_path / "run")
-    right, file = rule_json(Rule((2.0,), 0.5, 4), COUNTED), run / "rule.json"
-    wrong = {"threshold": ["1e999", "2", -5, True, [2.0], {"": 2.0}, [-0.5] * 13, ["2"] * 13],
+    right, file = rule_json(Thresholds((2.0,), 0.5, 4), COUNTED), run / "rule.json"
+    wrong = {"threshold": ["1e999", "2", -5, True, [2.0], [-0.5] * 13, ["2"] * 13],
              "exponent": [-1, None], "limit": ["inf", -3], "more": [1]}  # fmt: skip
     for name, value in [(name, value) for name, values in wrong.items() for value in values]:
         keep_rule(run, {"rule": right | {name: value}})
@@ -377,7 +460,7 @@ def test_a_rule_is_read_only_as_it_was_written(
         with pytest.raises(StoreError, match="is damaged"):
             rule_of(run, COUNTED)
     keep_rule(run, {"rule": right})
-    assert rule_of(run, COUNTED) == Rule((2.0,) * 13, 0.5, 4)
+    assert rule_of(run, COUNTED) == Thresholds((2.0,) * 13, 0.5, 4)
     file.write_text(file.read_text().replace("2.0", "3.0"))
     with pytest.raises(StoreError, match=r"damaged: its content has another hash"):
         rule_of(run, COUNTED)
@@ -400,7 +483,7 @@ def test_a_kill_or_a_full_disk_leaves_the_former_rule_or_the_new_one(
     """At each operation on a file; then the rule can be written again."""
     run, rules = (
         shutil.copytree(finished(), tmp_path / "run"),
-        (Rule((1.0,) * 13), Rule((2.0,) * 13)),
+        (Thresholds((1.0,) * 13), Thresholds((2.0,) * 13)),
     )
     answers = [{"rule": rule_json(rule, COUNTED)} for rule in rules]
     layer = FileLayer(monkeypatch, tmp_path)
@@ -422,7 +505,7 @@ def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacin
 ) -> None:
     given = finished("problem.sensor.fails=0.2", "problem.minimum_spacing=3")
     run = shutil.copytree(given, tmp_path / "run")
-    keep_rule(run, {"rule": rule_json(Rule((1e-3,), 1.0, 4), COUNTED)})
+    keep_rule(run, {"rule": rule_json(Thresholds((1e-3,), 1.0, 4), COUNTED)})
     table = pd.DataFrame({"t": [1, 4], "y0": [0.5, np.nan]})
     found = pfdist.next_time(run, table, rule=True)
     assert isinstance(found, NextByRule)
@@ -448,7 +531,7 @@ def test_required_times_and_visits_hold_in_each_draw(
         assert built.feasible.allows(shown.measured)
         assert len(shown.measured) == found.table["measurements"][draw]
     assert json.loads((run.path / "rule.json").read_text())["rule"]["threshold"][6] == ALWAYS
-    keep_rule(run.path, {"rule": rule_json(Rule((1e-9,), 0.0, 4), built.feasible)})
+    keep_rule(run.path, {"rule": rule_json(Thresholds((1e-9,), 0.0, 4), built.feasible)})
     for t, following in (([1, 2], 3), ([0, 1, 2], 6)):
         table = pd.DataFrame({"t": t, "y0": 0.5})
         assert pfdist.next_time(run, table, rule=True).next == following

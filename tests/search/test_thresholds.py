@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pfdist.kernels.rules import ALWAYS, NEVER, Rule
+from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.search.thresholds import (
     Changes,
     ThresholdSweep,
@@ -47,7 +47,9 @@ def evaluated(trial: Trial, generation: int) -> Tried:
 
 def test_a_sweep_finds_the_thresholds_at_which_a_measurement_is_worth_its_price() -> None:
     price = 0.5
-    sweep = ThresholdSweep(Rule((2.0,) * POINTS), point_groups(tuple(range(POINTS)), 1, 64), price)
+    sweep = ThresholdSweep(
+        Thresholds((2.0,) * POINTS), point_groups(tuple(range(POINTS)), 1, 64), price
+    )
     state, rng, trials = sweep.init(), np.random.default_rng(1), 0
     while not sweep.done(state):
         state = sweep.ask(state, rng)
@@ -63,7 +65,7 @@ def test_a_sweep_finds_the_thresholds_at_which_a_measurement_is_worth_its_price(
 def test_points_of_a_group_share_a_threshold() -> None:
     groups = point_groups(tuple(range(POINTS)), 2, 8)
     assert sorted(point for group in groups for point in group) == [*range(POINTS)]
-    sweep = ThresholdSweep(Rule((2.0,) * POINTS), groups, 0.5)
+    sweep = ThresholdSweep(Thresholds((2.0,) * POINTS), groups, 0.5)
     state, rng = sweep.init(), np.random.default_rng(1)
     while not sweep.done(state):
         state = sweep.ask(state, rng)
