@@ -89,9 +89,9 @@ def plan(
     """Find measurement times for a job's problem, and prove how good they are.
 
     One search finds them. They are compared with evenly spaced times on fresh draws. A lower bound
-    proves how much better any other times can be, and a quick estimate shows how many evenly spaced
-    measurements do as well. The answer also has the error of an analysis afterwards, with all
-    measurements. The same command resumes where it was stopped.
+    proves how much better any other times can be. Quick estimates show how many evenly spaced
+    measurements do as well, and what deciding on the way wins. The answer also has the error of an
+    analysis afterwards, with all measurements. The same command resumes where it was stopped.
 
     Parameters
     ----------

@@ -28,10 +28,10 @@ def plan(
 ) -> Run:
     """Find measurement times for a job's problem, and prove how good they are.
 
-    One search finds them. They are compared with regular times on fresh draws. A lower bound proves
-    how much better any other times can be, and a quick estimate shows how many evenly spaced
-    measurements do as well. The answer also has the error of an analysis afterwards, with all
-    measurements. The same call resumes where it was stopped.
+    One search finds them. They are compared with evenly spaced times on fresh draws. A lower bound
+    proves how much better any other times can be. Quick estimates show how many evenly spaced
+    measurements do as well, and what deciding on the way wins. The answer also has the error of an
+    analysis afterwards, with all measurements. The same call resumes where it was stopped.
 
     Parameters
     ----------

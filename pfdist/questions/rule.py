@@ -16,11 +16,10 @@ from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError
-from pfdist.filters.criterion import Criterion, CriterionValue, OtherCriterion, Quantile, Sample
-from pfdist.filters.engines import NUMPY
+from pfdist.filters.criterion import Criterion, CriterionValue, OtherCriterion, Sample
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
-from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models import StateSpaceModel
 from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.problem import JobSource
@@ -49,10 +48,11 @@ from pfdist.runner.ruling import (
     filtered_by,
     followed,
     rule_of_set,
+    settle_rules,
     tuned,
+    why_no_rule,
     work_of,
 )
-from pfdist.store import RULE_PHASE
 
 RULE = "rule"
 _DIGITS = 9  # of prices, whose sums are rounded
@@ -298,7 +298,8 @@ def rule(
     with following(chosen.progress, chosen.say) as (show, tell):
         run, built = run_and_job(job, results, changes, tell, chosen.execution)
         check_one_number(run)
-        check_rule(built)
+        if why := why_no_rule(built):
+            raise JobError(f"no rule is tuned for a job with {why} ({built.job.path})")
         with own_store(run, built, tell) as store:
             session = RunSession(built, store, show, tell)
             with noted(session):
@@ -309,23 +310,6 @@ def rule(
             return found
         keep_rule(run.path, found.as_json())
     return replace(found, figures=_draw(found, built)) if chosen.figures else found
-
-
-def check_rule(built: Built) -> None:
-    """Raise `JobError` if no rule can be tuned for a job."""
-    job, evaluator = built.job, built.evaluator
-    refused = {
-        f"the criterion {job.criterion.name}, which is not judged by the MSE of each draw alone":
-            not isinstance(job.criterion, Quantile) and not job.criterion.is_mean,
-        "filter.engine = 'kalman' (its spread does not depend on y, so a rule is a fixed set)":
-            not evaluator.has_particles,
-        "filter.engine = 'numpy' (which takes too long)": evaluator.engine == NUMPY.name,
-        "an error that the model defines": evaluator.model.error is not squared_error,
-        "search = [] (there is no plan)": not job.search,
-    }  # fmt: skip
-    for what, is_given in refused.items():
-        if is_given:
-            raise JobError(f"no rule is tuned for a job with {what} ({job.path})")
 
 
 def _draw(found: Ruled, built: Built) -> list[Path]:
@@ -362,9 +346,7 @@ def _judge(
         ((mse, spent, degenerate),) = yield from filtered_by(session, work)
     bound = yield from bound_of_strategies(session, feasible.budget, is_hard=is_hard)
     session.commit()
-    for name in ("draws", "timings"):
-        for phase in store.phases_of(name, RULE_PHASE):
-            store.settle(name, phase)
+    settle_rules(store)
     what = (
         {"price": spent.round(_DIGITS)} if feasible.price else {"measurements": spent.astype(int)}
     )

@@ -191,6 +191,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     yield Text(f"Measure {at}", prominent=True)
     sentences = [
         _gain(subject, row), _as_good(subject, row), _proof(subject, row), online_sentence(subject),
+        provenance_of(subject.run).get("on_the_way", ""),
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)
     yield from subject.heavy_tail

@@ -24,10 +24,11 @@ from pfdist.runner.comparison_phase import (
 )
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.online_work import OnlineWork
-from pfdist.runner.opponent import best_evenly_spaced, opponent_steps
+from pfdist.runner.opponent import SHARE, best_evenly_spaced, opponent_steps
 from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover
 from pfdist.runner.row_formats import RowsByDraw
+from pfdist.runner.ruling import look_work
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.searches import planning_of
 from pfdist.store import Store, schema
@@ -79,14 +80,14 @@ def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, f
     foreseen["online"] = online_steps(built)
     if prover is not None:
         foreseen["proof"], foreseen["likelihood"] = prover.steps, prover.rank_steps
+        _, foreseen["rule"] = look_work(built, SHARE * core_steps(built, prover))
     return {part: steps for part, steps in foreseen.items() if steps}
 
 
 def core_steps(built: Built, prover: Prover | None = None) -> float:
     """Particle-steps of search, comparison and proof, of which other parts have shares."""
-    core: tuple[Part, ...] = "search", "comparison", "proof"
-    foreseen = foreseen_by_part(built, prover)
-    return sum(foreseen.get(part, 0.0) for part in core)
+    searched = sum(search_steps(built, search) for search in built.searches)
+    return searched + comparison_steps(built) + (prover.steps if prover else 0)
 
 
 def _searching_steps(built: Built) -> float:

@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
+from pfdist.filters.criterion import Quantile
+from pfdist.filters.engines import NUMPY
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, Result
 from pfdist.kernels.left import ROUNDING, Left
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
+from pfdist.models import squared_error
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.runner.build import Built
@@ -36,7 +39,7 @@ from pfdist.search.thresholds import (
     Tried,
     point_groups,
 )
-from pfdist.store import RULE_PHASE
+from pfdist.store import RULE_PHASE, Store
 
 TUNING_DRAWS = 3000
 ONE_SIDED = 1.645
@@ -55,6 +58,8 @@ _SWEEPS = (300, 1), (600, 1), (1000, 1), (1000, 2), (1000, 3)  # draws, and how 
 _FEW_PARTICLES, _LEAST_PARTICLES = 5, 100  # one of so many takes part in sweeps; and at least
 _MOST_GROUPS = 64  # of points; longer horizons have thresholds for several instants
 _LAST = 2  # so many sweeps give a rule each, between which errors decide
+_LOOKED = 100, 300  # draws of a look that seek the threshold: fewest and most
+_TRIALS_OF_LOOK = 2 + _HALVINGS + 2 * _FEW  # of so many draws each
 _CLEARLY = 2.0  # standard errors by which a rule must be better than the plan
 _AROUND, _NARROW, _SLOPE = (0.4, 2.5), 8, 1.14  # factors of thresholds: ends, halvings, for a price
 _GUESSES = 200  # draws that show how large z is
@@ -175,6 +180,57 @@ def filtered_by(
     return [found[work.ids] for work in works]
 
 
+def settle_rules(store: Store) -> None:
+    """Put the rows of rules into few files."""
+    for table in ("draws", "timings"):
+        for phase in store.phases_of(table, RULE_PHASE):
+            store.settle(table, phase)
+
+
+def why_no_rule(built: Built) -> str:
+    """What keeps a job from having a rule; empty if nothing does."""
+    job, evaluator = built.job, built.evaluator
+    refused = {
+        f"the criterion {job.criterion.name}, which is not judged by the MSE of each draw alone":
+            not isinstance(job.criterion, Quantile) and not job.criterion.is_mean,
+        "filter.engine = 'kalman' (its spread does not depend on y, so a rule is a fixed set)":
+            not evaluator.has_particles,
+        "filter.engine = 'numpy' (which takes too long)": evaluator.engine == NUMPY.name,
+        "an error that the model defines": evaluator.model.error is not squared_error,
+        "search = [] (there is no plan)": not job.search,
+    }  # fmt: skip
+    return next((what for what, is_given in refused.items() if is_given), "")
+
+
+def look_work(built: Built, most: float) -> tuple[int, int]:
+    """The number of draws of `look` that so many particle-steps allow, and its particle-steps.
+
+    Both are 0 if they allow too few, or if the run has several plans or numbers of measurements.
+    """
+    if why_no_rule(built) or len(built.searches) > 1 or built.job.budget is not None:
+        return 0, 0
+    a_draw = _TRIALS_OF_LOOK * work_of(built, Thresholds((1.0,)), 1, "rule").steps
+    fewest, largest = _LOOKED
+    draws = min(largest, int(most / a_draw))
+    return (draws, draws * a_draw) if draws >= fewest else (0, 0)
+
+
+def look(session: RunSession, plan: Times, draws: int) -> Generator[WorkBatch, None, str]:
+    """A sentence if one threshold for all instants is clearly better than a plan; else empty."""
+    search, criterion = _Search(session, _FEW * draws, is_hard=False), session.built.job.criterion
+    session.reporter.begin("rule")
+    _, rule = yield from search.constant(())
+    pair = yield from search.compared(rule, rule_of_set(plan, session.built.feasible))
+    if not criterion.difference(*pair).is_negative(_CLEARLY):
+        return ""
+    own, planned = (criterion.value(each).value for each in pair)
+    return (
+        "Decided on the way, as many measurements have less error: about "
+        f"{100 * (1 - own / planned):.0f} % less with a single threshold for all times (quick "
+        "estimate; `pfdist rule` tunes one for each)."
+    )
+
+
 def tuned(
     session: RunSession, plan: Times, *, is_hard: bool, draws: int = TUNING_DRAWS
 ) -> Generator[WorkBatch, None, Thresholds]:
@@ -185,10 +241,13 @@ def tuned(
     The answer is the plan if no rule is clearly better, on draws that chose none.
     """
     search = _Search(session, draws, is_hard=is_hard)
+    search.foresee()
     planned = rule_of_set(plan, session.built.feasible)
     best = yield from search.best(planned)
     planned = planned._replace(limit=best.limit)
-    return best if (yield from search.is_better(best, planned)) else planned
+    pair = yield from search.compared(best, planned)
+    difference = session.built.job.criterion.difference(*pair)
+    return best if difference.is_negative(_CLEARLY) else planned
 
 
 class _Search:
@@ -202,24 +261,29 @@ class _Search:
         self._even = Thresholds((1.0,) * feasible.points.ways)
         self._sweeps = _SWEEPS if session.built.job.criterion.is_mean else ()
         self._groups = point_groups(feasible.optional, feasible.points.ways, _MOST_GROUPS)
-        first = work_of(session.built, self._even, draws, "rule")
-        evaluator.compile(first.estimation)  # before the first task, whose time is limited
-        own = first.estimation.particles
+        self._first = work_of(session.built, self._even, draws, "rule")
+        evaluator.compile(self._first.estimation)  # before the first task, whose time is limited
+        own = self._first.estimation.particles
         self._particles = max(own // _FEW_PARTICLES, min(own, _LEAST_PARTICLES))
-        ratios = sum(map(len, _RATIOS)) * len(self._even.thresholds) * (feasible.points.ways > 1)
+        any_draws = (evaluator.of_scenarios or (evaluator,))[0]
+        z = any_draws.draws(range(_GUESSES), self._first.draws_stream).z
+        self._largest = 4.0 * float(np.sqrt(np.mean(np.var(z, axis=0).sum(axis=1)))) or 1.0
+
+    def foresee(self) -> None:
+        """Tell the reporter how much work the whole search has."""
+        session, is_hard, first = self._session, self._is_hard, self._first
+        ways = len(self._even.thresholds)
+        ratios = sum(map(len, _RATIOS)) * ways * (ways > 1)
         grid = is_hard * sum(len(steps) * len(factors) for steps, factors in _HARD)
         trials = (1 + _HALVINGS) * (1 + ratios) + _NARROW * len(self._sweeps) + grid
         sweeps = sum(number for number, _ in self._sweeps) * (len(self._groups) + TURNS + _NARROW)
-        of_all = sweeps * self._particles / own / TUNING_DRAWS
+        of_all = sweeps * self._particles / first.estimation.particles / TUNING_DRAWS
         session.reporter.foresee(first.steps * (trials / _FEW + _NARROW + 4 + of_all))
         session.reporter.begin("rule")  # after the forecast: at 0 %
-        any_draws = (evaluator.of_scenarios or (evaluator,))[0]
-        z = any_draws.draws(range(_GUESSES), first.draws_stream).z
-        self._largest = 4.0 * float(np.sqrt(np.mean(np.var(z, axis=0).sum(axis=1)))) or 1.0
 
     def best(self, planned: Thresholds) -> Generator[WorkBatch, None, Thresholds]:
         """The rule of least error that keeps the budget, or the limit."""
-        error, best = yield from self._constant()
+        error, best = yield from self.constant(_RATIOS)
         found, constant = {best: error}, self._of_points(best)
         is_worse = self._sweeps and (yield from self._tried(planned, self._few))[0] >= error
         rule, changes = (constant if is_worse else planned), dict[Points, Any]()
@@ -244,21 +308,25 @@ class _Search:
                 break
         return best
 
-    def is_better(self, rule: Thresholds, planned: Thresholds) -> Generator[WorkBatch, None, bool]:
-        """Whether a rule is clearly better than the plan, on separate draws."""
+    def compared(self, *rules: Thresholds) -> Generator[WorkBatch, None, list[Evaluation]]:
+        """Evaluations of rules on separate draws."""
         works = (work_of(self._built, each, self._draws, "rule", sweep=-1)
-                 for each in (rule, planned))  # fmt: skip
-        own, other = yield from self._values(works, "choice")
-        pair = Evaluation((), own.mse), Evaluation((), other.mse)
-        return self._built.job.criterion.difference(*pair).is_negative(_CLEARLY)
+                 for each in rules)  # fmt: skip
+        values = yield from self._values(works, "choice")
+        return [Evaluation((), each.mse) for each in values]
 
-    def _constant(self) -> Generator[WorkBatch, None, tuple[float, Thresholds]]:
-        """The best threshold of each sensor for all instants, and its error."""
+    def constant(
+        self, rounds: Iterable[Iterable[float]]
+    ) -> Generator[WorkBatch, None, tuple[float, Thresholds]]:
+        """The best threshold of each sensor for all instants, and its error.
+
+        Each round has factors of the thresholds of single sensors; without any, these are equal.
+        """
         while not (yield from self._tried(self._even.scaled(self._largest), self._few))[1]:
             self._largest *= 8.0  # a filter with another model may be more unsure than z varies
         sensors = range(len(self._even.thresholds) if len(self._even.thresholds) > 1 else 0)
         ratios = [partial(_with_ratios, sensor, factors)
-                  for factors, sensor in product(_RATIOS, sensors)]  # fmt: skip
+                  for factors, sensor in product(rounds, sensors)]  # fmt: skip
         best = yield from _least(self._even, ratios, self._error_of)
         return (yield from self._lowest(best, self._few, self._wide, _HALVINGS))
 

@@ -12,6 +12,7 @@ import pfdist
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
+from pfdist.questions.run_of_job import searched_by
 from pfdist.questions.sweep import foreseen_work
 from pfdist.results.stored_run import steps_by_part
 from pfdist.runner.bound_settings import BoundSettings
@@ -57,17 +58,19 @@ def test_an_exact_engine_counts_instants_of_sets(
 
 
 @pytest.mark.parametrize("search", [True, False])
-def test_the_other_estimate_takes_at_most_a_tenth_and_checks_a_twentieth(
+def test_the_other_estimate_takes_at_most_a_tenth_and_checks_and_a_rule_a_twentieth(
     search: bool, small_job: Job
 ) -> None:
     alone = {"search": [], "comparison": {"draws": 250, "sets": {"a": (0, 5), "b": (3, 8)}}}
     for horizon in (8, 100):
-        changes = [f"problem.horizon={horizon}"]
-        job = small_job.with_changes(changes, sections={} if search else alone)
+        changes = [f"problem.horizon={horizon}", f"comparison.draws={200 * horizon}"]
+        job = small_job.with_changes(changes, sections=searched_by("genetic") if search else alone)
         built = build(job, Path("none"))
         foreseen = foreseen_by_part(built, prover_of(built, BoundSettings(draws=480)))
         assert 0 < foreseen["other estimate"] <= 0.1 * core_steps(built)
         assert 0 < foreseen["likelihood"] <= 0.05 * foreseen["proof"]
+        assert (foreseen.get("rule", 0) > 0) is (search and horizon == 100)
+        assert foreseen.get("rule", 0) <= 0.05 * core_steps(built)
 
 
 def test_a_plan_is_foreseen_about_as_it_is_done(
