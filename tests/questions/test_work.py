@@ -66,10 +66,11 @@ def test_the_other_estimate_takes_at_most_a_tenth_and_checks_and_a_rule_a_twenti
         changes = [f"problem.horizon={horizon}", f"comparison.draws={200 * horizon}"]
         job = small_job.with_changes(changes, sections=searched_by("genetic") if search else alone)
         built = build(job, Path("none"))
-        foreseen = foreseen_by_part(built, prover_of(built, BoundSettings(draws=480)))
+        prover = prover_of(built, BoundSettings(draws=480))
+        foreseen = foreseen_by_part(built, prover)
         assert 0 < foreseen["other estimate"] <= 0.1 * core_steps(built)
         assert 0 < foreseen["likelihood"] <= 0.05 * foreseen["proof"]
-        assert foreseen.get("rule", 0) <= 0.05 * core_steps(built)
+        assert foreseen.get("rule", 0) <= 0.05 * core_steps(built, prover)
         assert search == ("rule" in foreseen)
 
 
