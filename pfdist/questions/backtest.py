@@ -287,9 +287,9 @@ def backtest(
             source: Any = job.path if isinstance(job, Run) else job
             built, plan, even = build(as_job(source, changes)), None, {}
         else:
-            found = planned_run(job, results, changes, tell, planned, "")
+            found = planned_run(job, results, changes, tell, planned, "", must_be=True)
             built, plan = found.built, found.times
-            measured = measured_of(found.run)
+            measured = measured_of(found.run) if found.run else {}
             even = {EVEN: measured[EVEN]} if EVEN in measured else {}
         _check_filter(built)
         execution = built.job.with_changes(settings={"execution": chosen.execution}).execution

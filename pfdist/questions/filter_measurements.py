@@ -66,11 +66,14 @@ class FilteredMeasurements(Shown):
 
     Parameters
     ----------
-    run : Path
+    run : Path or None
+        None if the job has no run.
+    job : str
+        Name of the job.
     measurements : Path
         The file with the measurements.
     name : str
-        Name of the compared set whose times were planned.
+        Name of the compared set whose times were planned; empty without a run.
     measured : tuple of int or float
         Times with a measurement, on the clock, as all times below.
     missing, extra, to_come : tuple of int or float
@@ -93,7 +96,8 @@ class FilteredMeasurements(Shown):
         Whether the estimate of the job uses later measurements: `problem.estimate`, `problem.lag`.
     """
 
-    run: Path
+    run: Path | None
+    job: str
     measurements: Path
     name: str
     measured: tuple[Time, ...]
@@ -143,9 +147,9 @@ class FilteredMeasurements(Shown):
         most = self.most_surprising
         files = dict(zip(("table", "figure", "report"), map(str, self.files), strict=False))
         answer = {
-            "run": str(self.run),
+            "run": self.run and str(self.run),
             "measurements": str(self.measurements),
-            "planned": self.name,
+            "planned": self.name or None,
             "measured": self.measured,
             "missing": self.missing,
             "extra": self.extra,
@@ -200,7 +204,8 @@ def filter_measurements(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A job file, whose run is meant, or the folder of a run.
+        A job file, or the folder of a run. A run of the job need not exist; its plan is compared
+        with the times of the measurements.
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
         DataFrame, at any times. An empty cell is a missing component, a row without any value a
@@ -238,8 +243,8 @@ def filter_measurements(
     Raises
     ------
     StoreError
-        There is no finished run of the job, or the run is of another job or of other models,
-        or a file cannot be written.
+        The run is not finished, or it is of another job or of other models, or a file cannot be
+        written.
     JobError
         The run has no set of this name.
     MeasurementsError, PriorError
@@ -287,13 +292,15 @@ def filter_measurements(
     estimates = time_columns(points).table(estimates)
     collapsed = filtering.now.collapsed
     after = points.first(max((*rows.t, *rows.missed), default=-1) + 1)
+    extra = [t for t, m in zip(made, meant, strict=True) if plan.run and m not in wanted]
     result = FilteredMeasurements(
-        plan.run.path,
+        plan.path,
+        plan.built.job.path.stem,
         Path("measurements") if isinstance(table, pd.DataFrame) else table,
         plan.name,
         tuple(points.written_of(made)),
         tuple(points.written_of(t for t in wanted if t < after and t not in meant)),
-        tuple(points.written_of(t for t, m in zip(made, meant, strict=True) if m not in wanted)),
+        tuple(points.written_of(extra)),
         tuple(points.written_of(t for t in wanted if t >= after and t not in meant)),
         frame_of(estimates),
         filtering.log_evidence,
@@ -365,21 +372,23 @@ def _moments(
 
 def _report_of(answer: FilteredMeasurements) -> Page:
     sections = [_belief(answer), _fit(answer), _instants(answer.table, answer.clock)]
-    run, file = answer.run.name, answer.measurements.name
+    file = answer.measurements.name
+    whose = f"the run {answer.run.name}" if answer.run else f"the job {answer.job}"
     number = number_of(len(answer.measured), "measurement")
-    subtitle = f"{number} of {file}, by the filter of the run {run}"
-    source = f"from the measurements {file} by the filter of the run {run}"
+    subtitle = f"{number} of {file}, by the filter of {whose}"
+    source = f"from the measurements {file} by the filter of {whose}"
     alarms = _alarms(answer)
     return Page("Filtered measurements", subtitle, sections, source=source, alarms=alarms)
 
 
 def _facts(answer: FilteredMeasurements) -> list[tuple[str, str]]:
-    times = {
-        "measured at t": answer.measured,
-        "planned, missing": answer.missing,
-        "planned, to come": answer.to_come,
-        "measured, not planned": answer.extra,
-    }
+    times = {"measured at t": answer.measured}
+    if answer.run is not None:
+        times |= {
+            "planned, missing": answer.missing,
+            "planned, to come": answer.to_come,
+            "measured, not planned": answer.extra,
+        }
     return [(name, answer.clock.listed(each) or "none") for name, each in times.items()]
 
 

@@ -57,9 +57,11 @@ class NextTime(Shown):
 
     Parameters
     ----------
-    run : Path
+    run : Path or None
+        None if the job has no run.
     name : str
-        Name of the compared set whose times were planned before anything was measured.
+        Name of the compared set whose times were planned before anything was measured; empty
+        without a run.
     measured : tuple of int or float
         Times with a measurement, on the clock of the job, as all times below.
     now : int or float
@@ -84,7 +86,7 @@ class NextTime(Shown):
         Times of measurements whose values arrive after `now`.
     """
 
-    run: Path
+    run: Path | None
     name: str
     measured: tuple[Time, ...]
     now: Time
@@ -127,8 +129,8 @@ class NextTime(Shown):
         before, apart = self.expected_before, self.difference
         low, high = apart.interval() if apart else (None, None)
         answer = {
-            "run": str(self.run),
-            "planned": self.name,
+            "run": self.run and str(self.run),
+            "planned": self.name or None,
             "measured": self.measured,
             **({"in_flight": self.in_flight} if self.in_flight else {}),
             "now": self.now,
@@ -176,7 +178,7 @@ class NextTime(Shown):
 
     def _before(self) -> list[tuple[str, str]]:
         """The plan that was made before these measurements, if it differs."""
-        if self.planned_before == self.plan:
+        if self.run is None or self.planned_before == self.plan:
             return []
         times = self.clock.listed(self.planned_before)
         if not times:
@@ -214,7 +216,7 @@ def next_time(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A job file, whose run is meant, or the folder of a run.
+        A job file, or the folder of a run. Without a run of the job, the measurements alone plan.
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
         DataFrame, at any times. It may have no rows. An empty cell is a missing component, a row
@@ -253,8 +255,7 @@ def next_time(
     Raises
     ------
     StoreError
-        There is no finished run of the job, it has no rule, or it is of another job or of other
-        models.
+        The run is not finished, it has no rule, or it is of another job or of other models.
     JobError
         The run has no set of this name.
     MeasurementsError, PriorError
@@ -263,15 +264,18 @@ def next_time(
         The model cannot be loaded, or a formula failed.
     """
     table = table_argument("measurements", measurements)
-    plan = planned_run(job, results, changes, say, planned, prior)
+    plan = planned_run(job, results, changes, say, planned, prior, must_be=rule)
     believed = plan.built.evaluator.believed
     clock, points = plan.built.job.problem.clock, plan.built.job.problem.points
-    if rule:
-        by_rule = _by_rule(plan, table, now, reading_of(plan.built, columns, within, say))
+    if rule and plan.path is not None:
+        by_rule = _by_rule(
+            plan, plan.path, table, now, reading_of(plan.built, columns, within, say)
+        )
         for line in by_rule.doubts if say is silent else ():
             warnings.warn(line, PfdistWarning, stacklevel=2)
         return by_rule
-    planner = Planner(plan.built, points.written_of(plan.times), prior=plan.prior)
+    times = points.written_of(plan.times) if plan.run else None
+    planner = Planner(plan.built, times, prior=plan.prior)
     feasible = planner.feasible
     start = clock.instant(planner.estimate().t)
     reading = reading_of(plan.built, columns, within, say)
@@ -294,12 +298,14 @@ def next_time(
     first = max(last + 1, start)
     kept = [t for t in plan.times if t not in spent and points.made_at(t) >= first]
     before = tuple(sorted(sorted(kept, key=points.made_at)[:left]))
-    still = feasible.left_after(planner._taken, first, planner._in_flight).may_all(before)
+    still = plan.run is not None and feasible.left_after(
+        planner._taken, first, planner._in_flight
+    ).may_all(before)
     expected, *expected_before = planner.expected(
         planner.plan(), *([points.written_of(before)] if still else [])
     )
     result = NextTime(
-        plan.run.path,
+        plan.path,
         plan.name,
         tuple(replace(points, clock=rows.clock).written_of(made)),
         planner.estimate().t,
@@ -319,12 +325,12 @@ def next_time(
 
 
 def _by_rule(
-    plan: PlannedRun, table: Path | pd.DataFrame, now: Any, reading: Reading
+    plan: PlannedRun, run: Path, table: Path | pd.DataFrame, now: Any, reading: Reading
 ) -> NextByRule:
     """The first instant at which the spread exceeds a level of the run's rule."""
     feasible, points = plan.built.feasible, plan.built.feasible.points
     rule, clock, believed = (
-        rule_of(plan.run.path, feasible), points.clock, plan.built.evaluator.believed
+        rule_of(run, feasible), points.clock, plan.built.evaluator.believed
     )  # fmt: skip
     start = 0 if plan.prior is None else plan.prior.t
     rows = read_measurements(table, believed, clock, start, reading)
@@ -353,7 +359,7 @@ def _by_rule(
     few = next((each.collapsed for each in estimates if each.collapsed is not None), None)
     doubts = few_at(None if few is None else rows.clock.time(few), clock)
     doubts += [_SEE_SURPRISE] * (surprise is not None and surprise < IMPROBABLE)
-    return NextByRule(plan.run.path, rule, measured, following, spread, level, feasible, doubts)
+    return NextByRule(run, rule, measured, following, spread, level, feasible, doubts)
 
 
 def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:

@@ -1,4 +1,4 @@
-"""Real measurements: the run that planned them, the tables of a user, and the filter."""
+"""Real measurements: the run that planned them, if any, the tables of a user, and the filter."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -18,13 +18,13 @@ from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
 from pfdist.problem.measurements import Measurements, Reading
-from pfdist.problem.problem import JobSource
-from pfdist.questions.run_of_job import run_and_job
+from pfdist.problem.problem import JobSource, as_job
+from pfdist.questions.run_of_job import path_of_run, run_and_job
 from pfdist.results import Run
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import measured_of
 from pfdist.runner.backtesting import evaluator_on, follows_clock
-from pfdist.runner.build import Built
+from pfdist.runner.build import Built, build, say_model_files
 from pfdist.runner.progress import Say, heard
 from pfdist.store.user_tables import is_parquet
 
@@ -58,13 +58,13 @@ def files_beside(
 
 
 class PlannedRun(NamedTuple):
-    """A finished run, the set that was planned, and what filters need.
+    """A finished run of a job if it has one, the set that was planned, and what filters need.
 
     Parameters
     ----------
-    run : Run
+    run : Run or None
     name : str
-        Name of the compared set whose times were planned.
+        Name of the compared set whose times were planned; empty without a run.
     times : tuple of int
     built : Built
         The run's job, built.
@@ -72,11 +72,16 @@ class PlannedRun(NamedTuple):
         Particles from which the filter starts, if the user gives some.
     """
 
-    run: Run
+    run: Run | None
     name: str
     times: Times
     built: Built
     prior: Prior | None
+
+    @property
+    def path(self) -> Path | None:
+        """The folder of the run."""
+        return None if self.run is None else self.run.path
 
 
 def planned_run(
@@ -86,20 +91,30 @@ def planned_run(
     say: Say,
     planned: str,
     prior: UserTable | Prior | ArrayLike,
+    *,
+    must_be: bool = False,
 ) -> PlannedRun:
     """The finished run of a job, the set that was planned, and what filters need.
 
-    The arguments are those of `pfdist.next_time`, and the errors those of `run_and_job`, of
-    `_planned_set` and of `as_prior`.
+    Without a run of the job there is no plan, if the user names neither a folder nor a set; with
+    `must_be`, this is an error. The other arguments are those of `pfdist.next_time`, and the errors
+    those of `run_and_job`, of `_planned_set` and of `as_prior`.
     """
     table: Any = prior
     if isinstance(prior, str | Path):  # a model may change the working folder
         table = path_argument("prior", prior) if str(prior) else None
-    run, built = run_and_job(job, results, changes, say)
-    name = _planned_set(run, planned)
+    run, name, times = None, "", Times()
+    if isinstance(job, Run) or must_be or results or planned or path_of_run(as_job(job)):
+        run, built = run_and_job(job, results, changes, say)
+        name = _planned_set(run, planned)
+        times = measured_of(run)[name]
+    else:
+        alone = as_job(job, changes)
+        say_model_files([alone], say)
+        built = build(alone)
     model, clock = built.evaluator.believed, built.job.problem.clock
     start = as_prior(table, model, clock.readers(), clock.instant_of_t)
-    return PlannedRun(run, name, measured_of(run)[name], built, start)
+    return PlannedRun(run, name, times, built, start)
 
 
 def _planned_set(run: Run, name: str) -> str:

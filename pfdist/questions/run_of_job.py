@@ -103,12 +103,9 @@ def run_and_job(
         results = source.path if results is None else results
         source = job_of(source) or source.path
     job = as_job(source)
-    path = folder_of(job, results)
-    if not holds_run(path):
-        planned = folder_of(job, results, PLANNED)
-        if not (job.origin.names_searches and holds_run(planned)):
-            raise _no_run(job, results)
-        path = planned
+    path = path_of_run(job, results)
+    if path is None:
+        raise _no_run(job, results)
     run = finished_run(path)
     job = _job_of(run, partial(as_job, source, changes, settings={"execution": execution}))
     check_same_job(path, run.job, job)
@@ -116,6 +113,13 @@ def run_and_job(
     built = build(job.with_changes(sections=run.job), path)  # with the draws of the run
     check_same_models(path, built)
     return run, built
+
+
+def path_of_run(job: Job, results: str | Path | None = None) -> Path | None:
+    """The folder of a job's run, or else of its plan; None if neither holds a run."""
+    endings = ("", PLANNED) if job.origin.names_searches else ("",)
+    folders = (folder_of(job, results, ending) for ending in endings)
+    return next(filter(holds_run, folders), None)
 
 
 def _job_of(run: Run, job_with: Callable[..., Job]) -> Job:

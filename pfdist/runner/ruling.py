@@ -188,7 +188,7 @@ def settle_rules(store: Store) -> None:
 
 
 def why_no_rule(built: Built) -> str:
-    """What keeps a job from having a rule; empty if nothing does."""
+    """The reason why a job has no rule; empty if it may have one."""
     job, evaluator = built.job, built.evaluator
     refused = {
         f"the criterion {job.criterion.name}, which is not judged by the MSE of each draw alone":

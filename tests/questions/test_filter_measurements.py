@@ -53,6 +53,40 @@ def _written(path: Path, times: Any, y: Any) -> Path:
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_a_job_without_a_run_filters_as_that_of_its_run(job: Path, y: Any, tmp_path: Path) -> None:
+    alone = tmp_path / "alone.toml"
+    alone.write_text(job.read_text())
+    table = _written(tmp_path / "mine.csv", (1, 4, 8), y)
+    with_run, without = (
+        pfdist.filter_measurements(each, table, out=tmp_path / each.stem) for each in (job, alone)
+    )
+    pd.testing.assert_frame_equal(without.table, with_run.table)
+    assert (without.run, without.name, without.extra) == (None, "", ())
+    assert "planned" in repr(with_run._page())
+    assert "planned" not in repr(without._page())
+    report = (tmp_path / "alone" / "mine.filtered.html").read_text()
+    assert "by the filter of the job alone" in report
+    with pytest.raises(StoreError, match="there is no run of this job"):
+        pfdist.filter_measurements(alone, table, planned="genetic")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_without_a_run_the_measurements_alone_plan(job: Path, y: Any, tmp_path: Path) -> None:
+    alone = tmp_path / "alone.toml"
+    alone.write_text(job.read_text())
+    table = _written(tmp_path / "mine.csv", (1, 4), y)
+    found, planner = pfdist.next_time(alone, table), pfdist.Planner(alone)
+    for t in (1, 4):
+        planner.update(y[t], t)
+    assert found.plan == planner.plan()
+    assert len(found.plan) == found.left == 2
+    assert (found.run, found.planned_before, found.expected_before) == (None, (), None)
+    assert "planned before" not in repr(found._page())
+    with pytest.raises(StoreError, match="there is no run of this job"):
+        pfdist.next_time(alone, table, rule=True)
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_is_the_filter_of_the_run_at_every_instant(
     job: Path, y: Any, tmp_path: Path
 ) -> None:
