@@ -268,6 +268,14 @@ COMMANDS = {
         "Check every byte, row and key of a run.",
         {"pfdist verify results/plan": "Check a run after it was copied"},
     ),
+    "init": Command(
+        "pfdist.cli.init:init",
+        "Write a job and a model that run, to begin with.",
+        {
+            "pfdist init": "Write mine.toml and mine.py, with the usual choices as comments",
+            "pfdist init lake": "Write lake.toml and lake.py",
+        },
+    ),
     "check-model": Command(
         "pfdist.cli.own:check_model",
         "Find what is wrong with a model.",
@@ -309,6 +317,6 @@ GROUPS = {
     "Ask": ("evaluate", "compare", "why", "bound", "explore"),
     "Real data": ("filter", "next", "rule", "online", "backtest"),
     "Runs": ("status", "list", "table", "report", "plot", "verify"),
-    "Models": ("check-model", "models", "completion"),
+    "Models": ("init", "check-model", "models", "completion"),
 }
 """The groups of the help, with their commands in order."""

@@ -146,6 +146,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "measurements": _file("MEASUREMENTS"),
     "memory": _number("MIB"),
     "model": _file("MODEL"),
+    "name": Word(str, Parameter(metavar="NAME"), stands_alone=True),
     "now": _number("T", _decimal),
     "out": _folder("PATH"),
     "over": _texts("KEY=VALUES", values_by_key),

@@ -1,0 +1,48 @@
+"""The job and the model to begin with: they run, and so does each choice in their comments."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import load_job
+from pfdist.cli.init import init
+
+Call = Callable[..., Any]
+
+
+def test_the_job_plans_and_its_model_is_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, text, _ = call("init", "lake")
+    assert (code, text.splitlines()) == (0, ["lake.toml", "lake.py", "pfdist plan lake.toml"])
+    code, text, _ = call("check-model", "lake.toml")
+    assert code == 0
+    few = {"changes": ["comparison.draws=200", "filter.particles=100"]}
+    run = pfdist.plan("lake.toml", bound_draws=0, figures=False, pool="serial", report=False, **few)
+    times = np.array(run.best.measurement_times)
+    assert len(times) == 6
+    assert np.sum((times > 25) & (times < 50)) >= 4  # where it is disturbed most
+    code, _, error = call("init", "lake")
+    assert (code, error) == (1, "pfdist: lake.toml exists: give another name, or remove the file\n")
+    code, _, error = call("init", "a b")
+    assert code == 1
+    assert "name must have letters" in error
+
+
+def test_each_choice_in_a_comment_is_a_possible_job(tmp_path: Path) -> None:
+    assert [*init(str(tmp_path / "mine"))]
+    text = (tmp_path / "mine.toml").read_text()
+    choices = re.findall(r"^# (\w+ = .*?)(?:  +#.*)?$", text, re.MULTILINE)
+    assert len(choices) == 6
+    usual = load_job(tmp_path / "mine.toml").problem
+    for choice in choices:
+        (tmp_path / "one.toml").write_text(text.replace(f"# {choice}", choice))
+        changed = load_job(tmp_path / "one.toml").problem
+        key = choice.partition(" ")[0]
+        assert getattr(changed, key) != getattr(usual, key)
