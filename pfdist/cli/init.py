@@ -57,7 +57,7 @@ def measurement(x, t, v, p):  # what is read, with its error
     return (x[0] + p.error * v[0],)
 
 
-def log_density(y, x, t, p):  # of the reading y, if the state is x
+def likelihood_of_reading(y, x, t, p):  # of the reading y, if the state is x
     return -0.5 * ((y[0] - x[0]) / p.error) ** 2 - np.log(p.error * np.sqrt(2 * np.pi))
 
 
@@ -70,7 +70,7 @@ model = StateSpaceModel(
     initial=initial,
     transition=transition,
     measurement=measurement,
-    log_likelihood=log_density,
+    log_likelihood=likelihood_of_reading,
     quantity_of_interest=quantity_of_interest,
     initial_noise=("normal",),
     process_noise=("normal",),
