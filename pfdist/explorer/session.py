@@ -355,11 +355,11 @@ class ExplorerSession:
         """The command that compares named sets with evenly spaced or regular times and the plan."""
         self.job_text(sets)  # checks the names
         is_regular = self._others[EVEN] == _REGULAR_TIMES
-        given: dict[str, Iterable[int]] = {} if is_regular else {EVEN: self._shown(self.even)}
+        given = {} if is_regular else {EVEN: self._shown(self.even)}
         given |= {PLAN: self._shown(self.plan)} if self.plan else {}
         written = {REGULAR: REGULAR} if is_regular else {}
-        for name, times in {**given, **sets}.items():
-            written[name] = ",".join(map(unrounded, self._written(times)))
+        for name, chosen in {**given, **sets}.items():
+            written[name] = ",".join(map(unrounded, self._written(chosen)))
         place = self._source or (self.run.path if self.run else self.job.path)
         if self._source is None and self.run is None and not self.job.origin.is_file:
             return f"pfdist.compare(problem, times={written})"
