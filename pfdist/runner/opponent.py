@@ -13,6 +13,7 @@ import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import chain
 
 import numpy as np
 
@@ -44,11 +45,11 @@ _RANKED = 150_000  # lines of a ranking; the 39,627 sets of the paper's problem 
 _EXACTLY = 200_000, 20, 1000  # instants of the sets with exact errors; least and most sets
 _NEAR, _LEVELS = 16, 3  # lines near which others are ranked, and how often, if not all are
 _RANKING_DRAWS = 2 * BLOCK
-_RACING, _FIRST = 96, 48  # sets of a race, and draws of its first round
+_RACING, _FIRST = 96, 96  # sets of a race, and draws of its first round
 _KEPT, _UNTIL = 12, 600  # sets that are kept until so many draws
-_WHOLE_RACE = 20_000  # set-draws of such a race, about
+_WHOLE_RACE = 23_000  # draws of all sets of such a race, about; they share much
 _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
-_OF_RANKING, _OF_RACE = 0.5, 0.6  # of the work
+_OF_RANKING, _OF_REFINING = 0.35, 0.4  # of the work, at most; the race takes what is left
 _LEAST_SPREAD, _MOST_SPREAD = 16, 400  # sets with which an evaluation from coarse to fine begins
 
 
@@ -97,44 +98,41 @@ class EvenSearch:
 
     def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
         """The best of the candidates and the given sets, by a race on draws of its own."""
-        given, tried = dict.fromkeys(self.given.values()), 0
+        given, tried, spent = dict.fromkeys(self.given.values()), 0, 0.0
         is_single = self.built.job.budget is None and self.feasible.counted
         if is_single and self.feasible.total <= MOST_REGULAR:
             ranked = [self.feasible.regular()]  # every set is evenly spaced
-        elif self.built.evaluator.exact:
+        elif self._is_exact:
             ranked, tried = yield from self._candidates(session)
         else:
-            ranked, tried = yield from self._finalists(session)
+            ranked, tried, spent = yield from self._finalists(session)
         ranked = ranked or [self.feasible.regular()]
         order = [*dict.fromkeys((*given, *ranked))]
         if len(order) > 1:
-            order = yield from self._raced(session, order)
+            order = yield from self._raced(session, order, len(given), spent)
         even = next(times for times in order if times in {*ranked})
         names = (name for name, times in self.given.items() if times == order[0] != even)
         return Opponent(even, tried, next(names, self.name))
 
+    @property
+    def _is_exact(self) -> bool:
+        return self.built.evaluator.exact and not self.built.job.criterion.needs_draws
+
     def _raced(
-        self, session: RunSession, sets: list[Times]
+        self, session: RunSession, sets: list[Times], given: int, spent: float
     ) -> Generator[WorkBatch, None, list[Times]]:
-        """The sets, the best first: by exact errors, or by a race."""
+        """The best of the sets, the best first: by exact errors, or by a race of the first ones."""
         errors = self.built.evaluator.expected_mse(sets, criterion=self.built.job.criterion)
         if errors is not None:
             instants = len(sets) * (self.feasible.horizon + 1)
             session.count_exact(self.phase.name, "opponent", instants)
             return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
-        race = Race(tuple(sets), self._first, _KEPT, math.ceil(self._scale * _UNTIL))
-        raced = yield from run_phase(self._with(race, race.draws), session)
+        scale = min(1.0, max(0.0, self.steps / self._a_draw - spent) / _WHOLE_RACE)
+        draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
+        most = given + max(2, min(_RACING, int(scale * _RACING * _FIRST / draws)))
+        race = Race(tuple(sets[:most]), draws, _KEPT, math.ceil(scale * _UNTIL))
+        raced = yield from run_phase(self._with(race, draws), session)
         return [each.measurement_times for each in raced]
-
-    @property
-    def _scale(self) -> float:
-        """The share of a whole race that the work allows."""
-        return min(1.0, _OF_RACE * self.steps / (_WHOLE_RACE * self._a_draw))
-
-    @property
-    def _first(self) -> int:
-        """The draws of the race's first round."""
-        return max(BLOCK, self.phase.criterion.fewest, math.ceil(self._scale * _FIRST))
 
     def _candidates(
         self, session: RunSession
@@ -145,34 +143,34 @@ class EvenSearch:
         sets = [] if any(line.distance for line in lines) else [*self.even.sets_of(lines)]
         if 0 < len(sets) <= most:
             return sets, 0
-        ranked, tried = yield from self._finalists(session)
+        ranked, tried, _ = yield from self._finalists(session)
         return ranked[:most], tried
 
     def _finalists(
         self, session: RunSession
-    ) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
-        """Candidates, the best first, and how many were looked at; 0 if these are all.
+    ) -> Generator[WorkBatch, None, tuple[list[Times], int, float]]:
+        """Candidates, the best first, how many were looked at, and the work in draws of a set.
 
         Windows are short. Where a system remembers longer, their sums rank good sets too low: so
-        half of the candidates are the best of an evaluation from coarse to fine.
+        every other candidate is from an evaluation from coarse to fine.
         """
-        programme, ranked, tried = (yield from self.programme(session)), list[Times](), 1
+        programme = yield from self.programme(session)
+        ranked, tried, spent = list[Times](), 1, 0.0
         if programme is not None:
             ranked, tried = ranking(self.even, programme, _RANKED)
-        if ranked and self.built.evaluator.exact:
-            return ranked, tried
-        most = max(2, min(_RACING, int(self._scale * _RACING * _FIRST / self._first)))
-        spread = int((1 - _OF_RACE) * self.steps / (_COARSE_DRAWS * self._a_draw * 2.5))
-        if ranked and spread < _LEAST_SPREAD:
-            return ranked[:most], tried
+            numbers = len(self.built.study.each) * (self.feasible.horizon + 1)
+            spent = _RANKING_DRAWS * programme.errors.size / numbers
+        spread = int(_OF_REFINING * self.steps / (_COARSE_DRAWS * self._a_draw * 2.5))
+        if ranked and (self._is_exact or spread < _LEAST_SPREAD):
+            return ranked, tried, spent
         refine = Refine(self.even, max(_LEAST_SPREAD, min(spread, _MOST_SPREAD)))
         draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
         coarse = replace(self._with(refine, draws), name=coarse_of(self.name))
         found = yield from run_phase(coarse, session)
         refined = [each.measurement_times for each in found]
-        half = most // 2 if ranked else most
-        best = dict.fromkeys((*ranked[: most - half], *refined[:half]))
-        return [*best], len(refined) if not ranked else tried
+        by_turns = chain.from_iterable(zip(ranked, refined, strict=False))
+        tried = tried if ranked else len(refined)
+        return [*by_turns, *refined, *ranked], tried, spent + draws * len(refined)
 
     def programme(self, session: RunSession) -> Generator[WorkBatch, None, Programme | None]:
         """The first programme of the relaxation; None if there is none, or it takes too long."""
