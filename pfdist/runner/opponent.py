@@ -182,9 +182,8 @@ class EvenSearch:
             return None
         blocks = _RANKING_DRAWS // BLOCK
         a_draw = _RANKING_DRAWS * self._a_draw / (feasible.horizon + 1)
-        most = int(
-            _OF_RANKING * most_steps(built, _LEAST_STEPS) / a_draw
-        )  # for all numbers of measurements
+        allowed = most_steps(built, _LEAST_STEPS)  # for all numbers of measurements
+        most = int(_OF_RANKING * allowed / a_draw)
         try:
             relaxation = first_relaxation(feasible, study.usual, built.evaluator.lag, most)
         except JobError:
