@@ -5,7 +5,6 @@
 // m = t * S + sensor, as everywhere in the program.
 
 const LEFT = 46, RIGHT = 14, CHART = 230, LANE = 24, HEAD = 18, ROW = LANE + HEAD; // pixels
-const SETS = { even: "Evenly spaced", plan: "Plan", yours: "Yours" };
 const REST = 300, SLOW = 1000, QUIET = 900, AGAIN = 1000; // milliseconds
 const JUDGE = "Judge on fresh draws";
 
@@ -33,6 +32,7 @@ function ticks(low, high, count) {
 }
 
 export function mount(element, connection) {
+  const SETS = { even: "", plan: "Plan", yours: "Yours" };
   const view = Math.random().toString(36).slice(2);
   const kept = new Map(); // the times of each name
   const past = []; // the times before each change, for undo
@@ -366,6 +366,7 @@ export function mount(element, connection) {
   function begin(found) {
     const start = facts ? times() : found.plan ?? found.even;
     facts = { ...found, forbidden: new Set(found.forbidden) };
+    SETS.even = found.even_label[0].toUpperCase() + found.even_label.slice(1);
     title.textContent = `When to measure: ${found.model}`;
     about.textContent = `${found.budget}. Drag your times. Click on an empty place to add one; `
       + "double-click or press Delete to remove one. Arrow keys move the time in focus."
@@ -433,7 +434,7 @@ export function mount(element, connection) {
     judged.replaceChildren(make("table", {}, make("caption", {}, "Judged on fresh draws. ",
       together || "", "The best of several sets is judged once more: picking it flatters it."),
     make("thead", {}, make("tr", {}, ...["set",
-      `expected MSE against ${facts.plan ? "the plan" : "evenly spaced"}`, "times"]
+      `expected MSE against ${facts.plan ? "the plan" : facts.even_label}`, "times"]
       .map((each) => cell(each, "th", { scope: "col" })))),
     make("tbody", {}, ...rows.map((each) => make("tr", {},
       cell(each.name + (each.again ? " (judged once more)" : ""), "th", { scope: "row" }),

@@ -2,8 +2,8 @@
 
 A user who moves times looks at many sets on the same draws, and keeps the best of them. So these
 draws flatter the set, and no error on them is a proof. `ExplorerSession.judge` compares a set with
-the plan, if there is one, else with the evenly spaced times, on draws that are new at each
-judgement, and all intervals hold together.
+the plan, if there is one, else with regular times, on draws that are new at each judgement, and all
+intervals hold together. Without a run the best evenly spaced times are not known.
 
 References
 ----------
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import EVEN as BEST_EVEN
-from pfdist.common.measurement_times import Times, validated
+from pfdist.common.measurement_times import REGULAR, Times, validated
 from pfdist.common.parsing import parse_json
 from pfdist.common.percent import percent
 from pfdist.common.rounding import unrounded, with_error
@@ -48,14 +48,14 @@ FINER = 16  # times the draws of the first answer: on so many draws the answer i
 FINER_SECONDS = 0.3  # of further draws: an answer to a new move waits no longer
 JUDGING_SECONDS = 2.0
 YOURS, PLAN, EVEN = "yours", "plan", "even"
-_OTHERS = {PLAN: "the plan", EVEN: "evenly spaced"}
+_REGULAR_TIMES = "regular times"
 ON_THESE_DRAWS = "on these draws"
 _FEWER = 10  # times fewer draws for the error of the other estimate
 _SAME, _ROUNDING = "the same times", 1e-9  # relative error of exact gaps
 
 
 class Judgement(NamedTuple):
-    """A set against the plan or evenly spaced times, on draws that no other judgement has."""
+    """A set against the plan or regular times, on draws that no other judgement has."""
 
     name: str
     times: Times
@@ -100,6 +100,8 @@ class ExplorerSession:
         self.plan = measured_of(self.run)[self.best.name] if self.run and self.best else None
         measured = measured_of(self.run) if self.run and self.best else {}
         self.even = measured.get(BEST_EVEN) or self.feasible.regular()
+        label = self.run.labels[BEST_EVEN] if self.run and BEST_EVEN in measured else REGULAR
+        self._others = {PLAN: "the plan", EVEN: _REGULAR_TIMES if label == REGULAR else label}
         proofs = last_bounds(self.run) if self.run and self.best else {}
         self._proof = proofs.get(self.best.name) if self.best else None
         self.seconds_a_draw = self.played.seconds_a_draw(self.even)
@@ -140,6 +142,7 @@ class ExplorerSession:
                 {"name": each.name, "unit": each.unit} for each in self.played.components
             ],
             "even": self._shown(self.even),
+            "even_label": self._others[EVEN],
             "plan": self.plan and self._shown(self.plan),
             "windows": self._windows(),
             "window_percent": STRICT,
@@ -228,10 +231,10 @@ class ExplorerSession:
         other: Mapping[str, Evaluation],
     ) -> list[tuple[str, str]]:
         own, facts, shown = known[YOURS], list[tuple[str, str]](), [YOURS]
-        changes = {name: Change.between(own, known[name]) for name in _OTHERS if name in known}
+        changes = {name: Change.between(own, known[name]) for name in self._others if name in known}
         for name, change in changes.items():
             is_same = times == known[name].measurement_times
-            facts.append((f"against {_OTHERS[name]}", _SAME if is_same else change.text()))
+            facts.append((f"against {self._others[name]}", _SAME if is_same else change.text()))
             shown += [] if is_same else [name]
         errors, others = (
             {name: with_error(e.expected_mse, e.standard_error) for name, e in each.items()}
@@ -240,7 +243,7 @@ class ExplorerSession:
         when = "at the moment" if self.job.problem.instants_of_lag else "afterwards"
         named = f"MSE {when}" + ", at most" * self.built.evaluator.other_is_limit
         for head, texts in (("expected MSE", errors), ("typical error", typical), (named, others)):
-            each = (f"{_OTHERS.get(name, YOURS)} {texts[name]}" for name in shown)
+            each = (f"{self._others.get(name, YOURS)} {texts[name]}" for name in shown)
             facts.append((head, "; ".join(each)))
         if PLAN in changes and not self.feasible.broken(times):
             gap = self._gap(changes[PLAN].ratio)
@@ -269,7 +272,7 @@ class ExplorerSession:
     def judge(self, name: str, times: Iterable[int]) -> list[dict[str, Any]]:
         """Compare a set with the plan on fresh draws; give all judgements.
 
-        Without a plan, it is compared with the evenly spaced times.
+        Without a plan, it is compared with regular times.
 
         If several sets were judged, the best of them is judged once more, because the best of
         several estimates is too good.
@@ -288,7 +291,7 @@ class ExplorerSession:
         """
         chosen = self._checked(times)
         if chosen == (self.plan or self.even):
-            these = "the times of the plan" if self.plan else "the evenly spaced times"
+            these = "the times of the plan" if self.plan else _REGULAR_TIMES
             raise JobError(f"these are {these}, with which sets are compared: move a time first")
         self._judge(name, chosen)
         first = [each for each in self._judged if not each.again]
@@ -349,20 +352,20 @@ class ExplorerSession:
         return job_toml(job.identity())
 
     def command_line(self, sets: Mapping[str, Iterable[int]]) -> str:
-        """The command that compares named sets with the evenly spaced times and the plan."""
+        """The command that compares named sets with evenly spaced or regular times and the plan."""
         self.job_text(sets)  # checks the names
-        written = {
-            name: ",".join(map(unrounded, self._written(times)))
-            for name, times in (
-                ({PLAN: self._shown(self.plan)} if self.plan else {}) | {**sets}
-            ).items()
-        }
+        is_regular = self._others[EVEN] == _REGULAR_TIMES
+        given = {} if is_regular else {EVEN: self._shown(self.even)}
+        given |= {PLAN: self._shown(self.plan)} if self.plan else {}
+        written = {REGULAR: REGULAR} if is_regular else {}
+        for name, chosen in {**given, **sets}.items():
+            written[name] = ",".join(map(unrounded, self._written(chosen)))
         place = self._source or (self.run.path if self.run else self.job.path)
         if self._source is None and self.run is None and not self.job.origin.is_file:
-            return f"pfdist.compare(problem, times={ {'regular': 'regular'} | written })"
+            return f"pfdist.compare(problem, times={written})"
         words = ["pfdist", "compare", str(place)]
-        for each in ("regular", *(f"{name}={times}" for name, times in written.items())):
-            words += ["--times", each]
+        for name, times in written.items():
+            words += ["--times", REGULAR if name == REGULAR else f"{name}={times}"]
         return shlex.join(words)
 
     def _written(self, times: Iterable[int]) -> list[Any]:

@@ -13,7 +13,7 @@ from pfdist.results import Run
 def explore(problem_or_run: JobSource | Run) -> Any:
     """Move the measurements by hand in a notebook, and see the error at once.
 
-    The widget shows the plan of a run, the evenly spaced times and your own times. Times are
+    The widget shows the plan of a run, its evenly spaced times and your own times. Times are
     dragged, added and removed; the error over time follows. The draws on which you play flatter the
     set that you choose by them. The button "Judge on fresh draws" compares it on others.
 

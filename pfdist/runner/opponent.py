@@ -3,15 +3,17 @@
 The first programme of the relaxation ranks all evenly spaced sets by the sums of their windows, for
 the work of some eighty evaluations. Its windows are short, so an evaluation from coarse to fine
 adds other sets; it is alone where no relaxation adds up the errors of instants. A race on fresh
-draws decides between the best of both. With exact errors there is no race. The particle-steps of
-all this are at most a twentieth of those of search, comparison and proof, at any horizon and
-number; small jobs may take `_LEAST_STEPS`.
+draws decides between the best of both: neither knows more than the best hundred, so it begins with
+many sets and few draws. With exact errors there is no race. The particle-steps of all this are at
+most a twentieth of those of search, comparison and proof, at any horizon and number; small jobs may
+take `_LEAST_STEPS`.
 """
 
 import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import chain
 
 import numpy as np
 
@@ -36,20 +38,19 @@ from pfdist.search.state_space_relaxation import first_relaxation
 
 SHARE = 0.05
 """Largest share of the particle-steps of search, comparison and proof, for each of two answers."""
-_LEAST_STEPS = 2e8  # a second or two: a small job is no reason for a weak opponent
+_LEAST_STEPS = 2e8  # a second or two: in a small job a share found opponents with 3 % more error
 _PROVED = 2  # with a proof, all of them take about so many times the search and the comparison
 
 _RANKED = 150_000  # lines of a ranking; the 39,627 sets of the paper's problem have 113,778
 _EXACTLY = 200_000, 20, 1000  # instants of the sets with exact errors; least and most sets
 _NEAR, _LEVELS = 16, 3  # lines near which others are ranked, and how often, if not all are
 _RANKING_DRAWS = 2 * BLOCK
-_RACING, _KEPT, _UNTIL, _FIRST = 20, 12, 600, 150  # sets of a race; those kept until so many draws
-_ROUNDS = (
-    1.5  # the work of a whole race, whose sets share much, over `_KEPT` sets on `_UNTIL` draws
-)
+_RACING, _FIRST = 96, 96  # sets of a race, and draws of its first round
+_KEPT, _UNTIL = 12, 600  # sets that are kept until so many draws
+_WHOLE_RACE = 23_000  # draws of all sets of such a race, about; they share much
 _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
-_OF_RANKING, _OF_REFINING, _OF_RACE = 0.5, 0.35, 0.4  # of the work; sets share half of it
-_LEAST_SPREAD, _MOST_SPREAD = 16, 90  # sets with which an evaluation from coarse to fine begins
+_OF_RANKING, _OF_REFINING = 0.35, 0.4  # of the work, at most; the race takes what is left
+_LEAST_SPREAD, _MOST_SPREAD = 16, 400  # sets with which an evaluation from coarse to fine begins
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class EvenSearch:
     @property
     def steps(self) -> float:
         """The most particle-steps that the search may take."""
-        return _most(self.built) / len(self.built.study.each)
+        return most_steps(self.built, _LEAST_STEPS) / len(self.built.study.each)
 
     @cached_property
     def phase(self) -> Phase:
@@ -97,35 +98,40 @@ class EvenSearch:
 
     def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
         """The best of the candidates and the given sets, by a race on draws of its own."""
-        given, tried = dict.fromkeys(self.given.values()), 0
+        given, tried, spent = dict.fromkeys(self.given.values()), 0, 0.0
         is_single = self.built.job.budget is None and self.feasible.counted
         if is_single and self.feasible.total <= MOST_REGULAR:
             ranked = [self.feasible.regular()]  # every set is evenly spaced
-        elif self.built.evaluator.exact:
+        elif self._is_exact:
             ranked, tried = yield from self._candidates(session)
         else:
-            ranked, tried = yield from self._finalists(session)
+            ranked, tried, spent = yield from self._finalists(session)
         ranked = ranked or [self.feasible.regular()]
         order = [*dict.fromkeys((*given, *ranked))]
         if len(order) > 1:
-            order = yield from self._raced(session, order)
+            order = yield from self._raced(session, order, len(given), spent)
         even = next(times for times in order if times in {*ranked})
         names = (name for name, times in self.given.items() if times == order[0] != even)
         return Opponent(even, tried, next(names, self.name))
 
+    @property
+    def _is_exact(self) -> bool:
+        return self.built.evaluator.exact and not self.built.job.criterion.needs_draws
+
     def _raced(
-        self, session: RunSession, sets: list[Times]
+        self, session: RunSession, sets: list[Times], given: int, spent: float
     ) -> Generator[WorkBatch, None, list[Times]]:
-        """The sets, the best first: by exact errors, or by a race."""
+        """The best of the sets, the best first: by exact errors, or by a race of the first ones."""
         errors = self.built.evaluator.expected_mse(sets, criterion=self.built.job.criterion)
         if errors is not None:
             instants = len(sets) * (self.feasible.horizon + 1)
             session.count_exact(self.phase.name, "opponent", instants)
             return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
-        scale = min(1.0, _OF_RACE * self.steps / (_ROUNDS * _KEPT * _UNTIL * self._a_draw))
+        scale = min(1.0, max(0.0, self.steps / self._a_draw - spent) / _WHOLE_RACE)
         draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
-        race = Race(tuple(sets), draws, _KEPT, math.ceil(scale * _UNTIL))
-        raced = yield from run_phase(self._with(race, race.draws), session)
+        most = given + max(2, min(_RACING, int(scale * _RACING * _FIRST / draws)))
+        race = Race(tuple(sets[:most]), draws, _KEPT, math.ceil(scale * _UNTIL))
+        raced = yield from run_phase(self._with(race, draws), session)
         return [each.measurement_times for each in raced]
 
     def _candidates(
@@ -137,32 +143,34 @@ class EvenSearch:
         sets = [] if any(line.distance for line in lines) else [*self.even.sets_of(lines)]
         if 0 < len(sets) <= most:
             return sets, 0
-        ranked, tried = yield from self._finalists(session, most)
+        ranked, tried, _ = yield from self._finalists(session)
         return ranked[:most], tried
 
     def _finalists(
-        self, session: RunSession, most: int = _RACING
-    ) -> Generator[WorkBatch, None, tuple[list[Times], int]]:
-        """Candidates for the race, and how many were looked at; 0 if these are all.
+        self, session: RunSession
+    ) -> Generator[WorkBatch, None, tuple[list[Times], int, float]]:
+        """Candidates, the best first, how many were looked at, and the work in draws of a set.
 
         Windows are short. Where a system remembers longer, their sums rank good sets too low: so
-        half of the candidates are the best of an evaluation from coarse to fine.
+        every other candidate is from an evaluation from coarse to fine.
         """
-        programme, ranked, tried = (yield from self.programme(session)), list[Times](), 1
+        programme = yield from self.programme(session)
+        ranked, tried, spent = list[Times](), 1, 0.0
         if programme is not None:
             ranked, tried = ranking(self.even, programme, _RANKED)
-        share = _OF_REFINING if ranked else 1 - _OF_RACE
-        spread = int(share * self.steps / (_COARSE_DRAWS * self._a_draw * 2.5))
-        if ranked and (self.built.evaluator.exact or spread < _LEAST_SPREAD):
-            return ranked[:most], tried
+            numbers = len(self.built.study.each) * (self.feasible.horizon + 1)
+            spent = _RANKING_DRAWS * programme.errors.size / numbers
+        spread = int(_OF_REFINING * self.steps / (_COARSE_DRAWS * self._a_draw * 2.5))
+        if ranked and (self._is_exact or spread < _LEAST_SPREAD):
+            return ranked, tried, spent
         refine = Refine(self.even, max(_LEAST_SPREAD, min(spread, _MOST_SPREAD)))
         draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
         coarse = replace(self._with(refine, draws), name=coarse_of(self.name))
         found = yield from run_phase(coarse, session)
         refined = [each.measurement_times for each in found]
-        half = most // 2 if ranked else most
-        best = dict.fromkeys((*ranked[: most - half], *refined[:half]))
-        return [*best], len(refined) if not ranked else tried
+        by_turns = chain.from_iterable(zip(ranked, refined, strict=False))
+        tried = tried if ranked else len(refined)
+        return [*by_turns, *refined, *ranked], tried, spent + draws * len(refined)
 
     def programme(self, session: RunSession) -> Generator[WorkBatch, None, Programme | None]:
         """The first programme of the relaxation; None if there is none, or it takes too long."""
@@ -174,7 +182,8 @@ class EvenSearch:
             return None
         blocks = _RANKING_DRAWS // BLOCK
         a_draw = _RANKING_DRAWS * self._a_draw / (feasible.horizon + 1)
-        most = int(_OF_RANKING * _most(built) / a_draw)  # for all numbers of measurements
+        allowed = most_steps(built, _LEAST_STEPS)  # for all numbers of measurements
+        most = int(_OF_RANKING * allowed / a_draw)
         try:
             relaxation = first_relaxation(feasible, study.usual, built.evaluator.lag, most)
         except JobError:
@@ -243,26 +252,22 @@ def settings_of(built: Built) -> Settings:
     )
 
 
-def most_steps(built: Built) -> float:
-    """The most particle-steps of one answer beside the plan: its share of all."""
+def most_steps(built: Built, least: float = 0.0) -> float:
+    """The most particle-steps of one answer beside the plan: its share of all, or so many.
+
+    A batched model may be slow, and keeps to the share.
+    """
     planned = sum(search_steps(built, search) for search in built.searches)
     proved = _PROVED if built.job.criterion.bound != "none" else 1
-    return SHARE * proved * (planned + comparison_steps(built))
+    is_slow = isinstance(built.evaluator.model, BatchedModel)
+    share = SHARE * proved * (planned + comparison_steps(built))
+    return share if is_slow else max(share, least)
 
 
 def opponent_steps(built: Built) -> float:
     """Approximate number of particle-steps of all opponents."""
-    return _most(built) if built.study.even and built.evaluator.has_particles else 0.0
-
-
-def _most(built: Built) -> float:
-    """The most particle-steps of all opponents.
-
-    The share of a small job is too little: with 4,000 draws in the comparison, the opponent had 3 %
-    more error for some models of the gallery. A batched model may be slow, and keeps to the share.
-    """
-    is_slow = isinstance(built.evaluator.model, BatchedModel)
-    return max(most_steps(built), 0.0 if is_slow else _LEAST_STEPS)
+    has_any = built.study.even and built.evaluator.has_particles
+    return most_steps(built, _LEAST_STEPS) if has_any else 0.0
 
 
 def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Opponent]:

@@ -139,7 +139,7 @@ def test_a_dragged_time_moves_to_allowed_instants_only_and_the_figures_follow(
     drag(page, 4, 2)  # required
     assert times(page) == [0, 4, 6, 11]
     assert page.locator(".broken li").count() == 0
-    assert "against evenly spaced" in page.locator("dl.verdict").inner_text()
+    assert "against regular times" in page.locator("dl.verdict").inner_text()
     drag(page, 6, 1.9)  # past the required time
     assert times(page) == [0, 2, 4, 11]
 
@@ -150,7 +150,7 @@ def test_the_paired_difference_stands_first_and_is_the_largest(
     page = open_page(address)
     slider(page, 12).press("ArrowLeft")
     answered(page, session)
-    assert " ± " in shown(page, "expected MSE against evenly spaced")
+    assert " ± " in shown(page, "expected MSE against regular times")
     own, *others = page.evaluate("""() => [...document.querySelectorAll(".verdict dd, main *")]
         .sort((a, b) => b.matches(".verdict dd") - a.matches(".verdict dd"))
         .map((each) => parseFloat(getComputedStyle(each).fontSize))""")
@@ -197,7 +197,7 @@ def test_times_are_added_and_removed(
     assert page.get_by_role("button", name="Remove").is_disabled()  # required
     page.keyboard.press("Delete")
     assert times(page) == [0, 4, 12]
-    page.get_by_role("button", name="Start from evenly spaced").click()
+    page.get_by_role("button", name="Start from regular times").click()
     assert times(page) == [*session.even]
 
 
@@ -248,7 +248,7 @@ def test_a_reader_hears_the_answer_once_it_is_still(open_page: Open, address: st
     page = open_page(address)
     slider(page, 0).press("ArrowRight")
     live = page.locator(".live")
-    wait(page, lambda: "against evenly spaced" in live.inner_text())
+    wait(page, lambda: "against regular times" in live.inner_text())
     assert live.get_attribute("role") == "status"
     assert "on these draws" in live.inner_text()
 

@@ -59,7 +59,7 @@ def test_the_gain_is_that_of_the_same_draws_with_its_interval() -> None:
     played = session.played
     mine, even = (played.errors(times, 480).mse for times in (MINE, session.even))
     ((head, text), *_) = session.answer(MINE, 480)["facts"]
-    assert head == "against evenly spaced"  # there is no plan
+    assert head == "against regular times"  # there is no plan
     is_unclear, value, side, low, high, amount, amount_error = re.fullmatch(  # type: ignore[union-attr]
         r"(no clear difference: )?([\d.]+) % (\w+) \(95 % CI (-?[\d.]+) to (-?[\d.]+) %\), "
         r"by ([\d.]+) ± ([\d.]+)",
@@ -86,7 +86,7 @@ def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run
     heads, texts = zip(*answer["facts"], strict=True)
     assert heads[:5] == (
         "against the plan",
-        "against evenly spaced",
+        "against regular times",
         "expected MSE",
         "typical error",
         "MSE afterwards",
@@ -96,8 +96,8 @@ def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run
     assert value == pytest.approx(afterwards.mse.mean(), abs=0.06 * error)
     assert value < session.played.errors(MINE, 24).mse.mean()
     means = [session.played.errors(times, 120).mse.mean() for times in sets]
-    shown = re.findall(r"(yours|the plan|evenly spaced) ([\d.]+) ± ([\d.]+)", texts[2])
-    assert [name for name, *_ in shown] == ["yours", "the plan", "evenly spaced"]
+    shown = re.findall(r"(yours|the plan|regular times) ([\d.]+) ± ([\d.]+)", texts[2])
+    assert [name for name, *_ in shown] == ["yours", "the plan", "regular times"]
     for mean, (_, value, error) in zip(means, shown, strict=True):
         assert float(value) == pytest.approx(mean, abs=0.06 * float(error))
     for text, other in zip(texts, means[1:], strict=False):
@@ -274,6 +274,20 @@ def test_with_a_plan_sets_are_judged_against_it(small_run: pfdist.Run) -> None:
     assert session.command_line({"mine": MINE}).endswith(expected)
 
 
+def test_evenly_spaced_times_of_a_run_have_that_name(small_job: pfdist.Job, tmp_path: Path) -> None:
+    """Without them, regular times are shown by their own name."""
+    changes = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=2"]
+    changes += ["comparison.reference='evenly spaced'", "problem.horizon=11"]
+    session = ExplorerSession(
+        pfdist.run(small_job, tmp_path / "run", changes=changes, figures=False)
+    )
+    assert session.even != session.feasible.regular()
+    assert session.state()["even_label"] == "evenly spaced"
+    assert "against evenly spaced" in facts_of(session, OTHER)
+    even = ",".join(map(str, session.even))
+    assert f" --times even={even} --times plan=" in session.command_line({"mine": OTHER})
+
+
 def test_a_job_file_finds_its_run(finished: Callable[..., Path], tmp_path: Path) -> None:
     shutil.copytree(finished(), tmp_path / "results" / "small")
     (tmp_path / "jobs").mkdir()
@@ -357,7 +371,7 @@ def test_judgements_have_draws_of_their_own_and_simultaneous_intervals() -> None
 
 
 def test_the_reference_is_not_judged(session: ExplorerSession) -> None:
-    with pytest.raises(JobError, match="evenly spaced times"):
+    with pytest.raises(JobError, match="these are regular times"):
         session.judge("even", session.even)
 
 
