@@ -5,7 +5,6 @@ import fcntl
 import os
 import shlex
 import shutil
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -186,17 +185,6 @@ def ray_cluster() -> Iterator[None]:
 
     with connected("local", 2):
         yield
-
-
-@pytest.fixture
-def hangup_ends_children() -> Iterator[None]:
-    """Let SIGHUP end the processes that a test starts, although `nohup pytest` ignores it.
-
-    A process inherits from its parent that a signal is ignored, but not the parent's handler.
-    """
-    before = signal.signal(signal.SIGHUP, lambda *_: None)
-    yield
-    signal.signal(signal.SIGHUP, before)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -40,7 +40,8 @@ def received(numbers: Iterable[int]) -> tuple[int, bool]:
         number = signal.sigwait(numbers)
         return number, number != signal.SIGINT
     info = signal.sigwaitinfo(numbers)
-    return info.si_signo, info.si_code <= 0  # see sigaction(2)
+    # See sigaction(2). Of a terminal that is closed, the kernel tells the session's leader alone.
+    return info.si_signo, info.si_code <= 0 or info.si_signo == signal.SIGHUP
 
 
 def say(line: str) -> None:

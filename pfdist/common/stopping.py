@@ -18,7 +18,9 @@ from collections.abc import Callable, Iterable, Iterator
 
 from pfdist.common.parent import become_child, received, report_code, say
 
-_CODES: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 75, signal.SIGUSR1: 75}  # exit codes
+_CODES: dict[int, int] = {
+    signal.SIGINT: 130, signal.SIGTERM: 75, signal.SIGHUP: 75, signal.SIGUSR1: 75,
+}  # exit codes  # fmt: skip
 _STOPPING = "Stopping after the work in flight; press Ctrl-C again to end now"
 # A program, such as a batch script or the parent, may hand on what the whole group has received.
 _SAME_SECONDS = 0.2

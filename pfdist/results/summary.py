@@ -23,7 +23,7 @@ from pfdist.store import QUESTIONS, WHY_PHASE, record_pages, write_file
 from pfdist.store.files import check_replaceable, read_if_hashed
 from pfdist.store.folder import SUMMARY
 from pfdist.store.listing import read_listing
-from pfdist.store.tables import check_unpacked, holds_table, write_table
+from pfdist.store.tables import holds_table, unpacked, write_table
 
 _NAME = b"sets of a run"
 _MOST_BYTES, _MOST_VALUES = 10_000_000, 1_000_000
@@ -84,9 +84,8 @@ def _unpacked(content: bytes, made_of: bytes) -> Summary | None:
     metadata = about.schema.to_arrow_schema().metadata
     if not made_of or metadata[_MADE_OF] != made_of:
         return None
-    check_unpacked(content, about, _MOST_VALUES, _MOST_BYTES)
-    table = pq.read_table(pa.BufferReader(content), use_threads=False)
-    rows = [Row(**row) for row in table.to_pylist()]
+    table = unpacked(content, about, _MOST_VALUES, _MOST_BYTES, _MOST_VALUES)
+    rows = [] if table is None else [Row(**row) for row in table.to_pylist()]
     names = {row.name for row in rows}
     are_right = all(
         isinstance(getattr(row, name), _TYPES[column.dtype])

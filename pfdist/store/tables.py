@@ -125,8 +125,8 @@ def read_file(
         content = read_if_hashed(path, named[2]) if named else None
         if content is None:
             return None
-        unpacked = pq.read_metadata(pa.BufferReader(content))
-        about = unpacked.schema.to_arrow_schema()
+        described = pq.read_metadata(pa.BufferReader(content))
+        about = described.schema.to_arrow_schema()
         metadata, table = about.metadata or {}, path.parent.name
         check_schema_version(path, int(metadata.get(b"pfdist_schema_version", b"0")))
         for name, wanted in ((b"table", table), (RUN_KEY, run_key or "none")):
@@ -137,21 +137,21 @@ def read_file(
                 )
         if wrong := wrong_columns(about, table):
             raise StoreError(f"{path} {wrong}; {REMEDY}")
-        values = check_unpacked(
+        whole = unpacked(
             content,
-            unpacked,
+            described,
             max(_USUAL_VALUES, _MOST_VALUES_A_BYTE * len(content)),
             max(_USUAL_TEXT, _MOST_VALUES_A_BYTE * len(content)),
+            _MOST_KEPT,
         )
-
-        def read(**chosen: Any) -> pa.Table:  # each thread would keep its own memory
-            return pq.read_table(
-                pa.BufferReader(content), partitioning=None, use_threads=False, **chosen
-            )
-
-        if columns == [] or values > _MOST_KEPT:
-            return read(columns=columns, filters=filters)
-        _remember(path, version, run_key, whole := read())
+        if whole is None:
+            return pq.read_table(  # each thread would keep its own memory
+                pa.BufferReader(content), columns=columns, filters=filters, partitioning=None,
+                use_threads=False,
+            )  # fmt: skip
+        whole = whole.cast(about)
+        if columns != []:
+            _remember(path, version, run_key, whole)
         return _chosen(whole, columns, filters)
 
 
@@ -166,10 +166,13 @@ def column_chunks(about: pq.FileMetaData) -> Iterator[pq.ColumnChunkMetaData]:
         yield from map(group.column, range(group.num_columns))
 
 
-def check_unpacked(content: bytes, about: pq.FileMetaData, most_values: int, most_text: int) -> int:
-    """The number of values in a Parquet file, which memory can hold; else a `ValueError`.
+def unpacked(
+    content: bytes, about: pq.FileMetaData, most_values: int, most_text: int, most_kept: int
+) -> pa.Table | None:
+    """The table in a Parquet file that memory can hold, else a `ValueError`; texts as dictionaries.
 
-    Rows may share a text, so texts are measured in dictionary form, before they are repeated.
+    It is None, and only texts are read, if there are more values than `most_kept`. Rows may share a
+    text, so texts are measured in dictionary form, before they are repeated.
     """
     chunks, size = [*column_chunks(about)], f"{len(content):,} bytes"
     values: int = sum(chunk.num_values for chunk in chunks)
@@ -177,13 +180,21 @@ def check_unpacked(content: bytes, about: pq.FileMetaData, most_values: int, mos
     if values > most_values:
         raise ValueError(f"{size} must not hold {values:,} values")
     texts = sorted({c.path_in_schema for c in chunks if "BYTE_ARRAY" in c.physical_type})
-    total = max(0, packed - 8 * most_values)
+    total, table = max(0, packed - 8 * most_values), None
     with pq.ParquetFile(pa.BufferReader(content), metadata=about, read_dictionary=texts) as file:
-        for batch in file.iter_batches(_ROWS, columns=texts) if total <= most_text else ():
-            total += sum(lengths_of_texts(column)[1] for column in batch.columns)
+        batches: Iterable[pa.RecordBatch] = ()
+        if total <= most_text and values <= most_kept:
+            table = file.read(use_threads=False)
+            batches = table.to_batches()
+        elif total <= most_text:
+            batches = file.iter_batches(_ROWS, columns=texts)
+        for batch in batches:
+            for name, column in zip(batch.schema.names, batch.columns, strict=True):
+                if any(f"{text}.".startswith(f"{name}.") for text in texts):
+                    total += lengths_of_texts(column)[1]
     if total > most_text:
         raise ValueError(f"{size} must not hold {total:,} bytes of texts")
-    return values
+    return table
 
 
 def lengths_of_texts(column: pa.Array) -> tuple[int, int]:

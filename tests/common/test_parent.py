@@ -12,19 +12,20 @@ import time
 import psutil
 import pytest
 
-CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
+CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGHUP, 75)]
 STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now\n"
 STOPPED = "pfdist: Stopped.\n"
 ENDED = (
     "pfdist: The process that computes ended {} and without a message: a library or the model "
     "ended it, or memory ran out. Finished work is saved; run the same command to resume.\n"
 )
-# As a terminal starts a program: a shell's background jobs, as CI may be, ignore SIGINT.
+# As a terminal starts a program: a shell's background jobs ignore SIGINT, and `nohup` SIGHUP.
 PROGRAM = """
 import ctypes, os, signal, sys, threading, time
 from pfdist.common import stopping
 from pfdist.common.parent import report_code
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 signal.signal(signal.SIGCHLD, signal.{chld})
 stopping.listen(forks=True)
 try:
@@ -132,14 +133,23 @@ def test_ctrl_c_of_a_terminal_is_received_once(keys: bytes, said: list[str]) -> 
     os.close(inside)
 
 
-@pytest.mark.usefixtures("hangup_ends_children")
-@pytest.mark.parametrize(
-    "number", [signal.SIGKILL, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)]
-)
-def test_the_child_ends_with_its_parent(number: signal.Signals) -> None:
+def test_a_terminal_that_is_closed_is_a_stop() -> None:
+    """The kernel sends SIGHUP to all processes of the terminal."""
+    terminal, inside = pty.openpty()
+    own = {"preexec_fn": lambda: fcntl.ioctl(inside, termios.TIOCSCTTY, 0)}
+    with started(WAITS, stdin=inside, start_new_session=True, **own) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        os.close(terminal)
+        assert process.communicate(timeout=60) == ("", STOPPING)
+    assert process.returncode == 75
+    os.close(inside)
+
+
+def test_the_child_ends_with_its_parent() -> None:
     with started(WAITS) as process:
         assert process.stdout is not None
         child = psutil.Process(int(process.stdout.readline()))
-        process.send_signal(number)
-        assert process.wait(60) == -number
+        process.kill()
+        assert process.wait(60) == -signal.SIGKILL
         child.wait(60)  # an error if it lives any longer

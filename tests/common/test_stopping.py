@@ -15,15 +15,16 @@ from pfdist.common import stopping
 from pfdist.problem.sections import Execution
 from pfdist.questions.at_work import noted
 
-CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
+CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGHUP, 75), (signal.SIGUSR1, 75)]
 STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now\n"
 STOPPED = "pfdist: Stopped.\n"
-# As a terminal starts a program: a shell's background jobs, as CI may be, ignore SIGINT.
+# As a terminal starts a program: a shell's background jobs ignore SIGINT, and `nohup` SIGHUP.
 PROGRAM = """
 import os, signal, sys, threading, time
 from pfdist.common import stopping
 from pfdist.common.stopping import check, exit_code
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 {before}
 def send(number):
     os.kill(os.getpid(), number)

@@ -17,11 +17,12 @@ from oracles.bytes_of import hashes
 
 WORKER = "ray::pfdist"  # begins the title of a worker's process while it has a task
 PATIENCE_SECONDS = 180.0
-# As a terminal starts it: a shell's background jobs, as CI may be, have SIGINT ignored.
+# As a terminal starts it: a shell's background jobs have SIGINT ignored, and `nohup` SIGHUP.
 PROGRAM = """
 import signal, sys
 from pfdist.cli.main import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 sys.exit(main())
 """
 GONE_SECONDS = 60.0  # after which nothing of a program that has ended may live

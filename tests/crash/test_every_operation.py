@@ -18,6 +18,7 @@ from pfdist.errors import StoreError
 from pfdist.runner import comparison_phase, door, gap_parts
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.runner.pace import Pace
+from pfdist.runner.ruling import tuned
 from pfdist.store import parquet
 from pfdist.store.verify import verify_run
 
@@ -147,7 +148,7 @@ def go_wrong(
     count = layer.run(partial(compute, untouched))
     whole = hashes(untouched)
     assert count > 15
-    for at in range(0, count, step):
+    for at in range(step // 2, count, step):
         path, where = begun.with_name(f"{at}"), f"{fault} at operation {at} of {count}"
         shutil.copytree(begun, path)
         fails = pytest.raises(FAULTS[fault], match=says)
@@ -211,6 +212,58 @@ def test_online_draws_that_go_wrong_at_any_file_operation_end_with_the_same_byte
         pfdist.open_run(path).as_json()  # whoever asks how far it is gets an answer
 
     go_wrong(again, begun, layer, step, fault, look, says)
+
+
+ASKS: dict[str, tuple[list[str], Callable[[Job, Path], object]]] = {
+    "opponent": (
+        ["comparison.reference=evenly spaced"],
+        lambda job, path: pfdist.run(job, path, figures=False),
+    ),
+    "smoothed proof": (
+        ["problem.estimate=smoothed"],
+        lambda job, path: pfdist.bound(job, LEAST_DRAWS, results=path, figures=False),
+    ),
+    "rule": ([], lambda job, path: pfdist.rule(job, results=path, figures=False)),
+}
+
+
+@pytest.mark.parametrize("step", [601, pytest.param(61, marks=pytest.mark.crash)])
+@pytest.mark.parametrize("asked", ASKS)
+@faults
+def test_an_opponent_a_proof_or_a_rule_that_goes_wrong_at_any_operation_ends_with_the_same_bytes(
+    fault: str,
+    asked: str,
+    step: int,
+    small_job: Job,
+    tmp_path: Path,
+    layer: FileLayer,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The ranking, the evaluation from coarse to fine and the race; smoothed sums; the sweeps."""
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 10**7)
+    monkeypatch.setattr("pfdist.questions.rule.tuned", partial(tuned, draws=60))
+    changes, ask = ASKS[asked]
+    small = [*CHANGES, "model.name=random_walk", "problem.horizon=6", *changes]
+    job, begun = small_job.with_changes(small), tmp_path / "begun"
+    if asked == "opponent":
+        begun.mkdir()
+    else:
+        step *= 2  # they have more operations
+        pfdist.run(job, begun, figures=False)
+
+    def look(path: Path) -> None:
+        if (path / "run.json").exists():
+            pfdist.open_run(path).as_json()  # whoever asks how far it is gets an answer
+
+    def compute(path: Path) -> None:
+        ask(job, path)
+
+    go_wrong(compute, begun, layer, step, fault, look)
+    phases = {path.name.split("-")[0] for path in tmp_path.glob("whole/tables/draws/*")}
+    if asked == "opponent":
+        assert {"evenly_spaced.coarse", "evenly_spaced.shortlist"} <= phases
+    elif asked == "rule":
+        assert {"rule.draws.sweep4", "rule.draws.choice"} <= phases
 
 
 @pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.crash)])

@@ -17,12 +17,13 @@ import pandas as pd
 import pytest
 
 import pfdist
-from crash.runs import finish, running
+from crash.runs import end, finish, running
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork
+from pfdist.pools.kinds import POOLS
 
 JOB = """
 seed = 5
@@ -102,7 +103,7 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
 def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
     job: Path, tmp_path: Path, make_forks: Callable[[Path], "Forks"]
 ) -> None:
-    rng, kills, forks = random.Random(1), 0, make_forks(job)
+    rng, kills, forks = random.random.Random(1), 0, make_forks(job)
     with running(job, tmp_path / "whole", "--pool", "ray") as driver:
         driver.wait_for(lambda: driver.parts("timings"))
         start = time.monotonic()
@@ -124,6 +125,62 @@ def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
         assert _tables(run) == whole
         assert _logged(tmp_path / f"{kills}.log")[0] == needed - committed
         kills += 1
+
+
+PLAN = """
+seed = 5
+[problem]
+horizon = 8
+measurement_budget = 3
+estimate = "smoothed"
+[model]
+name = "random_walk"
+[filter]
+particles = 200
+[evaluation]
+draws = 500
+[[search]]
+method = "genetic"
+population = 6
+generations = 2
+[comparison]
+draws = 2000
+reference = "evenly spaced"
+"""
+# The phases of which each command has committed something when it is ended. Before the second the
+# evaluation from coarse to fine is at work, before the third the race.
+KILLS = {
+    "plan": ["evenly_spaced.ranking", "evenly_spaced.coarse", "relaxation", "bound.proof."],
+    "rule": ["rule.draws.tuning1000", "rule.draws.sweep"],
+}
+
+
+@pytest.mark.crash
+@pytest.mark.parametrize("pool", POOLS)
+def test_an_opponent_a_smoothed_proof_and_a_rule_end_with_the_same_bytes_if_processes_are_killed(
+    pool: str, tmp_path: Path
+) -> None:
+    """In turn the driver with its parent, the driver alone, and workers, where there are any."""
+    job, run, whole = (tmp_path / name for name in ("plan.toml", "run", "whole"))
+    job.write_text(PLAN)
+    rng = random.Random(1)
+    for word, reached in KILLS.items():
+        options = ["--bound-draws", "480"] * (word == "plan")
+        with running(job, whole, "--pool", "serial", *options, word=word) as driver:
+            assert driver.wait() == 0, driver.said[-3:]
+        for number, phase in enumerate(reached):
+            with running(job, run, "--pool", pool, *options, word=word) as driver:
+                driver.wait_for(lambda: any(run.glob(f"*/*/{phase}*")))  # noqa: B023
+                end([*driver.workers(), *driver.family("spawn_main")])
+                time.sleep(rng.uniform(0.0, 0.3))
+                if number % 2:
+                    end(driver.computing)
+                    assert driver.wait() in {0, 75}  # 0: it was faster
+                else:
+                    driver.kill()
+        with running(job, run, "--pool", pool, *options, word=word) as driver:
+            assert driver.wait() == 0, driver.said[-3:]
+        assert hashes(run) == hashes(whole), word
 
 
 # --- at any instant of a small serial run ---------------------------------------------------------

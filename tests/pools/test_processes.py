@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
+import pfdist
 from crash.runs import until
+from oracles.bytes_of import hashes
 from oracles.in_turn import in_turn
 from pfdist.pools.base import Task
 from pfdist.pools.processes import ProcessPool
@@ -133,3 +135,18 @@ def test_a_process_that_dies_between_two_answers_costs_no_task(alone: bool) -> N
             values.append(outcome.value)
             time.sleep(0.1 * alone)  # meanwhile the others that are in flight end, too
         assert sorted(values) == [number**2 for number in range(12)]
+
+
+@pytest.mark.fault
+def test_a_smoothed_proof_has_the_same_bytes_as_on_one_process(tmp_path: Path) -> None:
+    job = pfdist.Problem("random_walk", horizon=8, measurement_budget=3, estimate="smoothed").job(
+        search=[{"method": "random", "evaluations": 5, "evaluation": {"draws": 200}}],
+        comparison={"draws": 200},
+    )
+    found = []
+    for pool, workers in (("serial", 1), ("processes", 2)):
+        run = pfdist.run(job, tmp_path / pool, pool=pool, workers=workers, figures=False)
+        pfdist.bound(run, 480, pool=pool, workers=workers, figures=False)
+        found.append(hashes(run.path))
+    assert found[0] == found[1]
+    assert any("error_sums/bound.proof." in file for file in found[0])

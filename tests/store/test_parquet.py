@@ -6,6 +6,7 @@ import re
 import socket
 import subprocess
 from collections import OrderedDict
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -325,22 +326,23 @@ def test_a_text_that_many_rows_share_is_measured_before_it_is_repeated(tmp_path:
     rows, text = pa.array([0] * 300), pa.array(["x" * 5_000_000])
     shared = pa.DictionaryArray.from_arrays(rows, text)
     nested = pa.ListArray.from_arrays(pa.array(range(301), pa.int32()), shared)
-    for column in (shared, nested):
+    for column, kept in product((shared, nested), (0, 1000)):
         path = tmp_path / "shared.parquet"
         tables.write_table(pa.table({"label": column}), path)
         content, about = path.read_bytes(), pq.read_metadata(path)
         assert len(content) < 5000
         before = pa.default_memory_pool().max_memory()
         with pytest.raises(ValueError, match="must not hold 1,500,000,000 bytes of texts"):
-            tables.check_unpacked(content, about, 10_000_000, 50_000_000)
+            tables.unpacked(content, about, 10_000_000, 50_000_000, kept)
         assert pa.default_memory_pool().max_memory() < max(before, 100_000_000)
-        assert tables.check_unpacked(content, about, 10_000_000, 1_500_000_000) == 300
+        table = tables.unpacked(content, about, 10_000_000, 1_500_000_000, kept)
+        assert table is None if not kept else table.num_rows == 300
     few = pa.table({"label": ["a", None, "bcd"], "sets": [["a", "b"], [], None], "mse": [1.0] * 3})
     tables.write_table(few, path)
     content, about = path.read_bytes(), pq.read_metadata(path)
-    assert tables.check_unpacked(content, about, 100, 6) == 10
+    assert tables.unpacked(content, about, 100, 6, 10).cast(few.schema).equals(few)
     with pytest.raises(ValueError, match="must not hold 6 bytes of texts"):
-        tables.check_unpacked(content, about, 100, 5)
+        tables.unpacked(content, about, 100, 5, 10)
 
 
 @pytest.mark.parametrize("count", [1, 3, 4, 100])
