@@ -110,4 +110,4 @@ def init(name: str = "mine") -> Iterator[str]:
         except OSError as error:
             raise StoreError(f"cannot write {file}: {error.strerror or error}") from error
         yield str(file)
-    yield f"pfdist plan {files[0]}"
+    yield f"`pfdist plan {files[0]}` finds when to measure"

@@ -109,7 +109,7 @@ def plan(
     bound_draws : int
         Number of draws of the lower bound that is proved for the found times, by default 480; 0
         for no bound. For several numbers of measurements, a bound is proved only if this number is
-        given. A bound that would take more than about four minutes of one core is left out, and a
+        given. A bound that would take more than about five minutes of one core is left out, and a
         line names the command that proves it.
     reuse : sequence of str, optional
         Folders of other runs, whose evaluations are taken, not computed again. Give the option once

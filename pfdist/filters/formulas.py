@@ -25,6 +25,7 @@ from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula, Traced, trace
 from pfdist.models.twin import formula_of, traced
 
+_OF_NOISE = 25  # operations of a normal random number, about
 _MOST_DERIVED = 5_000  # operations of a program: a larger one takes minutes to compile
 # Linearisations: with sharp ranges and bearings, errors were 3 times too large after one, 1 % after
 # two, and as after six after three.
@@ -210,6 +211,15 @@ def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
         *(_own(part.model, "measurement", instants) for part in model.parts),
     ]
     return compile_blocks(sources, instants)
+
+
+def operations_of(model: StateSpaceModel, instants: range) -> int:
+    """About how many operations a particle-step has, those of its random numbers included."""
+    parts = ((part.model, "log_likelihood") for part in model.parts)
+    sources = [_own(each, name, instants) for each, name in ((model, "transition"), *parts)]
+    programs = [each.traced.programs for each in sources if isinstance(each, Source)]
+    of_formulas = sum(max(len(each.operations) for each in some) for some in programs)
+    return of_formulas + _OF_NOISE * len(model.process_noise)
 
 
 def _own(model: StateSpaceModel, name: str, instants: range) -> Source | Callback:

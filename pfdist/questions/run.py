@@ -11,6 +11,7 @@ from pfdist.common.arguments import paths_argument
 from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.engines import AUTO
+from pfdist.filters.formulas import operations_of
 from pfdist.filters.work import GUIDED
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
@@ -23,7 +24,6 @@ from pfdist.results.sets import publish_sets
 from pfdist.results.stored_run import measured_of, provenance_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
-from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.door import RunSession, WorkBatch, complete
 from pfdist.runner.driver import core_steps, drive
 from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
@@ -46,7 +46,9 @@ from pfdist.store import (
 from pfdist.store.folder import REPORT
 
 _OF_FIGURES = ("pfdist.questions.pictures", "pfdist.pages.html", "scipy.special")
-_PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
+_PATIENCE = 5  # minutes of one core that a bound may take where nobody asked for it alone
+_OPERATIONS = 2e10  # of compiled formulas in a second of a quick core, about
+_OF_GUIDED = 5  # times the operations of a plain filter, about
 
 
 @with_options
@@ -208,7 +210,7 @@ def compute(
         return
     forget_pages(path, *[] if unfinished else [REPORT])
     note_machine(path, built, say)
-    foreseen = prover.steps if prover and _minutes(built, run, prover) <= _PATIENCE else 0.0
+    foreseen = prover.steps if prover and _minutes(built, prover) <= _PATIENCE else 0.0
     session.reporter.foresee(foreseen, foreseen)
     with noted(session):
         yield from drive(session)
@@ -255,7 +257,7 @@ def _prover(session: RunSession, settings: BoundSettings | None) -> Prover | Non
 
 def _is_long(session: RunSession, run: Run, prover: Prover) -> bool:
     """Whether a bound would take too long beside other results; a message says so."""
-    minutes = _minutes(session.built, run, prover)
+    minutes = _minutes(session.built, prover)
     if minutes > _PATIENCE and "bound" not in run.tables:
         command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
         _unproved(session, f"{command} takes about {minutes:,.0f} minutes of one core")
@@ -298,12 +300,11 @@ def _unproved(session: RunSession, reason: str) -> None:
     heard(session.say, Detail(f"Not proved: {reason}."))  # the answer says so, too
 
 
-def _minutes(built: Built, run: Run, prover: Prover) -> float:
-    """Minutes that a bound takes at the pace of the comparison; a guess if there was none."""
-    timings = run.table("timings") if "timings" in run.tables else None
-    steps = comparison_steps(built) * run.draws_compared / built.job.comparison.draws
-    seconds_a_step = 0.0
-    if timings is not None and steps:
-        compared = timings["task"].str.startswith(f"{COMPARISON}:")
-        seconds_a_step = float(timings.loc[compared, "seconds"].sum()) / steps
-    return prover.steps * (seconds_a_step or built.evaluator.seconds_a_step) / 60
+def _minutes(built: Built, prover: Prover) -> float:
+    """Minutes of one core that a bound takes, about: by counted work, the same on each machine."""
+    evaluator, seconds = built.evaluator, built.evaluator.seconds_a_step
+    if evaluator.has_particles and evaluator.computed_by.compiled:
+        operations = operations_of(evaluator.believed, range(evaluator.horizon + 1))
+        of_guided = _OF_GUIDED if built.comparing.proposal == GUIDED else 1
+        seconds = max(seconds, operations * of_guided / _OPERATIONS)
+    return prover.steps * seconds / 60

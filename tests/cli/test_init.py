@@ -20,7 +20,10 @@ def test_the_job_plans_and_its_model_is_right(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     code, text, _ = call("init", "lake")
-    assert (code, text.splitlines()) == (0, ["lake.toml", "lake.py", "pfdist plan lake.toml"])
+    assert (code, text.splitlines()) == (
+        0,
+        ["lake.toml", "lake.py", "`pfdist plan lake.toml` finds when to measure"],
+    )
     code, text, _ = call("check-model", "lake.toml")
     assert code == 0
     few = {"changes": ["comparison.draws=200", "filter.particles=100"]}

@@ -22,6 +22,7 @@ from pfdist.models import installed_models
 from pfdist.pools.base import SerialPool
 from pfdist.questions.bound import Bound
 from pfdist.questions.bound import bound as bound_of
+from pfdist.questions.run import _minutes
 from pfdist.questions.run_page import page_of
 from pfdist.results.stored_run import last_bounds, statistics_of
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
@@ -475,6 +476,17 @@ def test_work_that_may_be_left_out_is_told_apart(
     growing = {each.total for each in seen if each.phase == "proof, step 2 of 3"}
     assert len(growing) == 1  # their work is known before
     assert max(each.done / each.total for each in seen) == 1.0
+
+
+def test_the_work_of_a_bound_is_counted_not_timed(small_job: Job) -> None:
+    """The minutes of a particle-step follow the operations of the formulas, on each machine."""
+    minutes = list[float]()
+    for changes in ([], ["problem.horizon=120"], ["model.name=lorenz63"]):
+        built = build(small_job.with_changes(changes), Path("none"))
+        prover = prover_of(built, BoundSettings(draws=LEAST_DRAWS))
+        minutes.append(_minutes(built, prover) / prover.steps)
+    assert minutes[0] == minutes[1]
+    assert minutes[2] / minutes[0] == pytest.approx(13, abs=2)  # as 848 operations to 64
 
 
 def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(
