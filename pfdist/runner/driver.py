@@ -23,6 +23,7 @@ from pfdist.runner.comparison_phase import (
     ways_out,
 )
 from pfdist.runner.door import Part, RunSession, WorkBatch
+from pfdist.runner.evenly_spaced import scan_steps
 from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.opponent import SHARE, best_evenly_spaced, opponent_steps
 from pfdist.runner.phase import unpublished
@@ -80,6 +81,7 @@ def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, f
     foreseen["online"] = online_steps(built)
     if prover is not None:
         foreseen["proof"], foreseen["likelihood"] = prover.steps, prover.rank_steps
+        foreseen["scan"] = scan_steps(built)
         _, foreseen["rule"] = look_work(built, SHARE * core_steps(built, prover))
     return {part: steps for part, steps in foreseen.items() if steps}
 

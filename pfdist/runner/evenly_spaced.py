@@ -90,16 +90,25 @@ def _draws_of(built: Built, scale: float) -> int:
     return math.ceil(scale * (_WITH_CONTROL if built.job.comparison.control else DRAWS))
 
 
+def scan_steps(built: Built) -> float:
+    """The most particle-steps of `compare_evenly_spaced`; 0 if it is left out."""
+    if not is_known(built) or built.evaluator.exact or _scale_of(built) < _LEAST:
+        return 0.0
+    return min(_usual_steps(built), most_steps(built))
+
+
 def _scale_of(built: Built) -> float:
     """The share of the usual numbers of draws that the limit of work allows, at most 1."""
-    if built.evaluator.exact:
-        return 1.0
+    return 1.0 if built.evaluator.exact else min(1.0, most_steps(built) / _usual_steps(built))
+
+
+def _usual_steps(built: Built) -> float:
+    """The particle-steps with the usual numbers of draws, if none is judged early."""
     feasible, looking = built.feasible, settings_of(built).estimation
     looks = math.log2(2 + feasible.horizon - feasible.measurements) * (1 + _LOOKED) * _FEW
     judged = 2 * _draws_of(built, 1.0) * built.comparing.particles
     judged *= 1 + bool(built.job.comparison.control)
-    steps = (looks * looking.steps_an_instant + judged) * (feasible.horizon + 1)
-    return min(1.0, most_steps(built) / steps)
+    return (looks * looking.steps_an_instant + judged) * (feasible.horizon + 1)
 
 
 class _Scan:

@@ -95,5 +95,6 @@ def test_a_plan_is_foreseen_about_as_it_is_done(
         assert done[part] == foreseen[part]
     for part in ("search", "proof", "likelihood", "statistics"):
         assert foreseen[part] / 4 < done[part] < 2 * foreseen[part], part
+    assert 0 < done["scan"] <= foreseen["scan"]
     assert main(["status", str(run)]) == 0
     assert f"particle-steps: {done.total():.3g} (" in capsys.readouterr().out
