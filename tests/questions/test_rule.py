@@ -365,9 +365,7 @@ def test_a_rule_in_use_keeps_what_is_spent_and_takes_back_what_was_not_made() ->
             used.decide(belief, 3)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match=r"t must lie in 3\.\.3, got 2"):
         used.decide(3.0, 2)
-    assert (
-        used.decide(3.0, 3) == []
-    )  # one value an instant, and that of the sharp one arrives
+    assert used.decide(3.0, 3) == []  # one value an instant, and that of the sharp one arrives
 
 
 @pytest.mark.parametrize(
