@@ -170,13 +170,13 @@ class Feasible(Constraints):
         and the sets with one time more or fewer follow, whatever the distance of that time, and
         the sets with a whole visit at another time.
         """
+        own = {*times}
         exchanged = [
             neighbour
             for out in times
             if out not in self.required
             for new in self._near(out, reach)
-            if new not in times
-            and (neighbour := self._exchanged({*times} - {out}, new)) is not None
+            if new not in own and (neighbour := self._exchanged(own - {out}, new)) is not None
         ]
         if self.counted:
             return exchanged
