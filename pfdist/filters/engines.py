@@ -26,6 +26,7 @@ class Engine:
     compiled: bool = True
     exact: bool = False  # whether the expected MSE is known without draws
     has_particles: bool = True
+    least_draws: int = 1  # of a task: so many take hardly longer than one
 
     @property
     def simulate(self) -> Callable[..., Any]:
@@ -68,6 +69,7 @@ KALMAN = Engine(
     filtered_by="pfdist.filters.kalman",
     exact=True,
     has_particles=False,
+    least_draws=200,
 )
 ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN)}
 if TYPE_CHECKING:

@@ -208,7 +208,7 @@ class _Cut(NamedTuple):
 
 
 def _cuts(table: str, function: Function, works: list[FilterWork], pace: Pace) -> Iterator[_Cut]:
-    for bundle in bundles(works, pace.size, pace.expected):
+    for bundle in bundles(works, pace.size, pace.expected, pace.least_draws):
         key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
         task = Task(key, function, bundle.works, pace.expected(bundle.steps))
         yield _Cut(task, bundle.steps)
@@ -284,8 +284,9 @@ class RunSession:
     def pace(self, workers: int, *, is_shared: bool) -> Pace:
         """The speed of the workers, estimated from all tasks of this session."""
         if self._pace is None:
-            guess = self.built.evaluator.seconds_a_step
-            self._pace = Pace(guess, workers, is_shared=is_shared)
+            engine, guess = self.built.evaluator.computed_by, self.built.evaluator.seconds_a_step
+            least = engine.least_draws
+            self._pace = Pace(guess, workers, is_shared=is_shared, least_draws=least)
         return self._pace
 
     def learn_pace(self, steps: int, seconds: float) -> None:

@@ -30,15 +30,21 @@ class Pace:
     """The seconds of a particle-step, estimated from finished tasks.
 
     The initial seconds are a guess, unless `learnt` is true: then they were measured. `is_shared`
-    is whether other runs have tasks for the same workers.
+    is whether other runs have tasks for the same workers. `least_draws` are those of a task.
     """
 
     def __init__(
-        self, seconds: float, workers: int, *, learnt: bool = False, is_shared: bool = False
+        self,
+        seconds: float,
+        workers: int,
+        *,
+        learnt: bool = False,
+        is_shared: bool = False,
+        least_draws: int = 1,
     ) -> None:
         self.seconds, self._usual = seconds, _SLOWER * seconds
         self._least_learnt = LEAST_SHARED_SECONDS if is_shared else LEAST_SECONDS
-        self._workers, self._learnt = workers, learnt
+        self._workers, self._learnt, self.least_draws = workers, learnt, least_draws
 
     def learn(self, steps: int, seconds: float) -> None:
         """Update the speed with a task of so many particle-steps that took so many seconds."""
@@ -85,12 +91,13 @@ def bundles(
     works: Iterable[FilterWork],
     size: Callable[[int], int],
     expected: Callable[[int], float] = lambda steps: 0.0,
+    least_draws: int = 1,
 ) -> Iterator[Bundle]:
     """Bundles of works, which are cut between their draws.
 
     `size` gives the particle-steps of the next bundle from those that remain. A bundle has about
-    this size, but at least one draw. `expected` gives the seconds of particle-steps: sums over a
-    block are cut into single draws if the whole block would take long.
+    this size, but at least `least_draws`. `expected` gives the seconds of particle-steps: sums over
+    a block are cut into single draws if the whole block would take long.
 
     >>> from pfdist.filters.work import Estimation
     >>> ten = Estimation(particles=10)  # and 10 instants: 100 particle-steps a draw
@@ -109,7 +116,7 @@ def bundles(
         most = MOST_ROWS // len(work.measurement_times) * a_draw
         while first < last:
             room = room if bundle else min(size(remaining), most)
-            end = min(last, first + max(1, room // a_draw))
+            end = min(last, first + max(1, min(least_draws, most // a_draw), room // a_draw))
             if work.summed:
                 is_long = expected((last - first) * a_draw) > LONGEST_SECONDS
                 is_cut = last - first < BLOCK or (is_long and work.together == 1)

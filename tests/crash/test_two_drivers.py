@@ -9,11 +9,12 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from conftest import Called
 
 import pfdist
 from oracles.bytes_of import hashes
@@ -66,6 +67,23 @@ def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
         assert told, error
         assert 0 <= (datetime.now(UTC) - datetime.fromisoformat(told[1])).total_seconds() < 100
     assert main(["status", run]) == 0  # who only reads is not refused
+
+
+def test_beside_a_command_that_writes_others_read_and_none_writes(
+    small_run: pfdist.Run, call: Callable[..., Called]
+) -> None:
+    """Whatever writes to a run says who holds it; whatever reads it answers."""
+    run, before = small_run.path, hashes(small_run.path).items()
+    with held(run):
+        for line in ("run", "rule", "bound", "verify"):
+            called = call(line, run)
+            assert (called.code, called.out) == (1, "")
+            assert f"is being computed by process {os.getpid()} on" in called.err
+        for line in ("why", "status", "table", "list"):
+            called = call(line, run)
+            assert called.code == 0, called.err
+    assert before <= hashes(run).items()  # `why` draws figures
+    assert call("verify", run).code == 0
 
 
 def test_after_kill_9_the_second_driver_starts_without_hand_work(

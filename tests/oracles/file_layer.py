@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
+from pfdist.results import summary
 from pfdist.store import files, tables
 
-_WRITES = ("write_table", "write_text")
+_WRITES = ("write_table", "write_text", "write_bytes")
 
 
 class Ended(BaseException):
@@ -34,7 +35,9 @@ class FileLayer:
         self._fault: str | None = None
         for place, name, needs_space in (
             (tables, "write_table", True),
+            (summary, "write_table", True),
             (Path, "write_text", True),
+            (Path, "write_bytes", True),
             (Path, "mkdir", True),
             (os, "replace", False),
             (os, "unlink", False),

@@ -1,11 +1,14 @@
 """The planner of one system, and the time to measure next by a run and a table."""
 
+import gc
 import re
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import oracles.modes
@@ -323,3 +326,28 @@ def test_a_first_plan_that_is_no_longer_possible_is_not_compared(
     assert found.expected_before is None
     assert found.as_json()["expected_mse_before"] is None
     assert "no longer possible" in said("next", spaced, file)
+
+
+def test_steps_of_planners_and_questions_for_the_next_time_leave_nothing_in_memory(
+    job: Job, finished: Callable[..., Path]
+) -> None:
+    """A program that serves systems for months asks thousands of times."""
+    built, run, numbers = build(job), finished(SEARCH, job=JOB), count()
+    table = {"t": [0, 2], "y0": [0.5, 0.1]}
+
+    def plan() -> None:
+        planner = Planner(built, PLAN, draw=next(numbers))
+        planner.update(Y[0, 0], 0)
+        planner.plan()
+
+    def ask() -> None:
+        pfdist.next_time(run, pd.DataFrame(table))
+
+    for step in (plan, ask):
+        step()
+        step()
+        gc.collect()
+        before = len(gc.get_objects())
+        step()
+        gc.collect()
+        assert len(gc.get_objects()) < before + 100  # a step makes thousands

@@ -1,5 +1,6 @@
 """The summary of a run says what its tables say, or nothing."""
 
+import contextlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import pfdist
+from oracles.file_layer import Ended, FileLayer
 from pfdist.cli.own import verify
 from pfdist.errors import StoreError
 from pfdist.results.runs_table import runs_table
@@ -67,6 +69,38 @@ def test_a_damaged_summary_is_not_read(small_run: pfdist.Run) -> None:
     (run.path / SUMMARY).write_bytes(content[:-9] + b"x" + content[-8:])
     assert summary_of(run) is None
     assert [SUMMARY in line for line in verify_run(run.path)] == [True]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["ended", "ENOSPC", *(pytest.param(f, marks=pytest.mark.slow) for f in ("EIO", "EROFS"))],
+)
+def test_a_kill_or_a_full_disk_leaves_a_summary_and_an_export_whole_or_none(
+    fault: str, small_run: pfdist.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At each operation on a file; then both can be written, and nothing is left beside them."""
+    run, export = small_run, tmp_path / "plan.csv"
+    layer, former = FileLayer(monkeypatch, tmp_path), b"measurement,t\n1,12\n"
+    run.export(export)
+    whole, summary = export.read_bytes(), (run.path / SUMMARY).read_bytes()
+
+    def write() -> None:
+        publish_sets(run)  # a run is as good without its summary, so this raises no error
+        run.export(export)
+
+    (run.path / SUMMARY).unlink()
+    count = layer.run(write)
+    assert count > 10
+    for at in range(count):
+        export.write_bytes(former)
+        (run.path / SUMMARY).unlink(missing_ok=True)
+        with contextlib.suppress(Ended, StoreError):
+            layer.run(write, fault, at)
+        assert export.read_bytes() in (former, whole)
+        assert [*map(str, verify_run(run.path))] == []
+        write()
+        assert (export.read_bytes(), (run.path / SUMMARY).read_bytes()) == (whole, summary)
+        assert summary_of(run) is not None
 
 
 def test_a_file_of_the_user_is_not_replaced(finished: Finished, tmp_path: Path) -> None:
