@@ -40,7 +40,7 @@ def received(numbers: Iterable[int]) -> tuple[int, bool]:
         number = signal.sigwait(numbers)
         return number, number != signal.SIGINT
     info = signal.sigwaitinfo(numbers)
-    # See sigaction(2). Of a terminal that is closed, the kernel tells the session's leader alone.
+    # See sigaction(2). The kernel tells only the session's leader that a terminal is closed.
     return info.si_signo, info.si_code <= 0 or info.si_signo == signal.SIGHUP
 
 

@@ -63,7 +63,7 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("load_model", (5,), {}),
 ]
 NO_CASES = {"Run", "Job", "Evaluation", "StateSpaceModel", "PfdistError", "Sweep", "plots"}
-NO_CASES |= {"ode", "sde", "BatchedModel"}  # see test_continuous and test_batched
+NO_CASES |= {"ode", "sde", "BatchedModel", "Rule"}  # see test_continuous, test_batched, test_rule
 NO_CASES |= {"clip", "densities", "take", "where", "linear_gaussian", "Sensor"}  # what makes models
 
 
