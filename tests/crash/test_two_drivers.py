@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import itertools
 import os
 import platform
 import re
@@ -22,6 +23,7 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistWarning, StoreError
 from pfdist.store import files, held
+from pfdist.store.verify import verify_run
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 PATIENCE_SECONDS = 120
@@ -84,6 +86,21 @@ def test_beside_a_command_that_writes_others_read_and_none_writes(
             assert called.code == 0, called.err
     assert before <= hashes(run).items()  # `why` draws figures
     assert call("verify", run).code == 0
+
+
+def test_a_clock_that_jumps_changes_nothing(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Forward by decades, and back before 1970, while a run is computed and when it grows."""
+    whole = pfdist.run(small_job, tmp_path / "whole", figures=False)
+    clock = itertools.cycle([4e9, -5.0, 1e9])
+    monkeypatch.setattr("time.time", lambda: next(clock))
+    few = small_job.with_changes(["comparison.draws=100"])
+    for job in (few, small_job):
+        run = pfdist.run(job, tmp_path / "run", figures=False)
+    assert hashes(run.path) == hashes(whole.path)
+    assert pfdist.list_runs(run.path)["state"].tolist() == ["finished"]
+    assert not [*verify_run(run.path)]
 
 
 def test_after_kill_9_the_second_driver_starts_without_hand_work(
