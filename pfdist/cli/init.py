@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, StoreError, shown
+from pfdist.store.files import reading
 
 JOB = """# When to measure? This job and its model NAME.py run as they are; change them.
 #
@@ -93,7 +94,6 @@ def init(name: str = "mine") -> Iterator[str]:
     ----------
     name : str
         Name of both files, without an ending; a folder may stand before it.
-
     """
     path = path_argument("name", name)
     if not path.name.replace("-", "_").isidentifier():
@@ -105,9 +105,7 @@ def init(name: str = "mine") -> Iterator[str]:
         if file.exists():
             raise StoreError(f"{file} exists: give another name, or remove the file")
     for file, text in zip(files, (JOB, MODEL), strict=True):
-        try:
+        with reading(file, "write"):
             file.write_text(text.replace("NAME", path.name), encoding="utf-8")
-        except OSError as error:
-            raise StoreError(f"cannot write {file}: {error.strerror or error}") from error
         yield str(file)
     yield f"`pfdist plan {files[0]}` finds when to measure"

@@ -283,13 +283,15 @@ def _look_at_a_rule(
 ) -> Generator[WorkBatch, None, None]:
     """Keep a sentence about what deciding on the way may win, for every answer of the run."""
     key, built = "on_the_way", session.built
-    draws, _ = look_work(built, SHARE * core_steps(built, prover))
+    draws, steps = look_work(built, SHARE * core_steps(built, prover))
     if not draws or key in provenance_of(run):
         return
     plan = measured_of(run)[built.searches[0].name]
-    add_to_provenance(run.path, {key: (yield from look(session, plan, draws))})
+    session.reporter.foresee(steps)
+    sentence = yield from look(session, plan, draws)
     session.commit()
     settle_rules(session.store)
+    add_to_provenance(run.path, {key: sentence})
 
 
 def _unproved(session: RunSession, reason: str) -> None:
