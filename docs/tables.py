@@ -26,6 +26,8 @@ from pfdist.common.component_names import Component
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.section import JobSection, keys_of_section
 from pfdist.densities import DENSITIES
+from pfdist.filters.aspects import DISTANCE, VARIANCE, other_estimate
+from pfdist.filters.criterion import CRITERIA
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
@@ -51,20 +53,20 @@ from pfdist.problem.sensor_section import SensorSection, VisitsSection
 from pfdist.problem.sweep import SweepFile
 from pfdist.results.columns import COLUMNS as SET_COLUMNS
 from pfdist.results.run import COMPUTED
+from pfdist.runner.comparison_phase import schema_of_aspect
 from pfdist.store.schema import (
     KEYS,
     comparison_schema,
-    distance_schema,
     filtered_schema,
-    information_gap_schema,
-    information_schema,
-    other_schema,
     schema,
     trajectories_schema,
-    variance_schema,
 )
 
 FOLDER = Path(__file__).parent
+ASPECTS = (
+    other_estimate("smoothed"), DISTANCE, VARIANCE,
+    *(aspect for form in CRITERIA.values() for aspect in form.aspects),
+)  # fmt: skip
 BENCHMARKS = FOLDER.parent / "benchmarks" / "results"
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
@@ -168,11 +170,7 @@ def columns() -> str:
         "evenly_spaced": schema("evenly_spaced", "plan_mse"),
         "bound": schema("bound", "shares"),
         "comparison": comparison_schema(["SET"], with_control=True, with_scenarios=True),
-        "other_estimate": other_schema("smoothed", ["SET"]),
-        "filter_distance": distance_schema(["SET"]),
-        "filter_variance": variance_schema(["SET"]),
-        "information": information_schema(["SET"]),
-        "information_gap": information_gap_schema(["SET"]),
+        **{each.table: schema_of_aspect(each, ["SET"]) for each in ASPECTS},
         "trajectories": trajectories_schema(["SET"], _MODEL, _MODEL),
     }
     parts = []

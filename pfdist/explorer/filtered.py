@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.changes import change_of, is_clear
 from pfdist.common.component_names import Component
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import Times
@@ -17,7 +18,6 @@ from pfdist.common.rounding import rounded
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
-from pfdist.questions.subject import change_of, is_clear
 from pfdist.results.moments import Pairs
 from pfdist.results.sets import typical_error
 from pfdist.runner.build import Built

@@ -20,7 +20,7 @@ from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
-from pfdist.filters.criterion import MEAN, Criterion, Information
+from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import BATCHED, COMPILED, ENGINES, KALMAN, NUMPY, Engine
 from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from, weighed
@@ -287,7 +287,7 @@ class Evaluator:
         """
         if not self.exact or criterion.needs_draws:
             return None
-        if isinstance(criterion, Information) and not self.gives_information:
+        if criterion.aspects and not self.gives_information:
             return self.of_information.expected_mse(sets, ends)
         if criterion.by_instant:
             errors = self._exact_errors_of(self._shares, sets)

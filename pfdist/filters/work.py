@@ -18,7 +18,6 @@ from pfdist.kernels.estimators import (
     ESTIMATORS,
     EVIDENCE,
     FILTER_VARIANCE,
-    INFORMATION,
     SQUARED_ERROR,
 )
 from pfdist.kernels.left import UNLIMITED, StepLimits
@@ -94,11 +93,6 @@ def with_truth(particles: int, proposal: str = PLAIN) -> Estimation:
     The expectation is at most the error of the exact filter, for any number of particles.
     """
     return Estimation(particles, CONDITIONAL.name, FILTER_VARIANCE.name, proposal=proposal)
-
-
-def information_estimation(particles: int) -> Estimation:
-    """The estimation of the information, with so many particles, one of which is the truth."""
-    return Estimation(particles, CONDITIONAL.name, INFORMATION.name)
 
 
 def control_of(given: Estimation) -> Estimation:

@@ -21,7 +21,6 @@ from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.filters.criterion import (
     MEAN,
     Criterion,
-    Information,
     OtherCriterion,
     criterion_named,
     other_criteria_of,
@@ -284,7 +283,7 @@ class Job(JobSection):
                  "scenarios.criterion = 'mean', got 'worst'"),
                 *([] if self.criterion.additive else [self._compares_whole_sets]),
             )  # fmt: skip
-        if any(isinstance(each, Information) for each in self.other_criteria.values()):
+        if any(each.aspects for each in self.other_criteria.values()):
             believed, is_blind = self.model.filter, scenarios and scenarios.filter == "nominal"
             _needs(
                 "the criterion 'information'",

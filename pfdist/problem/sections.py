@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.section import JobSection, Listed
 from pfdist.errors import shown
-from pfdist.filters.criterion import CRITERIA, criterion_named
+from pfdist.filters.criterion import criteria_in_words, criterion_named
 from pfdist.filters.engines import AUTO, EngineName
 from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
@@ -64,7 +64,7 @@ def _criterion_name(written: str) -> str:
     try:
         criterion_named(written)
     except ValueError as error:
-        raise PydanticCustomError("criterion", CRITERIA) from error
+        raise PydanticCustomError("criterion", criteria_in_words()) from error
     return written
 
 

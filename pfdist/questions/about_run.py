@@ -51,9 +51,7 @@ def question(subject: Subject) -> str:
     z = ", ".join(each.name for each in subject.quantities if each.name) or "z"
     first, last = map(problem.clock.formatted, (0, problem.clock.horizon))
     between, form = f"between t = {first} and {last}", subject.criterion
-    give = f"give the lowest {form.label} of {z}?"
-    if form.sign < 0:
-        give = f"give the most {form.label} about the path?"
+    give = f"give {form.aim(z)}?"
     if "budget" in job:
         return f"How many measurements {between} are enough to estimate {z}?"
     if not subject.found_rows and subject.rows:

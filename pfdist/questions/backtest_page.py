@@ -4,12 +4,13 @@ import math
 from collections.abc import Iterator
 
 import pfdist
+from pfdist.common.changes import change_of
 from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.filters.filter_estimate import few_particles
 from pfdist.questions.backtest import Backtest
-from pfdist.questions.subject import change_of, number_of
+from pfdist.questions.subject import number_of
 from pfdist.questions.thinned import CENTRED, FROM_START, PLAN
 
 _MUCH = 1000.0  # the end of an interval that says nothing

@@ -5,6 +5,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from pfdist.common.changes import change_of, effect
 from pfdist.common.estimate import Estimate
 from pfdist.common.parts import (
     Block,
@@ -17,17 +18,10 @@ from pfdist.common.parts import (
     without_empty_columns,
 )
 from pfdist.common.percent import percent
-from pfdist.common.rounding import WIDE, rounded, with_error, with_sides
+from pfdist.common.rounding import with_error
 from pfdist.filters.criterion import CriterionValue
 from pfdist.problem.set_key import phrase_of
-from pfdist.questions.subject import (
-    ERROR_HEAD,
-    Subject,
-    change_of,
-    effect,
-    is_clear,
-    number_of,
-)
+from pfdist.questions.subject import ERROR_HEAD, Subject, number_of
 from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, interval_cell, rows_of
 from pfdist.results.stored_run import named_sets
 
@@ -224,23 +218,11 @@ def criterion_effect(subject: Subject, row: Row) -> str | None:
     reference, name = subject.reference_row, subject.criterion.name
     gain, *ends = row.criterion_gain, row.criterion_gain_low, row.criterion_gain_high
     own, other = (COLUMNS[name].cell(each).text for each in (row, reference))
-    if subject.criterion.sign > 0:
-        return f"{effect(gain, ends, subject.reference, subject.error)}: {own} instead of {other}."
-    value, low, high = map(float, (row.information, row.information_low, row.information_high))
-    limits = with_sides(value, low, high, subject.criterion.unit)
-    told = limits or CriterionValue(value, low, high).text(subject.criterion.unit)
-    bits = rounded((low if limits else value) / math.log(2), 3)
-    signed = ends if gain >= 0 else [-end for end in reversed(ends)]
-    more = CriterionValue(abs(gain), *signed).text(subject.criterion.unit)
-    than = f"{more} {'more' if gain >= 0 else 'less'} than {subject.reference}"
-    if not is_clear(ends):
-        than = f"not clearly another number than {subject.reference}: {than}"
-    help_ = ""
-    if high - low > WIDE * abs(value):
-        help_ = " More particles, or more draws, narrow the interval."
-    if limits:
-        help_ = " More filter.particles bring both limits closer."
-    return f"They give {told} of information about the path ({bits} bits), {than}.{help_}"
+    value = CriterionValue(*(float(vars(row)[f"{name}{end}"]) for end in ("", "_low", "_high")))
+    change = CriterionValue(gain, *ends)
+    return subject.criterion.effect(
+        value, change, subject.reference, (own, other), subject.of_the_estimate
+    )
 
 
 def _worst_effect(subject: Subject, name: str) -> str | None:

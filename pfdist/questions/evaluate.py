@@ -12,6 +12,7 @@ from typing import Any, overload
 import numpy as np
 
 from pfdist.common.arguments import sets_argument
+from pfdist.common.changes import change_of, is_clear
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
@@ -19,11 +20,11 @@ from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
-from pfdist.filters.criterion import MEAN, Criterion, CriterionValue, OtherCriterion, Sample
+from pfdist.filters.aspects import Aspect
+from pfdist.filters.criterion import MEAN, Criterion, OtherCriterion, Sample
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, FilterWork, Result, information_estimation, joined
-from pfdist.kernels.estimators import EVIDENCE, INFORMATION
+from pfdist.filters.work import FilterWork, Result, joined
 from pfdist.models import squared_error
 from pfdist.problem.clock import Time
 from pfdist.problem.job import Job, load_job
@@ -32,7 +33,7 @@ from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import is_list_of
 from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import Names, criteria_in, following
-from pfdist.questions.subject import WHEN, change_of, is_clear, mse_cell, number_of
+from pfdist.questions.subject import WHEN, mse_cell, number_of
 from pfdist.results import Gain
 from pfdist.results.columns import COLUMNS, head_of_limit, interval_cell
 from pfdist.results.criteria import with_errors_over_time
@@ -270,34 +271,30 @@ def _with_profiles(
 
 def _samples(built: Built, work: FilterWork, result: Result) -> Iterator[Sample]:
     """The results of each set of a work."""
-    wanted, nats = built.job.other_criteria, dict[str, Any]()
-    if (information := wanted.get(INFORMATION.name)) is not None:
-        nats = _informations(built, work, information)
-    by_instant = any(each.by_instant for each in wanted.values())
+    wanted = built.job.other_criteria.values()
+    aspects = [(aspect, form) for form in wanted for aspect in form.aspects]
+    results = {aspect: _values_of(built, work, aspect, form) for aspect, form in aspects}
+    by_instant = any(each.by_instant for each in wanted)
     for place, times in enumerate(work.measurement_times):
         ranges = _over_time_of(built, times, MEAN, result.errors[:, place]) if by_instant else []
-        of_set = {name: values[:, place] for name, values in nats.items()}
-        sample = Sample(result.mse[:, place], **of_set)
+        of_set = {aspect: values[:, place] for aspect, values in results.items() if values.size}
+        sample = Sample(result.mse[:, place], aspects=of_set)
         yield with_errors_over_time(sample, ranges, 0, built.evaluator.relative_weights)
 
 
-def _informations(built: Built, work: FilterWork, criterion: Criterion) -> dict[str, Any]:
-    """The information of each draw, (D, S), and the gaps of the first draws, (D', S)."""
-    exact = built.evaluator.expected_mse(work.measurement_times, criterion=criterion)
+def _values_of(built: Built, work: FilterWork, aspect: Aspect, form: Criterion) -> Any:
+    """The values of an aspect with each set, (D, S): of draws, or the exact ones of the first."""
+    exact = built.evaluator.expected_mse(work.measurement_times, criterion=form)
     if exact is not None:
-        return {"information": -exact[None]}
-    particles, found = work.estimation.particles, list[Any]()
-    draws, first = work.draws[1], min(LOSS_DRAWS, work.draws[1])
-    gap = Estimation(particles, estimator=EVIDENCE.name)
-    below = information_estimation(particles)
-    for estimation, count, controlled in ((below, draws, False), (gap, first, True)):
-        evaluator = built.evaluator.truth.for_estimation(estimation)
-        own = replace(
-            work, draws=(0, count), estimation=estimation, controlled=controlled, over_time=0
-        )
-        of_draws = _filtered(evaluator, own)
-        found.append((of_draws.control if controlled else 0.0) - of_draws.mse)
-    return dict(zip(("information", "gap"), found, strict=True))
+        return form.sign * exact[None][: aspect == form.aspects[0]]
+    draws = work.draws[1] if aspect.of_all_draws else min(LOSS_DRAWS, work.draws[1])
+    own = replace(
+        work, draws=(0, draws), over_time=0,
+        estimation=aspect.estimation(work.estimation), controlled=aspect.is_controlled,
+        knows_truth=aspect.knows_truth,
+    )  # fmt: skip
+    of_draws = _filtered(built.evaluator.of_work(own), own)
+    return aspect.values(of_draws.mse, of_draws.control)
 
 
 def _over_time_of(built: Built, times: Times, criterion: Criterion, errors: Any) -> list[Range]:
@@ -391,14 +388,11 @@ class Evaluated:
         first, second = (each[name].sample for name in (best, (others or ranked)[0]))
         if not others or first is None or second is None:
             return f"The {form.label} of {best} is {judged}"
-        value, low, high = form.change(first, second)
-        than = f"{change_of(value, (low, high))} than {others[0]}"
-        if form.sign < 0:
-            than = f"{CriterionValue(value, low, high).text(form.unit)} more than {others[0]}"
-        if not is_clear((low, high)):
+        change = form.change(first, second)
+        than = form.than(change, others[0])
+        if not is_clear(change[1:]):
             return f"No clear difference: the {form.label} of {best} is {judged}, {than}"
-        most = "lowest" if form.sign > 0 else "most"
-        return f"{best} has the {most} {form.label}, {judged}: {than}"
+        return f"{best} has the {form.most} {form.label}, {judged}: {than}"
 
     def _lowest(self) -> str:
         """Say which set has the lowest expected MSE, and how far below the second lowest."""

@@ -10,6 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 import pandas as pd
 
+from pfdist.common.changes import change_of, effect, is_clear
 from pfdist.common.estimate import Estimate
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, unrounded
@@ -34,7 +35,7 @@ from pfdist.questions.options import (
 )
 from pfdist.questions.rule_file import keep_rule, rule_json
 from pfdist.questions.run_of_job import own_store, run_and_job
-from pfdist.questions.subject import change_of, effect, is_clear, mse_cell, number_of
+from pfdist.questions.subject import mse_cell, number_of
 from pfdist.results import Run, finite
 from pfdist.results.online import is_online
 from pfdist.results.pairs import pairs_table

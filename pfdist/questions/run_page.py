@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from pfdist.common.changes import change_of, effect, is_clear
 from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.parts import (
     Block,
@@ -42,9 +43,6 @@ from pfdist.questions.subject import (
     Subject,
     all_sets,
     as_good_text,
-    change_of,
-    effect,
-    is_clear,
     number_of,
     without_folder,
 )

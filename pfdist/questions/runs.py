@@ -86,7 +86,7 @@ def _row(row: Mapping[Any, Any], keys: list[str], form: Criterion | None) -> lis
 
 def _judged(row: Mapping[Any, Any], form: Criterion) -> Cell:
     ends = (row[name] if math.isfinite(row[name]) else None for name in CRITERION[1:4])
-    return interval_cell(*ends, is_side=form.sign < 0)
+    return interval_cell(*ends, is_side=form.is_side)
 
 
 def lowest_text(frame: pd.DataFrame) -> str:
@@ -108,8 +108,7 @@ def lowest_text(frame: pd.DataFrame) -> str:
     point = formatted_point(
         columns, best.point, sorted(keys_of_runs(frame), key=lambda name: name == SEED)
     )
-    most = "most" if form.sign < 0 else "lowest"
-    return f"The {most} {form.label} is {estimate}: {point}."
+    return f"The {form.most} {form.label} is {estimate}: {point}."
 
 
 def list_page(frame: pd.DataFrame, folder: str) -> Page:

@@ -11,7 +11,7 @@ from pfdist.common.component_names import Component, named_components
 from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
-from pfdist.common.rounding import rounded, with_error, with_interval
+from pfdist.common.rounding import rounded, with_error
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.clock import Clock
@@ -240,68 +240,6 @@ def _typical(component: Component, is_angle: bool, error: float, before: float |
     if text == rounded(before, 3):
         return f"{text} {unit}".rstrip() + " (no difference)"
     return f"{text} instead of {rounded(before, 3)} {unit}".rstrip()
-
-
-def change_of(gain: float, interval: Sequence[float | None]) -> str:
-    """How far an error lies below or above another, with its 95 % interval.
-
-    Parameters
-    ----------
-    gain : float
-        Relative; negative if the error is higher.
-    interval : list of float or None
-        Lower and upper end; None and infinite ends are unknown, equal ends exact.
-
-    Examples
-    --------
-    >>> change_of(0.05, [0.01, 0.09]), change_of(-0.05, [-0.05, -0.05])
-    ('5.0 % lower (95 % CI 1.0 to 9.0 %)', '5.0000 % higher (exact)')
-    >>> change_of(-0.05, [-0.09, 0.01])
-    '5.0 % higher (95 % CI -1.0 to 9.0 %)'
-    """
-    low, high = interval
-    side = "lower" if gain >= 0 else "higher"
-    if low is None or high is None or math.isinf(high - low):
-        value, *_ = with_interval(100 * abs(gain), None, None)
-        return f"{value} % {side} (too few draws for an interval)"
-    ends = [low, high] if gain >= 0 else [-high, -low]
-    value, least, most = with_interval(*(100 * part for part in (abs(gain), *ends)))
-    if low == high:
-        return f"{value} % {side} (exact)"
-    return f"{value} % {side} (95 % CI {least} to {most} %)"
-
-
-def is_clear(interval: Sequence[float | None]) -> bool:
-    """Whether an interval does not contain 0, as far as it is known."""
-    low, high = interval
-    return low is None or high is None or not low <= 0.0 <= high or low == high
-
-
-def effect(
-    gain: float, interval: Sequence[float | None], other: str, what: str = "the expected MSE"
-) -> str:
-    """How far an error lies below that of other times, or that there is no clear difference.
-
-    Parameters
-    ----------
-    gain, interval
-        As for `change_of`.
-    other : str
-        The other times.
-    what : str
-        Which error.
-
-    Examples
-    --------
-    >>> effect(0.05, [0.01, 0.09], "the plan")
-    'The expected MSE is 5.0 % lower (95 % CI 1.0 to 9.0 %) than with the plan'
-    >>> effect(0.05, [-0.01, 0.11], "the plan")
-    'No clear difference from the plan; the expected MSE is 5.0 % lower (95 % CI -1.0 to 11.0 %)'
-    """
-    change = f"{what} is {change_of(gain, interval)}"
-    if is_clear(interval):
-        return f"{change[0].upper()}{change[1:]} than with {other}"
-    return f"No clear difference from {other}; {change}"
 
 
 def as_good_text(row: Row) -> str:

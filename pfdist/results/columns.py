@@ -18,13 +18,13 @@ from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
 from pfdist.common.rounding import unrounded, with_error, with_interval, with_sides
 from pfdist.errors import relative
-from pfdist.filters.criterion import unit_of_criterion
+from pfdist.filters.criterion import CRITERIA, unit_of_criterion
 from pfdist.results.moments import QUANTILES, quantile_name
 
 if TYPE_CHECKING:
     import pandas as pd
 
-CRITERIA_SHOWN = ("information", "worst_instant", "quantile")
+CRITERIA_SHOWN = tuple(CRITERIA)
 """Columns with numbers of criteria, by the names of these."""
 T = TypeVar("T")
 Results = dict[str, Any]
@@ -204,19 +204,12 @@ _DECLARED = [
         meaning="1 - criterion_value / that of the reference; of the information, how many nats "
         "more the set gives",
     ),
-    Column(
-        name="information", has_interval=True, is_side=True, head="information, nats",
-        meaning="expected information about the path, and about what is learned; a lower side of "
-        "particles, whose interval ends where that of the upper side does",
-    ),
-    Column(
-        name="worst_instant", has_interval=True, head="worst instant",
-        meaning="largest expected error at an instant; from limits that hold together at all "
-        "instants",
-    ),
-    Column(
-        name="quantile", has_interval=True, head="quantile of the MSE",
-        meaning="quantile of the MSE over draws; interval from order statistics",
+    *(
+        Column(
+            name=name, has_interval=True, is_side=form.is_side, meaning=form.meaning,
+            head=f"{form.short}, {form.unit}" if form.unit else form.short,
+        )
+        for name, form in CRITERIA.items()
     ),
     Column(name="draws", dtype="int64", meaning="compared draws"),
     Column(name="degenerate_draws", dtype="int64", meaning="draws that are degenerate"),

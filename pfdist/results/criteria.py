@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from pfdist.filters.aspects import Aspect
 from pfdist.filters.criterion import OtherCriterion, Sample, other_criteria_of
 from pfdist.results.columns import Results
 from pfdist.results.over_time import RANGE_SUMS, Array, Range, errors_over_time_of, ranges_of
-from pfdist.results.stored_run import StoredRun, criterion_of, exact_information, problem_of
+from pfdist.results.stored_run import StoredRun, criterion_of, exact_values, problem_of
 
 
 def other_criteria(run: StoredRun) -> dict[str, OtherCriterion]:
@@ -35,20 +35,27 @@ def samples_of(run: StoredRun) -> dict[str, Sample]:
     rows, problem = run._store.rows("comparison"), problem_of(run)
     ranges = ranges_of(run) if run._store.has(RANGE_SUMS) else []
     weights = np.array(problem.weights or (1.0,) * len(problem.clock.times))
-    nats: dict[str, dict[str, Any]] = {
-        name: {"information": np.array([value])} for name, value in exact_information(run).items()
-    }
-    if not nats and run._store.has("information"):
-        lower, gaps = (run._store.rows(table) for table in ("information", "information_gap"))
-        for name in run.names:
-            columns = {"information": lower[f"information_{name}"], "gap": gaps[f"gap_{name}"]}
-            nats[name] = {key: column.to_numpy() for key, column in columns.items()}
+    results: dict[str, dict[Aspect, Array]] = {name: {} for name in run.names}
+    for criterion in other_criteria(run).values():
+        for aspect in criterion.aspects:
+            for name, values in _values_of(run, aspect).items():
+                results[name][aspect] = values
     return {
         name: with_errors_over_time(
-            Sample(rows[f"mse_{name}"].to_numpy(), **nats.get(name, {})), ranges, place, weights
+            Sample(rows[f"mse_{name}"].to_numpy(), aspects=results[name]), ranges, place, weights
         )
         for place, name in enumerate(run.names)
     }
+
+
+def _values_of(run: StoredRun, aspect: Aspect) -> dict[str, Array]:
+    """The values of an aspect for each set by name: of draws, or an exact one."""
+    if exact := exact_values(run, aspect.exact_column):
+        return {name: np.array([value]) for name, value in exact.items()}
+    if not run._store.has(aspect.table):
+        return {}
+    rows = run._store.rows(aspect.table)
+    return {name: rows[f"{aspect.named}_{name}"].to_numpy() for name in run.names}
 
 
 def columns_of_criteria(run: StoredRun) -> Iterator[tuple[str, Results]]:

@@ -359,15 +359,11 @@ def last_bounds(run: StoredRun) -> dict[str, dict[str, Any]]:
 
 def exact_errors(run: StoredRun) -> dict[str, float]:
     """The expected MSE of each compared set by name if the engine is exact; otherwise empty."""
-    return _exact(run, "exact_mse")
+    return exact_values(run, "exact_mse")
 
 
-def exact_information(run: StoredRun) -> dict[str, float]:
-    """The expected information with each set, in nats, if the engine is exact and it is wanted."""
-    return _exact(run, "exact_information")
-
-
-def _exact(run: StoredRun, column: str) -> dict[str, float]:
+def exact_values(run: StoredRun, column: str) -> dict[str, float]:
+    """The exact values of each compared set in a column, by name; empty if there are none."""
     rows = run.table("compared")
     if column not in rows:
         return {}

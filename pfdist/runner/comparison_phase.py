@@ -18,17 +18,14 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError, StoreError
+from pfdist.filters.aspects import DISTANCE, VARIANCE, Aspect, other_estimate
 from pfdist.filters.work import (
-    Estimation,
     FilterWork,
     Result,
     control_of,
     cut,
-    information_estimation,
     ranges_of_draws,
-    with_truth,
 )
-from pfdist.kernels.estimators import EVIDENCE, FILTER_NOISE, INFORMATION
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
 from pfdist.problem.set_key import labels_of_sets, references_of
@@ -49,13 +46,9 @@ from pfdist.store import (
     ROWS_IN_A_FILE,
     Store,
     comparison_schema,
-    distance_schema,
-    information_gap_schema,
-    information_schema,
-    other_schema,
+    first_draws_schema,
     schema,
     trajectories_schema,
-    variance_schema,
 )
 
 COMPARISON = "comparison"
@@ -317,14 +310,16 @@ class FirstDrawsTable:
 def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[FirstDrawsTable]:
     """All tables of first draws beside a comparison; by default that of sets still to be found."""
     work = work or _work(built, dict.fromkeys(built.names, built.job.problem.feasible.regular()))
-    tables: list[Callable[[Built, FilterWork], FirstDrawsTable | None]] = [other_estimates]
-    if built.study.has_details:
-        tables.insert(0, trajectories)
-    if not built.evaluator.exact and INFORMATION.name in built.job.other_criteria:
-        tables += [informations, information_gaps]
-    if built.evaluator.has_particle_loss:
-        tables += [distances, variances]
-    return [made for table in tables if (made := table(built, work)) is not None]
+    evaluator, other = built.evaluator, other_estimates(built, work)
+    tables = [trajectories(built, work)] * built.study.has_details
+    tables += [] if other is None else [other]
+    wanted = [each.aspects for each in built.job.other_criteria.values() if not evaluator.exact]
+    aspects = [aspect for of_criterion in wanted for aspect in of_criterion]
+    if evaluator.has_particle_loss:
+        aspects.append(DISTANCE)
+        # Without the scenario of a draw the difference of both filters is not a particle loss.
+        aspects += [VARIANCE] * (evaluator.knows_scenario or not evaluator.scenarios)
+    return [*tables, *(of_aspect(built, work, aspect) for aspect in aspects)]
 
 
 def trajectories(built: Built, work: FilterWork) -> FirstDrawsTable:
@@ -348,85 +343,47 @@ def other_estimates(built: Built, work: FilterWork) -> FirstDrawsTable | None:
     draws = min(built.job.comparison.draws // OTHERS, int(_OTHER_SHARE * steps // a_draw))
     if built.evaluator.exact or not built.study.has_details or not draws:
         return None
-    rows, columns = other_schema(built.job.problem.other_estimate, work.ids), _columns_by_set
+    rows = schema_of_aspect(other_estimate(built.job.problem.other_estimate), work.ids)
+    columns = partial(_columns_by_set, rows, lambda mse, _: mse)
     of_draws = replace(of_sets, draws=(0, draws))
-    return FirstDrawsTable(
-        "other_estimate", rows, of_draws, partial(columns, rows), part="other estimate"
-    )
+    return FirstDrawsTable("other_estimate", rows, of_draws, columns, part="other estimate")
 
 
-def distances(built: Built, work: FilterWork) -> FirstDrawsTable:
-    """Half the squared distance of two filters with each set; see `pfdist.results.particle_loss`.
-
-    The error is the squared norm, and the engine has particles.
-    """
-    estimation = replace(work.estimation, estimator=FILTER_NOISE.name)
-    schema = distance_schema(work.ids)
-    return _of_draws("filter_distance", schema, built, work, estimation, knows_truth=False)
-
-
-def variances(built: Built, work: FilterWork) -> FirstDrawsTable | None:
-    """Variance of particles beside the truth, with each set and without any measurement.
-
-    None if the filter does not have the scenario of a draw: then the difference of both filters is
-    not a particle loss.
-    """
-    if built.evaluator.scenarios and not built.evaluator.knows_scenario:
-        return None
-    own, schema = work.estimation, variance_schema(work.ids)
-    estimation = with_truth(own.particles, own.proposal)
-    work = replace(work, measurement_times=(*work.measurement_times, ()))
-    return _of_draws("filter_variance", schema, built, work, estimation, knows_truth=True)
-
-
-def informations(built: Built, work: FilterWork) -> FirstDrawsTable:
-    """Information of the measurements of each set, a lower side."""
-    table = _of_draws(
-        "information", information_schema(work.ids), built, work,
-        information_estimation(work.estimation.particles),
-        knows_truth=True, draws=built.job.comparison.draws,
-    )  # fmt: skip
-    return replace(table, columns=partial(_columns_by_set, table.schema, sign=-1.0))
-
-
-def information_gaps(built: Built, work: FilterWork) -> FirstDrawsTable:
-    """Distance of an upper side of the information from the lower side, on the first draws."""
-    estimation = Estimation(work.estimation.particles, estimator=EVIDENCE.name)
-    work, rows = replace(work, controlled=True), information_gap_schema(work.ids)
-    table = _of_draws("information_gap", rows, built, work, estimation, knows_truth=True)
-    return replace(table, columns=partial(_columns_by_set, rows, sign=-1.0))
-
-
-def _of_draws(
-    table: str,
-    schema: pa.Schema,
-    built: Built,
-    work: FilterWork,
-    estimation: Estimation,
-    *,
-    knows_truth: bool,
-    draws: int | None = None,
-) -> FirstDrawsTable:
-    """A table of a set's errors by another estimation, on the first draws, by default a few."""
-    stream = stream_of("comparison", built.job.seed, "filter", table)
-    sets = len(work.measurement_times)
+def of_aspect(built: Built, work: FilterWork, aspect: Aspect) -> FirstDrawsTable:
+    """An aspect of the sets on the first draws; all sets share the noise of its filters."""
+    draws = built.job.comparison.draws
+    first = draws if aspect.of_all_draws else min(LOSS_DRAWS, draws)
+    sets = work.measurement_times + ((),) * aspect.has_unmeasured
+    stream = stream_of("comparison", built.job.seed, "filter", aspect.table)
     of_sets = replace(
         work,
-        ends=work.ends[:1] * sets,
-        filter_streams=(stream,) * sets,  # sets share the noise, and so their common prefixes
-        draws=(0, min(draws or LOSS_DRAWS, built.job.comparison.draws)),
-        estimation=estimation,
-        knows_truth=knows_truth,
+        measurement_times=sets,
+        ends=work.ends[:1] * len(sets),
+        filter_streams=(stream,) * len(sets),  # so they share common prefixes, too
+        draws=(0, first),
+        estimation=aspect.estimation(work.estimation),
+        knows_truth=aspect.knows_truth,
+        controlled=aspect.is_controlled,
     )
-    return FirstDrawsTable(table, schema, of_sets, partial(_columns_by_set, schema))
+    rows = schema_of_aspect(aspect, work.ids)
+    return FirstDrawsTable(
+        aspect.table, rows, of_sets, partial(_columns_by_set, rows, aspect.values)
+    )
+
+
+def schema_of_aspect(aspect: Aspect, names: Sequence[str]) -> pa.Schema:
+    """Schema of the draws of an aspect: a row for each draw, a column for each set."""
+    return first_draws_schema(
+        aspect.table, aspect.named, aspect.description, names,
+        unit=aspect.unit, has_unmeasured=aspect.has_unmeasured,
+    )  # fmt: skip
 
 
 def _columns_by_set(
-    schema: pa.Schema, piece: FilterWork, result: Result, *, sign: float = 1.0
+    schema: pa.Schema, values_of: Callable[..., Any], piece: FilterWork, result: Result
 ) -> dict[str, Any]:
-    """The errors of each set, less their controls if there are any."""
-    errors = result.mse - result.control if result.control.size else result.mse
-    columns = (pa.array(sign * each, from_pandas=True) for each in errors.T)
+    """The values of each set from its errors and their controls."""
+    columns = (pa.array(each, from_pandas=True) for each in values_of(result.mse, result.control).T)
     return dict(zip(schema.names, (np.arange(*piece.draws), *columns), strict=True))
 
 

@@ -1,6 +1,6 @@
 """The driver of a run: searches, then the comparison, then online draws; it uses no pool itself."""
 
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from functools import partial
 from typing import Any, get_args
 
@@ -11,7 +11,6 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError
 from pfdist.filters.work import FilterWork, Result, cut
-from pfdist.kernels.estimators import INFORMATION
 from pfdist.problem.online_section import Online
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import (
@@ -132,19 +131,7 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
         row["position"] = position
     optional = ["tried"] if tried else []
     times = [row["measurement_times"] for row in rows]
-    exact = built.evaluator.expected_mse(times)
-    other = built.evaluator.other_estimate.expected_mse(
-        times, criterion=built.job.criterion.mse_criterion
-    )
-    informed = None
-    if (judging := built.job.other_criteria.get(INFORMATION.name)) is not None:
-        informed = built.evaluator.expected_mse(times, criterion=judging)
-    columns: dict[str, tuple[Any, Part]] = {
-        "exact_mse": (exact, "comparison"),
-        "exact_other_mse": (other, "other estimate"),
-        "exact_information": (None if informed is None else -informed, "statistics"),
-    }
-    for column, (errors, part) in columns.items():
+    for column, (errors, part) in _exact_columns(built, times).items():
         if errors is not None:
             instants = len(times) * (built.evaluator.horizon + 1)
             session.count_exact(COMPARISON, part, instants)
@@ -155,6 +142,22 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     # Written after the tables of the searches: it marks the searches as done.
     session.later(partial(_publish_compared, session.store, table))
     return {row["name"]: row["measurement_times"] for row in rows}
+
+
+def _exact_columns(built: Built, sets: Sequence[Times]) -> dict[str, tuple[Any, Part]]:
+    """Exact values of each set by column, with what they are for; None if they take draws."""
+    evaluator, form = built.evaluator, built.job.criterion.mse_criterion
+    columns: dict[str, tuple[Any, Part]] = {
+        "exact_mse": (evaluator.expected_mse(sets), "comparison"),
+        "exact_other_mse": (
+            evaluator.other_estimate.expected_mse(sets, criterion=form), "other estimate"
+        ),
+    }  # fmt: skip
+    for form in built.job.other_criteria.values():
+        values = evaluator.expected_mse(sets, criterion=form) if form.aspects else None
+        if values is not None:
+            columns[form.aspects[0].exact_column] = form.sign * values, "statistics"
+    return columns
 
 
 def _publish_compared(store: Store, table: pa.Table) -> None:

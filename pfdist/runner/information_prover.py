@@ -20,8 +20,8 @@ import numpy as np
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times
-from pfdist.filters.work import BLOCK, Estimation, control_of, information_estimation
-from pfdist.kernels.estimators import EVIDENCE
+from pfdist.filters.criteria.information import GAP, LOWER_SIDE
+from pfdist.filters.work import BLOCK, Estimation, control_of
 from pfdist.results import Run
 from pfdist.results.criteria import samples_of
 from pfdist.results.stored_run import measured_of
@@ -73,7 +73,9 @@ class InformationProver(Prover):
         """The gaps of all sets, after all draws."""
         sets, gaps = self._built.study.proved(measured_of(run)), list[Gap]()
         wrong, steps = self._fails_check(), 0.0
-        known = {name: Estimate.of_mean(s.information) for name, s in samples_of(run).items()}
+        known = {
+            name: Estimate.of_mean(s.values_of(LOWER_SIDE)) for name, s in samples_of(run).items()
+        }
         session.reporter.begin("upper bound")
         for name, times in sets.items():
             own = known[name].times(-1.0)
@@ -100,10 +102,10 @@ class InformationProver(Prover):
 
     @property
     def _estimations(self) -> list[Estimation]:
-        particles = max(1, self.particles)
-        evidence = Estimation(particles, estimator=EVIDENCE.name)
+        own = Estimation(max(1, self.particles))
+        evidence = GAP.estimation(own)
         sides = [evidence, control_of(evidence)] if self.particles else []
-        return [information_estimation(particles), *sides]
+        return [LOWER_SIDE.estimation(own), *sides]
 
     def _counted_sets(self, sets: tuple[Times, ...]) -> Counted:
         first = np.zeros(len(sets), np.int64)

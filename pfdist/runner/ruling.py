@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
-from pfdist.filters.criterion import Quantile
+from pfdist.filters.criteria.quantile import Quantile
 from pfdist.filters.engines import NUMPY
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator

@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion
-from pfdist.filters.work import BLOCK, Estimation, information_estimation
+from pfdist.filters.work import BLOCK, Estimation
 from pfdist.kernels.estimators import (
     ESTIMATORS,
     FILTER_VARIANCE,
-    INFORMATION,
     SQUARED_ERROR,
     TWO_CLOUDS,
 )
@@ -54,8 +53,8 @@ class Settings:
         estimator = ESTIMATORS[deciding.estimator]
         if own.by_variance and variance_is_error and estimator is SQUARED_ERROR:
             estimator = TWO_CLOUDS if job.problem.instants_of_lag else FILTER_VARIANCE
-        # Information is a lower side only beside the truth, which other schemes do not hold.
-        scheme = None if estimator is INFORMATION else own.resampling
+        # An aspect has its own scheme: sides of a number stand beside the truth.
+        scheme = None if job.criterion.aspects else own.resampling
         return cls(
             own.draws or job.evaluation.draws,
             (own.noise or job.evaluation.noise) == "common",
@@ -162,9 +161,8 @@ def racing_of(job: Job, draws: int) -> Settings:
 
 def deciding_of(job: Job) -> Estimation:
     """The estimation of the job's criterion by its own filter."""
-    if job.criterion.name == INFORMATION.name:
-        return information_estimation(job.filter.particles)
-    return comparing_of(job)
+    own, aspects = comparing_of(job), job.criterion.aspects
+    return aspects[0].estimation(own) if aspects else own
 
 
 def comparing_of(job: Job) -> Estimation:

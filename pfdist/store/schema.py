@@ -364,34 +364,21 @@ def comparison_schema(
     return comparison.append(_OPTIONAL["scenario"]) if with_scenarios else comparison
 
 
-def other_schema(kind: str, names: Sequence[str]) -> pa.Schema:
-    """Schema of the errors of the other estimate, "smoothed" (by two filters) or "filtered"."""
-    return _of_sets("other_estimate", kind, f"MSE of the {kind} estimate with this set", names)
-
-
-def distance_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of the errors due to filter noise: a row for each draw, a column for each set."""
-    text = "half the squared distance of two filters' estimates"
-    return _of_sets("filter_distance", "distance", text, names)
-
-
-def information_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of the information that measurements give: a row for each draw, a column a set."""
-    text = "that measurements give about the path; a lower side of its mean"
-    return _of_sets("information", "information", text, names, "nats")
-
-
-def information_gap_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of the distance of an upper side of the information from the lower side."""
-    text = "log evidence of a filter beside the truth, less that of one without it"
-    return _of_sets("information_gap", "gap", text, names, "nats")
-
-
-def variance_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of variances beside the truth: a row for each draw, a column for each set or none."""
-    text = "of particles among which the truth stands, with the true model"
-    schema = _of_sets("filter_variance", "variance", text, names)
-    return schema.append(_column("unmeasured", pa.float64(), _MSE, "without any measurement"))
+def first_draws_schema(
+    table: str,
+    start: str,
+    description: str,
+    names: Sequence[str],
+    *,
+    unit: str = "",
+    has_unmeasured: bool = False,
+) -> pa.Schema:
+    """Schema of what filtering gives beside the comparison: a row for each draw, a column a set."""
+    schema = _of_sets(table, start, description, names, unit or _MSE)
+    if has_unmeasured:
+        without = _column("unmeasured", pa.float64(), _MSE, "without any measurement")
+        schema = schema.append(without)
+    return schema
 
 
 def _of_sets(

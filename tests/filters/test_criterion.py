@@ -15,14 +15,14 @@ from oracles.walks import SCENARIOS, WALK, WEIGHTS
 from pfdist.common.estimate import Estimate
 from pfdist.errors import JobError
 from pfdist.filters import kalman
+from pfdist.filters.criteria.information import GAP, LOWER_SIDE, Information
+from pfdist.filters.criteria.quantile import Quantile
+from pfdist.filters.criteria.worst_instant import WorstInstant
 from pfdist.filters.criterion import (
     MEAN,
     Criterion,
-    Information,
     OtherCriterion,
-    Quantile,
     Sample,
-    WorstInstant,
     WorstScenario,
     criterion_named,
 )
@@ -137,7 +137,7 @@ def test_the_ends_are_order_statistics_with_95_percent_of_the_binomial_between(
 ) -> None:
     """David and Nagaraja, section 7.1; the 0th is 0, and the one after the last infinite."""
     ranks = np.random.default_rng(1).permutation(np.arange(1.0, count + 1))
-    value, *ends = Quantile("quantile", share=share).of_sample(Sample(ranks))
+    value, *ends = Quantile(share=share).of_sample(Sample(ranks))
     low, high = (min(end, count + 1) for end in ends)
     below = stats.binom(count, share)
     assert below.cdf(high - 1) - below.cdf(low - 1) >= 0.95
@@ -271,12 +271,12 @@ NATS = Information()
 
 
 def test_an_upper_side_that_is_infinite_is_an_infinite_end() -> None:
-    told = np.random.default_rng(1).normal(2.0, 1.0, 50)
+    nats = np.random.default_rng(1).normal(2.0, 1.0, 50)
     infinite, none = np.where(np.arange(20) < 1, math.inf, 0.1), np.zeros(20)
-    collapsed, other = Sample(told, information=told, gap=infinite), Sample(told, gap=none)
+    collapsed = Sample(nats, aspects={LOWER_SIDE: nats, GAP: infinite})
     value, low, high = NATS.of_sample(collapsed)
     assert low < value < high == math.inf
-    other = replace(other, information=told - 1.0)
+    other = Sample(nats, aspects={LOWER_SIDE: nats - 1.0, GAP: none})
     assert NATS.change(collapsed, other).high == math.inf
     assert NATS.change(other, collapsed).low == -math.inf
 
@@ -285,7 +285,8 @@ def test_the_upper_end_holds_if_both_sides_are_of_the_same_draws() -> None:
     """The sides have a correlation of 1, so their errors add up."""
     draws = _draws(200) - 1.0
     judged = [
-        NATS.of_sample(Sample(each, information=5.0 + each, gap=1.0 + each)) for each in draws
+        NATS.of_sample(Sample(each, aspects={LOWER_SIDE: 5.0 + each, GAP: 1.0 + each}))
+        for each in draws
     ]
     for found, own in zip(judged, draws, strict=True):
         assert found.high == pytest.approx(Estimate.of_mean(6.0 + 2.0 * own).interval()[1])

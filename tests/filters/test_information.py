@@ -12,10 +12,10 @@ import pytest
 
 from pfdist import StateSpaceModel, linear_gaussian
 from pfdist.common.measurement_times import Times
-from pfdist.filters.criterion import Information, Sample
+from pfdist.filters.criteria.information import GAP, LOWER_SIDE, Information
+from pfdist.filters.criterion import Sample
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, information_estimation
-from pfdist.kernels.estimators import EVIDENCE
+from pfdist.filters.work import Estimation
 
 HORIZON, FACTOR, SPREAD = 12, 0.95, 3.0
 
@@ -43,10 +43,11 @@ def of_autoregression(times: Times, noise: float) -> float:
 
 def both_sides(evaluator: Evaluator, times: Times, particles: int, draws: int) -> Sample:
     """Nats of each draw beside the truth, and by how much more without it."""
-    work = evaluator.work([times], 5, 6, (0, draws), information_estimation(particles))
-    evidence = Estimation(particles, estimator=EVIDENCE.name)
+    below, evidence = (each.estimation(Estimation(particles)) for each in (LOWER_SIDE, GAP))
+    work = evaluator.work([times], 5, 6, (0, draws), below)
     informed, told = evaluator.results([work, replace(work, estimation=evidence, controlled=True)])
-    return Sample(np.empty(0), information=-informed.mse[:, 0], gap=(told.control - told.mse)[:, 0])
+    gap = (told.control - told.mse)[:, 0]
+    return Sample(np.empty(0), aspects={LOWER_SIDE: -informed.mse[:, 0], GAP: gap})
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.1, 1.0])
@@ -67,10 +68,10 @@ def test_particles_enclose_the_information_of_a_linear_system(count: int) -> Non
     times = (2, 5, 6, 10, 11)[:count]
     exact = of_autoregression(times, 1.0)
     sample = both_sides(Evaluator(autoregression(1.0), HORIZON), times, 500, 1000)
-    error = sample.information.std() / math.sqrt(1000)
-    assert sample.information.mean() - 3.0 * error < exact
-    gap = sample.gap.mean(), sample.gap.std() / math.sqrt(1000)
-    assert exact < sample.information.mean() + gap[0] + 3.0 * math.hypot(error, gap[1])
+    error = sample.aspects[LOWER_SIDE].std() / math.sqrt(1000)
+    assert sample.aspects[LOWER_SIDE].mean() - 3.0 * error < exact
+    gap = sample.aspects[GAP].mean(), sample.aspects[GAP].std() / math.sqrt(1000)
+    assert exact < sample.aspects[LOWER_SIDE].mean() + gap[0] + 3.0 * math.hypot(error, gap[1])
     assert 0.0 < gap[0] + 3.0 * gap[1] < 0.1
 
 
@@ -78,9 +79,13 @@ def test_few_particles_and_a_sharp_sensor_leave_wide_sides() -> None:
     """At most log P a measurement beside the truth; without it there is no limit (collapse)."""
     times, exact = (2, 5, 6, 10), of_autoregression((2, 5, 6, 10), 0.01)
     sample = both_sides(Evaluator(autoregression(0.01), HORIZON), times, 50, 500)
-    assert sample.information.max() <= len(times) * math.log(50) + 1e-6
-    assert sample.information.mean() < exact < sample.information.mean() + sample.gap.mean()
-    assert sample.gap.mean() > 10 * exact
+    assert sample.aspects[LOWER_SIDE].max() <= len(times) * math.log(50) + 1e-6
+    assert (
+        sample.aspects[LOWER_SIDE].mean()
+        < exact
+        < sample.aspects[LOWER_SIDE].mean() + sample.aspects[GAP].mean()
+    )
+    assert sample.aspects[GAP].mean() > 10 * exact
 
 
 @pytest.mark.parametrize("particles", [7, 40])
@@ -90,8 +95,10 @@ def test_the_compiled_filter_tells_what_the_twin_tells(particles: int) -> None:
         both_sides(Evaluator(autoregression(0.5), HORIZON, engine=engine), (0, 5, 6), particles, 30)
         for engine in ("compiled", "numpy")
     )
-    np.testing.assert_allclose(compiled.information, twin.information, rtol=2e-6, atol=1e-6)
-    np.testing.assert_allclose(compiled.gap, twin.gap, rtol=2e-6, atol=2e-6)
+    np.testing.assert_allclose(
+        compiled.aspects[LOWER_SIDE], twin.aspects[LOWER_SIDE], rtol=2e-6, atol=1e-6
+    )
+    np.testing.assert_allclose(compiled.aspects[GAP], twin.aspects[GAP], rtol=2e-6, atol=2e-6)
 
 
 STAY, HIT = 0.8, (0.95, 0.7)  # of a sensor at even and at odd instants
@@ -138,8 +145,8 @@ def of_chain(times: Times) -> float:
 def test_particles_enclose_the_information_of_a_chain(times: Times) -> None:
     exact, draws = of_chain(times), 2000
     sample = both_sides(Evaluator(chain(), 6), times, 400, draws)
-    error = sample.information.std() / math.sqrt(draws)
-    gap = sample.gap.mean(), sample.gap.std() / math.sqrt(draws)
-    assert sample.information.mean() - 3.0 * error < exact
-    assert exact < sample.information.mean() + gap[0] + 3.0 * math.hypot(error, gap[1])
-    assert sample.information.mean() == pytest.approx(exact, abs=3.0 * error + 0.01)
+    error = sample.aspects[LOWER_SIDE].std() / math.sqrt(draws)
+    gap = sample.aspects[GAP].mean(), sample.aspects[GAP].std() / math.sqrt(draws)
+    assert sample.aspects[LOWER_SIDE].mean() - 3.0 * error < exact
+    assert exact < sample.aspects[LOWER_SIDE].mean() + gap[0] + 3.0 * math.hypot(error, gap[1])
+    assert sample.aspects[LOWER_SIDE].mean() == pytest.approx(exact, abs=3.0 * error + 0.01)

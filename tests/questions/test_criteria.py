@@ -12,7 +12,8 @@ import pfdist
 from oracles.walks import WALK
 from pfdist import StateSpaceModel
 from pfdist.errors import JobError, PfdistError
-from pfdist.filters.criterion import Quantile, Sample, criterion_named
+from pfdist.filters.criteria.quantile import Quantile
+from pfdist.filters.criterion import Sample, criterion_named
 from pfdist.filters.kalman import expected_errors
 from pfdist.pages.terminal import lines_of
 from pfdist.questions.budget import budget

@@ -18,7 +18,7 @@ import pfdist
 from oracles.results_of import results_of
 from pfdist import Problem, Run, StateSpaceModel, linear_gaussian
 from pfdist.errors import JobError
-from pfdist.filters.criterion import Information
+from pfdist.filters.criteria.information import Information
 from pfdist.filters.evaluator import Evaluator
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.pages.terminal import lines_of

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from pfdist import Job
-from pfdist.filters.criterion import MEAN, WorstInstant
+from pfdist.filters.criteria.worst_instant import WorstInstant
+from pfdist.filters.criterion import MEAN
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, FilterWork, Result, sum_of_draws, with_truth
 from pfdist.pools.base import SerialPool

@@ -20,19 +20,17 @@ from oracles.bytes_of import hashes
 from oracles.stored_rows import compared_rows
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import StoreError
+from pfdist.filters.aspects import DISTANCE, VARIANCE, other_estimate
+from pfdist.filters.criterion import CRITERIA
+from pfdist.runner.comparison_phase import schema_of_aspect
 from pfdist.store import (
     SCHEMA_VERSION,
     Store,
     comparison_schema,
-    distance_schema,
-    information_gap_schema,
-    information_schema,
-    other_schema,
     parquet,
     schema,
     tables,
     trajectories_schema,
-    variance_schema,
 )
 from pfdist.store.listing import read_listing
 from pfdist.store.schema import KEYS
@@ -354,13 +352,11 @@ def test_cut_rows_keeps_all_rows_in_order(count: int) -> None:
 
 
 def test_every_column_says_its_unit_and_every_table_its_version(store: Store) -> None:
+    of_criteria = (aspect for form in CRITERIA.values() for aspect in form.aspects)
+    aspects = (other_estimate("smoothed"), DISTANCE, VARIANCE, *of_criteria)
     variable = {
         "comparison": comparison_schema(["regular", "genetic"]),
-        "other_estimate": other_schema("smoothed", ["regular", "genetic"]),
-        "filter_distance": distance_schema(["regular", "genetic"]),
-        "filter_variance": variance_schema(["regular", "genetic"]),
-        "information": information_schema(["regular", "genetic"]),
-        "information_gap": information_gap_schema(["regular", "genetic"]),
+        **{each.table: schema_of_aspect(each, ["regular", "genetic"]) for each in aspects},
         "trajectories": trajectories_schema(
             ["regular"], numbered_components(2), numbered_components(1)
         ),

@@ -1,4 +1,4 @@
-"""A scratch package adds a search and a model by entry points, as an installed package does."""
+"""A scratch package adds a search, a model and a criterion by entry points, as if installed."""
 
 import json
 import os
@@ -11,11 +11,20 @@ from pathlib import Path
 import pytest
 
 from oracles.model_text import MEASURED
+from pfdist.results.run import open_run
 
 ROOT = Path(__file__).parents[2]
-GREEDY = re.search(r"# greedy\.py\n(.*?)```", (ROOT / "docs/searches.md").read_text(), re.DOTALL)
+
+
+def _example(name: str, page: str) -> str:
+    """A file of the manual."""
+    found = re.search(rf"# {name}\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
+    return found[1] if found else ""
+
+
 WORKING = {
-    "searches": GREEDY[1] if GREEDY else "",  # the example of the manual
+    "searches": _example("greedy.py", "searches.md"),
+    "criteria": _example("exceedance.py", "criteria.md"),
     "models": (
         """
 from pfdist import StateSpaceModel
@@ -88,6 +97,25 @@ def test_a_model_and_a_search_of_an_installed_package_are_run(tmp_path: Path) ->
     assert done.returncode == 0, done.stderr
     regular, greedy = json.loads(done.stdout)["sets"]
     assert greedy["expected_mse"] < regular["expected_mse"]
+
+
+@pytest.mark.slow
+def test_a_criterion_of_an_installed_package_is_minimised_and_told(tmp_path: Path) -> None:
+    """The share of draws above a limit is that of the table of draws, and decides."""
+    assert len(WORKING["criteria"].splitlines()) <= 60
+    installed = _install({"criteria": WORKING["criteria"]}, tmp_path / "site")
+    (tmp_path / "job.toml").write_text(JOB)
+    changes = ("comparison.draws=400", "problem.criterion=exceedance 0.8")
+    command = ("plan", tmp_path / "job.toml", "--json", "--results", tmp_path / "run")
+    done = _python(installed, "-m", "pfdist", *command, "--bound-draws", "0", "--set", *changes)
+    assert done.returncode == 0, done.stderr
+    sets, rows = json.loads(done.stdout)["sets"], open_run(tmp_path / "run").table("comparison")
+    shares = [(rows[f"mse_{each['name']}"] > 0.8).mean() for each in sets]
+    assert [each["exceedance"] for each in sets] == pytest.approx(shares)
+    assert min(shares) == pytest.approx(sets[-1]["criterion_value"])
+    command = tuple(each for each in command if each != "--json")
+    page = _python(installed, "-m", "pfdist", *command, "--bound-draws", "0", "--set", *changes)
+    assert "share of draws with an MSE above 0.8" in page.stdout
 
 
 def test_a_search_that_cannot_be_loaded_is_named_in_one_line(tmp_path: Path) -> None:

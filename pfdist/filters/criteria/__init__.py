@@ -1,0 +1,4 @@
+"""Criteria, a file each, which declares how the criterion is written, computed and said.
+
+An installed package adds one by the entry point ``pfdist.criteria``.
+"""

@@ -1,0 +1,148 @@
+"""The expected information of the measurements about the path, and what is learned, in nats.
+
+Reference: Grosse, Ancha, Roy, "Measuring the reliability of MCMC inference with bidirectional Monte
+Carlo", NeurIPS 2016 (both sides of an evidence).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pfdist.common.changes import is_clear
+from pfdist.common.estimate import Estimate
+from pfdist.common.rounding import WIDE, rounded, with_sides
+from pfdist.filters.aspects import Aspect
+from pfdist.filters.criterion import (
+    Array,
+    Bound,
+    CriterionValue,
+    OtherCriterion,
+    Sample,
+    criterion,
+)
+from pfdist.filters.work import Estimation
+from pfdist.kernels.estimators import EVIDENCE, INFORMATION
+from pfdist.kernels.schemes import CONDITIONAL
+
+
+class Sides(CriterionValue):
+    """A lower side, from the lower end of its interval to the upper end of an upper side."""
+
+    __slots__ = ()
+
+    def text(self, unit: str = "") -> str:
+        """The number with its unit and interval; if the upper side is far away, both as limits."""
+        limits = with_sides(*self, unit)
+        return f"{limits}; more particles bring both closer" if limits else super().text(unit)
+
+
+def information_estimation(own: Estimation) -> Estimation:
+    """The estimation of the information, with as many particles, one of which is the truth."""
+    return Estimation(own.particles, CONDITIONAL.name, INFORMATION.name)
+
+
+def evidence_estimation(own: Estimation) -> Estimation:
+    """The estimation of the log evidence; its control is that of a filter beside the truth."""
+    return Estimation(own.particles, estimator=EVIDENCE.name)
+
+
+LOWER_SIDE = Aspect(
+    "information", "that measurements give about the path; a lower side of its mean",
+    information_estimation, unit="nats", sign=-1.0, of_all_draws=True,
+)  # fmt: skip
+GAP = Aspect(
+    "information_gap", "log evidence of a filter beside the truth, less that of one without it",
+    evidence_estimation, start="gap", unit="nats", sign=-1.0, is_controlled=True,
+)  # fmt: skip
+
+
+@criterion
+@dataclass(frozen=True)
+class Information(OtherCriterion):
+    """The expected information of the measurements about the path, and what is learned, in nats.
+
+    The number that is minimised is its negative.
+    """
+
+    name: str = "information"
+    label: str = "information"
+    short: str = "information"
+    meaning: str = (
+        "expected information about the path, and about what is learned; a lower side of "
+        "particles, whose interval ends where that of the upper side does"
+    )
+    unit: str = "nats"
+    is_side: bool = True
+    most: str = "most"
+    additive: bool = True
+    bound: Bound = "submodular"
+    sign: int = -1
+    aspects: tuple[Aspect, ...] = (LOWER_SIDE, GAP)
+
+    def of_sample(self, sample: Sample) -> CriterionValue:
+        """The lower side, from the lower end of its interval to the upper end of the upper side."""
+        below = Estimate.of_mean(sample.values_of(LOWER_SIDE))
+        return Sides(
+            *self._between(below, below, _and_mean(sample.values_of(LOWER_SIDE), _gap(sample)))
+        )
+
+    def change(self, sample: Sample, other: Sample) -> CriterionValue:
+        """The nats that a set gives more than another."""
+        more = sample.values_of(LOWER_SIDE) - other.values_of(LOWER_SIDE)
+        low, high = _and_mean(more, -_gap(other)), _and_mean(more, _gap(sample))
+        return self._between(Estimate.of_mean(more), low, high)
+
+    @staticmethod
+    def _between(value: Estimate, below: Estimate, above: Estimate) -> CriterionValue:
+        if value.degrees == math.inf:  # exact: a single draw
+            return CriterionValue(value.value, value.value, value.value)
+        low, high = (
+            each.interval()[place] if math.isfinite(each.value) else each.value
+            for place, each in enumerate((below, above))
+        )
+        return CriterionValue(value.value, low, high)
+
+    def aim(self, z: str) -> str:
+        """The information, for the end of a question."""
+        return "the most information about the path"
+
+    def than(self, change: CriterionValue, other: str) -> str:
+        """The nats that a set tells more than another, for a sentence."""
+        return f"{change.text(self.unit)} more than {other}"
+
+    def effect(
+        self,
+        value: CriterionValue,
+        change: CriterionValue,
+        reference: str,
+        texts: tuple[str, str],
+        of_the_estimate: str,
+    ) -> str:
+        """The effect of a set in a sentence; see `Criterion.effect`."""
+        del texts, of_the_estimate
+        limits = with_sides(*value, self.unit)
+        text = limits or CriterionValue(*value).text(self.unit)
+        bits = rounded((value.low if limits else value.value) / math.log(2), 3)
+        gain, low, high = change
+        more = CriterionValue(abs(gain), *((low, high) if gain >= 0 else (-high, -low)))
+        than = f"{more.text(self.unit)} {'more' if gain >= 0 else 'less'} than {reference}"
+        if not is_clear((low, high)):
+            than = f"not clearly another number than {reference}: {than}"
+        help_ = ""
+        if value.high - value.low > WIDE * abs(value.value):
+            help_ = " More particles, or more draws, narrow the interval."
+        if limits:
+            help_ = " More filter.particles bring both limits closer."
+        return f"They give {text} of information about the path ({bits} bits), {than}.{help_}"
+
+
+def _gap(sample: Sample) -> Array:
+    return sample.aspects.get(GAP, np.zeros(1))
+
+
+def _and_mean(values: Array, others: Array) -> Estimate:
+    """The sum of two means, if the other one may be that of the first draws alone."""
+    if others.size == values.size:
+        return Estimate.of_mean(values + others)
+    return Estimate.of_mean(values).plus(Estimate.of_mean(others))
