@@ -35,6 +35,7 @@ from pfdist.pools.kinds import POOLS
 from pfdist.problem.clock_section import ClockSection
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
+from pfdist.problem.needs import CAPABILITIES
 from pfdist.problem.online_section import Online
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
@@ -537,6 +538,18 @@ def schemes() -> str:
     return _table(["scheme", "how particles are resampled"], rows)
 
 
+def needs() -> str:
+    """Give the table of what each capability needs."""
+    rows = [
+        [
+            each.title,
+            "; ".join(fact.head + f" ({why})" * bool(why) for fact, why in each.needs.items()),
+        ]
+        for each in CAPABILITIES
+    ]
+    return _table(["capability", "it needs"], rows)
+
+
 def commands() -> str:
     """Give the table of commands, each with the arguments that must be given."""
     rows = [[f"`{_line(name)}`", _sentence(command.sentence)] for name, command in COMMANDS.items()]
@@ -605,7 +618,7 @@ TABLES: dict[str, Callable[[], str]] = {
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
         gallery, genetic, stone_soup, wall, simulators, backtest, guided, size, seconds_of_plan,
         ways, driver, searches, robust, rules, engines, schemes, commands, figures, panels,
-        pools, densities,
+        pools, densities, needs,
     )
 }  # fmt: skip
 

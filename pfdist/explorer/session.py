@@ -27,12 +27,11 @@ from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, StoreError, reason_of
 from pfdist.explorer.filtered import Change, FilteredSets
-from pfdist.filters.criterion import OtherCriterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK
 from pfdist.problem.job import job_toml
+from pfdist.problem.needs import EXPLORE
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.questions.options import other_criterion
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.results import Run, finite
 from pfdist.results.sampling_windows import STRICT, windows_of
@@ -82,8 +81,7 @@ class ExplorerSession:
 
     def __init__(self, source: JobSource | Run, say: Say = silent) -> None:
         self.run, self.built = _opened(source, say)
-        if isinstance(self.built.job.criterion, OtherCriterion):
-            raise other_criterion(self.built.job)
+        EXPLORE.check("explore", self.built.job)
         self._source = source if isinstance(source, str | Path) else None
         self.job, self.feasible = self.built.job, self.built.feasible
         self._points = self.job.problem.points

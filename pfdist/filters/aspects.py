@@ -6,12 +6,16 @@ tables, samples and exact engines. None of them knows an aspect by name.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.filters.work import Estimation, with_truth
-from pfdist.kernels.estimators import FILTER_NOISE
+from pfdist.kernels.estimators import FILTER_NOISE, FILTER_VARIANCE
+from pfdist.kernels.schemes import CONDITIONAL
+
+if TYPE_CHECKING:
+    from pfdist.filters.work import Estimation
 
 Array = NDArray[np.float64]
 
@@ -46,7 +50,7 @@ class Aspect:
 
     table: str
     description: str
-    estimation: Callable[[Estimation], Estimation]
+    estimation: Callable[["Estimation"], "Estimation"]
     start: str = ""
     unit: str = ""
     sign: float = 1.0
@@ -70,13 +74,17 @@ class Aspect:
         return self.sign * (errors - control if self.is_controlled else errors)
 
 
+def _beside_truth(own: "Estimation") -> "Estimation":
+    return replace(own.another(FILTER_VARIANCE.name, CONDITIONAL.name), proposal=own.proposal)
+
+
 DISTANCE = Aspect(
     "filter_distance", "half the squared distance of two filters' estimates",
     lambda own: replace(own, estimator=FILTER_NOISE.name), start="distance", knows_truth=False,
 )  # fmt: skip
 VARIANCE = Aspect(
     "filter_variance", "of particles among which the truth stands, with the true model",
-    lambda own: with_truth(own.particles, own.proposal), start="variance", has_unmeasured=True,
+    _beside_truth, start="variance", has_unmeasured=True,
 )  # fmt: skip
 """The two estimates of the particle loss; see `pfdist.results.particle_loss`."""
 

@@ -119,6 +119,8 @@ class Criterion:
         Whether it judges the expected errors of instants, which searches then ask for.
     needs_draws : bool
         Whether an exact engine has no value of it either.
+    of_each_draw : bool
+        Whether it judges the MSE of each draw alone, in any order of the draws.
     fewest : int
         Draws from which on its standard error is known well enough for a decision.
     """
@@ -138,6 +140,7 @@ class Criterion:
     sign: int = 1
     by_instant: bool = False
     needs_draws: bool = False
+    of_each_draw: bool = True
     fewest: int = 1
 
     @property
@@ -239,6 +242,7 @@ class WorstScenario(Criterion):
     is_mean: bool = False
     additive: bool = False
     bound: Bound = "mixture"
+    of_each_draw: bool = False
 
     def deciding(self, errors: "Evaluation") -> NDArray[np.bool_]:
         """The draws of the worst scenario; one of infinite or unknown errors is the worst."""

@@ -22,7 +22,7 @@ from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.draws import Draws, check_prior
-from pfdist.filters.engines import BATCHED, COMPILED, ENGINES, KALMAN, NUMPY, Engine
+from pfdist.filters.engines import BATCHED, COMPILED, ENGINES, NUMPY, Engine
 from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
@@ -92,12 +92,8 @@ class Evaluator:
             for each in (self.model, self.believed):
                 check_prior(self.prior, each, self.horizon, by_particles=self.has_particles)
         if self.exact and not self.of_scenarios:
-            if self.believed != self.model:
-                raise ModelError(
-                    f"filter.engine = {KALMAN.name!r} needs a filter with the true model, got "
-                    f"another: {COMPILED.name!r} takes any (model.filter)"
-                )
-            cached_matrices(self.model, self.horizon)
+            for each in (self.model, self.believed):
+                cached_matrices(each, self.horizon)
         for estimation in self.estimations:
             self.check(estimation)
 
@@ -274,9 +270,14 @@ class Evaluator:
         return self.computed_by.has_particles
 
     @property
+    def has_squared_error(self) -> bool:
+        """Whether the error is the squared norm, not one that the model defines."""
+        return self.model.error is squared_error
+
+    @property
     def has_particle_loss(self) -> bool:
         """Whether the particle loss is known: of filters, if the error is the squared norm."""
-        return self.has_particles and self.model.error is squared_error
+        return self.has_particles and self.has_squared_error
 
     def expected_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None, criterion: Criterion = MEAN
@@ -285,7 +286,7 @@ class Evaluator:
 
         `ends` are the last instants whose errors count, by default T.
         """
-        if not self.exact or criterion.needs_draws:
+        if not self.exact or criterion.needs_draws or self._is_misled_smoother:
             return None
         if criterion.aspects and not self.gives_information:
             return self.of_information.expected_mse(sets, ends)
@@ -295,6 +296,11 @@ class Evaluator:
             return worst
         errors = self._exact_mse(sets, ends)
         return _mean(errors, criterion.shares(errors, self._shares))
+
+    @property
+    def _is_misled_smoother(self) -> bool:
+        """Whether the estimate uses later measurements, and the filter believes another model."""
+        return bool(self.lag) and any(e.believed != e.model for e in self.of_scenarios or (self,))
 
     def expected_errors(
         self, sets: Sequence[Times], *, weighted: bool = False
@@ -308,8 +314,10 @@ class Evaluator:
         return self._exact_errors_of(self._shares, sets, weighted)
 
     def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
-        given = self.model, self.horizon, sets, self.prior
-        errors = kalman.expected_errors(*given, self.lag, gives_information=self.gives_information)
+        given = self.model, self.horizon, sets, self.prior, self.lag
+        errors = kalman.expected_errors(
+            *given, gives_information=self.gives_information, believed=self.believed
+        )
         if weighted and self.instant_weights is not None:
             return weighed(errors, self.instant_weights)
         return errors / self.scale
@@ -339,7 +347,7 @@ class Evaluator:
         return np.array(
             [
                 kalman.expected_mse(
-                    p.model, *given, p.instant_weights, self.lag, self.gives_information
+                    p.model, *given, p.instant_weights, self.lag, self.gives_information, p.believed
                 )
                 for p in parts
             ]
@@ -394,7 +402,7 @@ class Evaluator:
         error must be the squared norm.
         """
         is_told = self.knows_scenario or not self.scenarios
-        return is_told and self.believed == self.model and self.model.error is squared_error
+        return is_told and self.believed == self.model and self.has_squared_error
 
     def id_of(self, estimation: Estimation, *parts: Any) -> str:
         """A hash of the evaluator, an estimation, and further parts with JSON values.
@@ -583,7 +591,7 @@ class Evaluator:
         The control of an own error is that of the filter, whose expectation is 0, too.
         """
         by_error = ESTIMATORS[estimation.estimator].by_error
-        is_of_filter = by_error and self.model.error is not squared_error
+        is_of_filter = by_error and not self.has_squared_error
         return replace(estimation, prior=self.prior, lag=0 if is_of_filter else self.lag)
 
 

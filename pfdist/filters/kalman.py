@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Lag, Times, last_used
+from pfdist.common.points import PointNumbers
 from pfdist.common.stopping import check
 from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
@@ -179,16 +180,20 @@ def expected_mse(
     weights: Array | None = None,
     lag: Lag = 0,
     gives_information: bool = False,
+    believed: StateSpaceModel | None = None,
 ) -> Array:
     """Exact expected MSE with each set of times, (S,): no draws are needed.
 
     The estimate of z(t) uses measurements until t + lag, by default those of the filter. The mean
     is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each set's errors
     count up to its end only, and are divided by the number of all instants. The weights of the
-    instants have mean 1; by default all are 1. Raises MeasurementTimesError if a set lies outside
-    these instants, and ModelError if the model is not linear-Gaussian.
+    instants have mean 1; by default all are 1. The filter has the model `believed`, by default the
+    true one. Raises MeasurementTimesError if a set lies outside these instants, and ModelError if
+    a model is not linear-Gaussian.
     """
-    errors = expected_errors(model, horizon, sets, prior, lag, gives_information=gives_information)
+    errors = expected_errors(
+        model, horizon, sets, prior, lag, gives_information=gives_information, believed=believed
+    )
     start = horizon + 1 - errors.shape[1]
     last = [horizon - start] * len(sets) if ends is None else [end - start for end in ends]
     if weights is not None:
@@ -205,6 +210,7 @@ def expected_errors(
     lag: Lag = 0,
     *,
     gives_information: bool = False,
+    believed: StateSpaceModel | None = None,
 ) -> Array:
     """Exact expected error of each instant with each set of times, (S, T+1).
 
@@ -212,11 +218,11 @@ def expected_errors(
     that of an instant's measurements, in nats: log det(H P H' + R) / 2 - log det(R) / 2. Raises as
     `expected_mse`.
     """
+    if believed not in (None, model):
+        return _errors_of_wrong_filter(model, believed, horizon, sets, prior)
     start = 0 if prior is None else prior.t
     matrices, points = cached_matrices(model, horizon), model.points
-    measured = np.zeros((len(sets), points.first(horizon + 1)), np.bool_)
-    for row, times in zip(measured, sets, strict=True):
-        row[[*validated_from(start, times, horizon, points)]] = True
+    measured = _measured(points, horizon, sets, start)
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
     errors = np.empty((len(sets), horizon + 1 - start))
@@ -249,6 +255,69 @@ def expected_errors(
         for k, each in enumerate(covariances):
             h = matrices.quantity_of_interest[start + k].matrix
             errors[:, k] = np.trace(h @ each @ h.T, axis1=1, axis2=2)
+    return errors
+
+
+def _measured(
+    points: PointNumbers, horizon: int, sets: Sequence[Times], start: int
+) -> NDArray[np.bool_]:
+    """Whether each set has each point."""
+    measured = np.zeros((len(sets), points.first(horizon + 1)), np.bool_)
+    for row, times in zip(measured, sets, strict=True):
+        row[[*validated_from(start, times, horizon, points)]] = True
+    return measured
+
+
+def _errors_of_wrong_filter(
+    model: StateSpaceModel,
+    believed: StateSpaceModel,
+    horizon: int,
+    sets: Sequence[Times],
+    prior: Prior | None,
+) -> Array:
+    """As `expected_errors`, if the filter believes another model.
+
+    Its gains follow from the model that it believes. So (x, estimate, 1) is a linear function of
+    itself and the true noise, and its second moments have a recursion.
+    """
+    start, points = 0 if prior is None else prior.t, model.points
+    truth, own = cached_matrices(model, horizon), cached_matrices(believed, horizon)
+    measured = _measured(points, horizon, sets, start)
+    (mean, spread), (guess, begin) = _begin(truth, prior), _begin(own, prior)
+    n, last = mean.size, mean.size + guess.size
+    joint = np.concatenate([mean, guess, [1.0]])
+    moments = np.repeat(np.outer(joint, joint)[None], len(sets), axis=0)
+    moments[:, :n, :n] += spread
+    covariance = np.repeat(begin[None], len(sets), axis=0)
+    errors = np.empty((len(sets), horizon + 1 - start))
+    for t in range(start, horizon + 1):
+        check()
+        for place in points.at(t):
+            here, y, foreseen = measured[:, place], truth.measurement[place], own.measurement[place]
+            gain, h, _ = _gain(covariance[here], foreseen)
+            covariance[here] -= gain @ h @ covariance[here]
+            into = np.repeat(np.eye(last + 1)[None], len(gain), axis=0)
+            into[:, n:last, :n] = gain @ y.matrix[:, :n]
+            into[:, n:last, n:last] -= gain @ h
+            into[:, n:last, last] = gain @ (y.offset - foreseen.offset)
+            moments[here] = into @ moments[here] @ into.swapaxes(1, 2)
+            noise = gain @ y.matrix[:, n:]
+            moments[here, n:last, n:last] += noise @ noise.swapaxes(1, 2)
+        z, estimate = truth.quantity_of_interest[t], own.quantity_of_interest[t]
+        apart = np.hstack([z.matrix, -estimate.matrix, (z.offset - estimate.offset)[:, None]])
+        errors[:, t - start] = np.trace(apart @ moments @ apart.T, axis1=1, axis2=2)
+        if t < horizon:
+            moves, believes = truth.transition[t], own.transition[t]
+            into = np.zeros((last + 1, last + 1))
+            into[:n, :n], into[:n, last] = moves.matrix[:, :n], moves.offset
+            into[n:last, n:last], into[n:last, last] = (
+                believes.matrix[:, : last - n],
+                believes.offset,
+            )
+            into[last, last] = 1.0
+            moments = into @ moments @ into.T
+            moments[:, :n, :n] += _square(moves.matrix[:, n:])
+            covariance = _propagated(covariance, believes)
     return errors
 
 

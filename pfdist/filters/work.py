@@ -76,6 +76,10 @@ class Estimation:
             del recorded["flipped"]
         return recorded
 
+    def another(self, estimator: str, resampling: str) -> "Estimation":
+        """Another estimation with as many particles, and defaults in the place of the rest."""
+        return Estimation(self.particles, resampling, estimator)
+
     @property
     def steps_an_instant(self) -> int:
         """Particle-steps of one instant, summed over all filters of the estimator."""

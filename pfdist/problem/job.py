@@ -29,8 +29,9 @@ from pfdist.filters.engines import is_exact
 from pfdist.problem.covariates import with_columns
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
+from pfdist.problem.needs import CONTROL, fault_of
 from pfdist.problem.online_section import Online, Search
-from pfdist.problem.problem_section import FILTERED, ProblemSection
+from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import (
     DEFAULT_METHOD,
@@ -244,73 +245,9 @@ class Job(JobSection):
         return self
 
     @model_validator(mode="after")
-    def _can_have_scenarios(self) -> Self:
-        if self.scenarios is None:
-            return self
-        if self.online is not None:
-            needed = f"no scenarios, or scenarios.filter = 'learned', got {self.scenarios.filter!r}"
-            _needs("online", (self.scenarios.is_learned, needed))
-        if self.scenarios.criterion == "worst":
-            _needs(
-                "scenarios.criterion = 'worst'",
-                (self.budget is None, "a job without a section budget"),
-                self._compares_whole_sets,
-            )
-        return self
-
-    @property
-    def _compares_whole_sets(self) -> tuple[bool, str]:
-        """Whether each search can minimise a criterion that is no sum, and what it must be."""
-        additive = [
-            each.name for each in self.search if METHODS[each.method].additive and not each.polish
-        ]
-        others = ", ".join(name for name, each in METHODS.items() if not each.additive)
-        needed = (
-            f"searches that compare whole sets ({others}), or polish = true, got "
-            f"{', '.join(additive)}: errors of instants only add up to the mean"
-        )
-        return not additive, needed
-
-    @model_validator(mode="after")
-    def _can_have_a_criterion(self) -> Self:
-        problem, scenarios = self.problem, self.scenarios
-        if problem.criterion is not None:
-            _needs(
-                f"problem.criterion = {problem.criterion!r}",
-                (self.budget is None, f"a job without a section budget, which needs {MEAN.name!r}"),
-                (self.online is None, f"a job without a section online, which needs {MEAN.name!r}"),
-                (scenarios is None or scenarios.criterion == "mean",
-                 "scenarios.criterion = 'mean', got 'worst'"),
-                *([] if self.criterion.additive else [self._compares_whole_sets]),
-            )  # fmt: skip
-        if any(each.aspects for each in self.other_criteria.values()):
-            believed, is_blind = self.model.filter, scenarios and scenarios.filter == "nominal"
-            _needs(
-                "the criterion 'information'",
-                (not problem.instants_of_lag, f"problem.estimate = {FILTERED!r}, got "
-                 f"{problem.estimate_written}: what measurements tell of the path does not depend "
-                 "on the estimate"),
-                (problem.instant_weights is None, "no problem.instant_weights: every measurement "
-                                                  "counts"),
-                (not (believed.name or believed.parameters),
-                 "a filter with the true model, got a section model.filter"),
-                (not is_blind, "scenarios.filter = 'told' or 'learned', got 'nominal'"),
-            )  # fmt: skip
-        return self
-
-    @model_validator(mode="after")
-    def _can_use_later_measurements(self) -> Self:
-        if self.problem.instants_of_lag:
-            adding = {name for name, each in METHODS.items() if each.additive > each.takes_lag}
-            additive = [each.name for each in self.search if each.method in adding]
-            others = ", ".join(name for name in METHODS if name not in adding)
-            filtered = f"problem.estimate = {FILTERED!r}"
-            _needs(
-                self.problem.estimate_written,
-                (self.online is None, f"a job without a section online, which needs {filtered}"),
-                (not additive, f"a search of method {others}, got {', '.join(additive)}: errors of "
-                               "prefixes do not add up"),
-            )  # fmt: skip
+    def _goes_together(self) -> Self:
+        if why := fault_of(self):
+            raise ValueError(why)
         return self
 
     @model_validator(mode="after")
@@ -343,7 +280,6 @@ class Job(JobSection):
         names = {*self.comparison.named, *(search.name for search in self.search)}
         _needs(
             "online",
-            (self.budget is None, "a job with one measurement budget, got a budget section"),
             (bool(self.search), "a search for the first plan, got search = []"),
             (ONLINE not in names, f"searches and sets of other names, got {ONLINE!r}"),
             (self.online.draws <= draws, f"online.draws of at most comparison.draws = {draws}, got "
@@ -351,30 +287,10 @@ class Job(JobSection):
         )  # fmt: skip
         return self
 
-    @model_validator(mode="after")
-    def _can_have_a_control(self) -> Self:
-        if self.comparison.control and (why := self._without_control):
-            raise ValueError(f"comparison.control = true needs {why}")
-        return self
-
-    @property
-    def _without_control(self) -> str:
-        """Why the comparison cannot have a control; empty if it can."""
-        model, scenarios = self.model.filter, self.scenarios
-        if is_exact(self.filter.engine):
-            return f"an engine with particles, got filter.engine = {self.filter.engine!r}"
-        if model.name or model.parameters:
-            return "a filter with the true model, got a section model.filter"
-        if scenarios is not None and scenarios.filter == "nominal":
-            return "scenarios.filter = 'told' or 'learned', got 'nominal'"
-        if scenarios is not None and scenarios.motion:
-            return f"a filter without scenarios.motion, got {scenarios.motion}"
-        return ""
-
     @property
     def is_controlled(self) -> bool:
         """Whether questions about the job use a control: if it can have one and allows it."""
-        return self.comparison.control is not False and not self._without_control
+        return self.comparison.control is not False and not CONTROL.lacks(self)
 
     def with_control(self) -> "Job":
         """The job whose comparison has a control, if it can have one and allows it."""

@@ -28,6 +28,7 @@ from pfdist.errors import (
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
 from pfdist.problem.clock import Clock, Time
+from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import USED, Replicate, read_replicates
@@ -352,11 +353,7 @@ def backtest(
 def _check_filter(built: Built) -> None:
     """Raise `JobError` if the job's filter cannot filter real systems here."""
     scenarios, delays = built.job.scenarios, built.job.problem.points.delays
-    if built.evaluator.knows_scenario:
-        raise JobError(
-            "scenarios.filter must be 'nominal' or 'learned', got 'told': the scenario of a "
-            "real system is not known"
-        )
+    REAL_DATA.check("a real system", built.job)
     if delays and scenarios is not None and scenarios.is_learned:
         raise JobError(
             "scenarios.filter must be 'nominal' with sensors that have a delay, got 'learned': or "

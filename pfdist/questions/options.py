@@ -15,8 +15,7 @@ from pfdist.common.arguments import names_argument
 from pfdist.common.gone import gone
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.section import Arguments, Whole
-from pfdist.errors import ArgumentError, JobError
-from pfdist.problem.job import Job
+from pfdist.errors import ArgumentError
 from pfdist.runner.progress import Say, Show, silent
 
 ComparedDraws = Annotated[Whole, Field(ge=2, le=100_000_000)]
@@ -57,15 +56,6 @@ Names = str | Sequence[str]
 def criteria_in(also: Names | None) -> list[str] | None:
     """The names of criteria in a text, as in ``worst_instant,quantile 0.9``, or in a list."""
     return None if also is None else names_argument("also", also)
-
-
-def other_criterion(job: Job) -> JobError:
-    """The error that a question cannot be answered for the criterion of a job."""
-    return JobError(
-        "this question needs the expected MSE as criterion (problem, scenarios), got the "
-        f"{job.criterion.label} ({job.path}): set problem.criterion = 'expected_mse' and "
-        "scenarios.criterion = 'mean'"
-    )
 
 
 P = ParamSpec("P")

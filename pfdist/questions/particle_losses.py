@@ -10,9 +10,10 @@ from pydantic import Field
 
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import Whole, checked
-from pfdist.errors import JobError, PfdistWarning
+from pfdist.errors import PfdistWarning
 from pfdist.filters.work import GUIDED, PLAIN
 from pfdist.problem.clock import Time
+from pfdist.problem.needs import LOSS
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.evaluate import UNNAMED, instants_evaluated
 from pfdist.runner.build import build
@@ -84,11 +85,7 @@ def particle_losses(
     times = instants_evaluated(job, UNNAMED, measurement_times)
     built = build(job, asked=4 * draws * len(tuple(particles)))
     evaluator, rows = built.evaluator.self_consistent, []
-    if not evaluator.has_particle_loss:
-        raise JobError(
-            "the particle loss needs an engine with particles, and the squared error, got the "
-            f"engine {evaluator.engine!r} and the model {evaluator.model.name}"
-        )
+    LOSS.check("the particle loss", job, evaluator)
     if job.filter.proposal == GUIDED:
         plain = replace(built.comparing, proposal=PLAIN)
         given = ((evaluator, (times,), job.seed, replace(plain, particles=n)) for n in particles)

@@ -18,6 +18,7 @@ from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
 from pfdist.problem.measurements import Measurements, Reading
+from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.run_of_job import path_of_run, run_and_job
 from pfdist.results import Run
@@ -185,11 +186,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
         The prior does not fit the model.
     """
     job = built.job
-    if built.evaluator.knows_scenario:
-        raise JobError(
-            "scenarios.filter must be 'nominal' or 'learned' for real measurements, whose scenario "
-            f"is unknown, got 'told' ({job.path})"
-        )
+    REAL_DATA.check("a real system", job)
     return Filter(
         repeated(built.evaluator.believed, repeats),
         job.filter.particles,

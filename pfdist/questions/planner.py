@@ -14,7 +14,6 @@ from pfdist.common.section import checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Cloud, Prior
-from pfdist.filters.criterion import OtherCriterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FilterEstimate
@@ -24,8 +23,9 @@ from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Measurements, instant_on
 from pfdist.problem.methods import METHODS
+from pfdist.problem.needs import ON_THE_WAY
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.questions.options import ComparedDraws, other_criterion
+from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.planning import Now, Planning, Replanner
@@ -87,8 +87,7 @@ class Planner:
         draw: int = 0,
     ) -> None:
         built = job if isinstance(job, Built) else build(as_job(job))
-        if isinstance(built.job.criterion, OtherCriterion):
-            raise other_criterion(built.job)
+        ON_THE_WAY.check("choosing times on the way", built.job, built.evaluator)
         believed, clock = built.evaluator.believed, built.job.problem.clock
         start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)
         planning = planning_of(built.job, built.evaluator.variance_is_error)

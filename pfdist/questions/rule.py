@@ -16,13 +16,13 @@ from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
-from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion, CriterionValue, OtherCriterion, Sample
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.models import StateSpaceModel
 from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.needs import RULES
 from pfdist.problem.problem import JobSource
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.at_work import at_work, noted
@@ -51,7 +51,6 @@ from pfdist.runner.ruling import (
     rule_of_set,
     settle_rules,
     tuned,
-    why_no_rule,
     work_of,
 )
 
@@ -299,8 +298,7 @@ def rule(
     with following(chosen.progress, chosen.say) as (show, tell):
         run, built = run_and_job(job, results, changes, tell, chosen.execution)
         check_one_number(run)
-        if why := why_no_rule(built):
-            raise JobError(f"no rule is tuned for a job with {why} ({built.job.path})")
+        RULES.check("a rule", built.job, built.evaluator)
         with own_store(run, built, tell) as store:
             session = RunSession(built, store, show, tell)
             with noted(session):

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import rounded
 from pfdist.common.streams import stream_of
-from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError, shown
+from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.pools.base import Pool
+from pfdist.problem.needs import PLAN_EACH
 from pfdist.problem.points import Points
 from pfdist.problem.replicates import Replicate
 from pfdist.questions.planner import first_planning
@@ -68,13 +69,7 @@ def plans_of(
     It is not judged if the model was fitted to it, or if it has too few measurements.
     """
     feasible, job = built.feasible, built.job
-    if feasible.measurement_budget is None:
-        raise JobError(
-            "plan_each needs problem.measurement_budget, got a total price: without plan_each, the "
-            "plan of the run is judged"
-        )
-    if built.evaluator.scenarios:
-        raise JobError("plan_each needs a job without scenarios, or scenarios.filter = 'learned'")
+    PLAN_EACH.check("plan_each", job)
     planning = first_planning(planning_of(job, built.evaluator.variance_is_error))
     works = dict[str, PlanWork]()
     plans: dict[str, Times | None] = dict.fromkeys(each.name for each in replicates)

@@ -15,11 +15,12 @@ from pfdist.common.measurement_times import validated
 from pfdist.common.parts import Page
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
+from pfdist.problem.needs import WHY
 from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource
 from pfdist.problem.sections import Execution
 from pfdist.questions.at_work import release_the_lock
-from pfdist.questions.options import Chosen, ComparedDraws, following, other_criterion
+from pfdist.questions.options import Chosen, ComparedDraws, following
 from pfdist.questions.report import renew_report
 from pfdist.questions.run_of_job import own_store, run_and_job
 from pfdist.questions.subject import Subject
@@ -167,8 +168,7 @@ def why(
         check_one_number(opened)
         if export is not None:
             checked_export(export, built.job.problem.clock)
-        if not built.job.criterion.is_mean:
-            raise other_criterion(built.job)
+        WHY.check("why", built.job)
         with own_store(opened, built, tell, must_be=False) as store:
             session = RunSession(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(opened.sets))

@@ -103,7 +103,7 @@ def _agree(known: Any, computed: Any) -> bool:
     if isinstance(known, float) and isinstance(computed, float):
         return math.isclose(known, computed, rel_tol=1e-9)
     if isinstance(known, Mapping) and isinstance(computed, Mapping):
-        return _agree([*known.items()], [*computed.items()])
+        return _agree(sorted(known.items()), sorted(computed.items()))
     if isinstance(known, list | tuple) and isinstance(computed, list | tuple):
         return len(known) == len(computed) and all(map(_agree, known, computed))
     return bool(known == computed)

@@ -36,11 +36,11 @@ from pfdist.pools.kinds import POOLS, cluster_at_hand
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import ONLINE, Job
+from pfdist.problem.needs import LOSS, ON_THE_WAY
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
 from pfdist.runner.budget_study import BudgetStudy
 from pfdist.runner.contract import few_draws
-from pfdist.runner.planning import check_plannable
 from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
     RANKING,
@@ -154,7 +154,7 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
     wanted = [comparing_of(job), Settings.from_job(job).estimation]
     wanted += [settings.estimation for search in searches for settings in search.all_settings]
     if job.online is not None:
-        check_plannable(evaluator)
+        ON_THE_WAY.check("online", job, evaluator)
         wanted.append(planning_of(job, evaluator.variance_is_error).estimation)
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
     evaluator = replace(evaluator, engine=_compiled_or_batched(evaluator))
@@ -323,10 +323,7 @@ def _enough_particles(built: Built, proposal: str) -> int:
 
     evaluator, job = built.evaluator.self_consistent, built.job
     must = "filter.particles must be a number, got 'auto'"
-    if not evaluator.has_particle_loss:
-        raise JobError(
-            f"{must}: it needs an engine with particles, and the squared error ({job.path})"
-        )
+    LOSS.check("filter.particles = 'auto'", job, evaluator)
     times, estimation = job.problem.feasible.regular(), replace(built.comparing, proposal=proposal)
     loss = enough_particles(evaluator, times, job.seed, estimation)
     if not loss.is_small:
@@ -353,11 +350,6 @@ def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
         models = _sensed(job, *models)
     if kept or job.scenarios is None or not job.scenarios.is_learned:
         return models
-    if is_exact(job.filter.engine):
-        raise JobError(
-            f"filter.engine = {job.filter.engine!r} needs scenarios.filter = 'nominal' or 'told', "
-            f"got 'learned' ({job.path}): a filter that learns has particles"
-        )
     return _with_learned(job.scenarios, job.problem.feasible.horizon, *models)
 
 

@@ -67,9 +67,12 @@ def gap_parts(
     number of draws of the bound.
     """
     built = session.built
-    exact = built.evaluator.expected_mse([*sets.values()])
-    if exact is not None:
-        return {n: GapParts(Estimate(mse)) for n, mse in zip(sets, exact.tolist(), strict=True)}
+    given = [*sets.values()]
+    exact, right = built.evaluator.expected_mse(given), built.evaluator.truth.expected_mse(given)
+    if exact is not None and right is not None:
+        pairs = zip(exact.tolist(), map(Estimate, (exact - right).tolist()), strict=True)
+        parts = [GapParts(Estimate(mse), ZERO, wrong, wrong) for mse, wrong in pairs]
+        return dict(zip(sets, parts, strict=True))
     draws = _draws(built, run.draws_compared, of_bound)
     # The compared draws have the job's shares of scenarios, and not those of the bound.
     are_compared = draws <= run.draws_compared and built.job.criterion.bound == "mean"

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
-from pfdist.errors import ModelError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.estimate import Evaluation
@@ -87,9 +86,6 @@ class Replanner:
     planning: Planning
     stream: int  # key of all noise of the planning, 64 bits
 
-    def __post_init__(self) -> None:
-        check_plannable(self.evaluator)
-
     def plan(
         self, now: Now, taken: Times, plan: Times, draw: int = 0, in_flight: Times = ()
     ) -> Times:
@@ -159,31 +155,6 @@ class Replanner:
             evaluations.append(outlook.of_sets(outlook.draws(index), plans, ends, estimation))
         each_plan = (Evaluation.together(parts) for parts in zip(*evaluations, strict=True))
         return [replace(evaluation, purpose="evaluate") for evaluation in each_plan]
-
-
-def check_plannable(evaluator: Evaluator) -> None:
-    """Raise `ModelError` unless systems can be simulated from the filter's particles.
-
-    They cannot if the filter's model has states of another size than the true model. Nor do the
-    particles have the past, which estimates that use later measurements need.
-    """
-    if evaluator.lag:
-        raise ModelError(
-            "online choice of times needs problem.estimate = 'filtered', got an estimate that uses "
-            "later measurements; docs/afterwards.md says what to do"
-        )
-    if evaluator.scenarios:
-        raise ModelError(
-            "online choice of times needs a job without scenarios, or scenarios.filter = "
-            "'learned', got scenarios of which the filter learns nothing"
-        )
-    true, believed = evaluator.model.components[0], evaluator.believed.components[0]
-    if true != believed:
-        raise ModelError(
-            "online choice of times needs a filter's model with as many "
-            f"components of x as the model {evaluator.model.name}, {true}, got {believed}: systems "
-            "are simulated from the filter's particles"
-        )
 
 
 @dataclass(frozen=True)

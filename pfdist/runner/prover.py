@@ -16,6 +16,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, ModelError
 from pfdist.filters.work import BLOCK, with_truth
 from pfdist.problem.constraints import Constraints
+from pfdist.problem.needs import BOUND
 from pfdist.results import Run
 from pfdist.results.stored_run import measured_of, values_of
 from pfdist.runner.block_sums import (
@@ -91,11 +92,7 @@ class Prover:
         # The windows to grow along are found with fewer particles; the bound does not trust them.
         self._growing = with_truth(max(count // _FEWER, min(count, _LEAST_GROWING)), own)
         truth = built.evaluator.truth
-        if not truth.variance_is_error:
-            raise ModelError(
-                "a bound needs an error that is the squared Euclidean norm, got model "
-                f"{truth.model.name}, which has its own error: 0 draws of the bound leave it out"
-            )
+        BOUND.check("a bound", built.job, truth)
         truth.compile(self._estimation)  # before the first task, whose time is limited
         self.begin(built, settings, count)
         feasible, usual, cells = built.study.widest, built.study.usual, settings.most_cells

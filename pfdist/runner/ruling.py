@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
-from pfdist.filters.criteria.quantile import Quantile
-from pfdist.filters.engines import NUMPY
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, Result
 from pfdist.kernels.left import ROUNDING, Left
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
-from pfdist.models import squared_error
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.needs import RULES
 from pfdist.results import Moments
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
@@ -187,27 +185,16 @@ def settle_rules(store: Store) -> None:
             store.settle(table, phase)
 
 
-def why_no_rule(built: Built) -> str:
-    """The reason why a job has no rule; empty if it may have one."""
-    job, evaluator = built.job, built.evaluator
-    refused = {
-        f"the criterion {job.criterion.name}, which is not judged by the MSE of each draw alone":
-            not isinstance(job.criterion, Quantile) and not job.criterion.is_mean,
-        "filter.engine = 'kalman' (its spread does not depend on y, so a rule is a fixed set)":
-            not evaluator.has_particles,
-        "filter.engine = 'numpy' (which takes too long)": evaluator.engine == NUMPY.name,
-        "an error that the model defines": evaluator.model.error is not squared_error,
-        "search = [] (there is no plan)": not job.search,
-    }  # fmt: skip
-    return next((what for what, is_given in refused.items() if is_given), "")
-
-
 def look_work(built: Built, most: float) -> tuple[int, int]:
     """The number of draws of `look` that so many particle-steps allow, and its particle-steps.
 
     Both are 0 if they allow too few, or if the run has several plans or numbers of measurements.
     """
-    if why_no_rule(built) or len(built.searches) > 1 or built.job.budget is not None:
+    if (
+        RULES.lacks(built.job, built.evaluator)
+        or len(built.searches) > 1
+        or built.job.budget is not None
+    ):
         return 0, 0
     a_draw = _TRIALS_OF_LOOK * work_of(built, Thresholds((1.0,)), 1, "rule").steps
     fewest, largest = _LOOKED

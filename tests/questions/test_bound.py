@@ -249,7 +249,7 @@ def test_an_error_of_the_users_own_has_no_bound(small_job: Job, tmp_path: Path) 
     assert run.state == "finished"
     (line,) = (line for line in said if line.startswith("Not proved: "))
     assert "squared Euclidean norm" in line
-    with pytest.raises(ModelError, match="squared Euclidean norm"):
+    with pytest.raises(JobError, match="squared Euclidean norm"):
         bound(run)
     assert pfdist.open_run(run.path).as_json()["unproved"] == line
 

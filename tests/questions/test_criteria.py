@@ -225,8 +225,10 @@ def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> No
         "no bound is known for": lambda: pfdist.bound(run.path),
         "needs the expected MSE": lambda: pfdist.why(run.path, figures=False),
         "needs the expected MSE as": lambda: pfdist.Planner(pfdist.load_job(job, changes)),
-        "without a section budget": lambda: budget(job, (1, 2), changes=changes),
-        "without a section online": lambda: pfdist.load_job(job, [*changes, "online.draws=20"]),
+        "budget needs the expected MSE": lambda: budget(job, (1, 2), changes=changes),
+        "online needs the expected MSE": lambda: pfdist.load_job(
+            job, [*changes, "online.draws=20"]
+        ),
         "polish = true, got relaxation": lambda: pfdist.load_job(
             job, [*changes, 'search=[{method="relaxation",polish=false}]']
         ),

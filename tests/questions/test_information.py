@@ -175,7 +175,7 @@ def test_sets_that_are_ranked_by_information_have_no_column_of_other_ranks(tmp_p
         ("problem.estimate=smoothed", "problem.estimate = 'filtered'"),
         ("problem.instant_weights=[1,1,1,1,1,1,1,1,1,2]", "no problem.instant_weights"),
         ("model.filter.parameters.none=1", "a filter with the true model"),
-        ("budget.least=1", "a job without a section budget"),
+        ("budget.least=1", "budget needs the expected MSE as criterion, got the information"),
     ],
 )
 def test_what_has_no_information_is_refused(tmp_path: Path, change: str, needed: str) -> None:

@@ -23,6 +23,7 @@ from pfdist.errors import ArgumentError, StoreError
 from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.needs import RULES
 from pfdist.questions.planned_run import filter_of
 from pfdist.questions.rule import (
     NextByRule,
@@ -179,12 +180,13 @@ def test_where_no_rule_is_better_than_the_plan_the_answer_is_the_plan(tmp_path: 
     ("changes", "what"),
     [
         (["model.name=random_walk", "filter.engine=kalman"], "a rule is a fixed set"),
-        (["problem.criterion=worst_instant"], "worst_instant"),
+        (["problem.criterion=worst_instant"], "got the expected error at the worst instant"),
         (["search=[]", "comparison.sets.mine=[0, 4, 8]"], "no plan"),
     ],
 )
 def test_other_problems_are_not_accepted(small_job: Job, changes: list[str], what: str) -> None:
-    assert what in ruling.why_no_rule(build(small_job.with_changes(changes)))
+    built = build(small_job.with_changes(changes))
+    assert what in RULES.lacks(built.job, built.evaluator)
 
 
 def watched_run(folder: Path, draws: int) -> Run:

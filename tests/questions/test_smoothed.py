@@ -15,7 +15,7 @@ from oracles.systems import SYSTEMS, one_state, scalar
 from pfdist import Job
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
-from pfdist.errors import JobError, ModelError
+from pfdist.errors import JobError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.work import Estimation
@@ -78,7 +78,7 @@ def test_every_answer_of_a_run_says_that_few_lines_are_left(run: pfdist.Run) -> 
 def test_what_needs_the_filters_estimate_is_one_line(run: pfdist.Run) -> None:
     with pytest.raises(JobError, match=r"^problem.estimate = 'smoothed' needs a search of method"):
         load_job(run.path / "job.toml").with_changes(sections={"search": [{"method": "survivors"}]})
-    with pytest.raises(ModelError, match=r"^online choice of times needs problem.estimate = 'filt"):
+    with pytest.raises(JobError, match=r"^choosing times on the way needs problem.estimate = 'fi"):
         pfdist.Planner(run.path)
 
 

@@ -6,6 +6,7 @@ Carlo", NeurIPS 2016 (both sides of an evidence).
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from pfdist.filters.criterion import (
     Sample,
     criterion,
 )
-from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import EVIDENCE, INFORMATION
-from pfdist.kernels.schemes import CONDITIONAL
+from pfdist.kernels.schemes import CONDITIONAL, SYSTEMATIC
+
+if TYPE_CHECKING:
+    from pfdist.filters.work import Estimation
 
 
 class Sides(CriterionValue):
@@ -37,14 +40,14 @@ class Sides(CriterionValue):
         return f"{limits}; more particles bring both closer" if limits else super().text(unit)
 
 
-def information_estimation(own: Estimation) -> Estimation:
+def information_estimation(own: "Estimation") -> "Estimation":
     """The estimation of the information, with as many particles, one of which is the truth."""
-    return Estimation(own.particles, CONDITIONAL.name, INFORMATION.name)
+    return own.another(INFORMATION.name, CONDITIONAL.name)
 
 
-def evidence_estimation(own: Estimation) -> Estimation:
+def evidence_estimation(own: "Estimation") -> "Estimation":
     """The estimation of the log evidence; its control is that of a filter beside the truth."""
-    return Estimation(own.particles, estimator=EVIDENCE.name)
+    return own.another(EVIDENCE.name, SYSTEMATIC.name)
 
 
 LOWER_SIDE = Aspect(
@@ -78,6 +81,7 @@ class Information(OtherCriterion):
     additive: bool = True
     bound: Bound = "submodular"
     sign: int = -1
+    of_each_draw: bool = False
     aspects: tuple[Aspect, ...] = (LOWER_SIDE, GAP)
 
     def of_sample(self, sample: Sample) -> CriterionValue:

@@ -25,6 +25,7 @@ class WorstInstant(OtherCriterion):
         "largest expected error at an instant; from limits that hold together at all instants"
     )
     by_instant: bool = True
+    of_each_draw: bool = False
     fewest: int = 240  # ten groups of a block of draws
 
     def value(self, errors: "Evaluation") -> Estimate:
