@@ -89,9 +89,10 @@ def as_text(value: Any) -> Any:
     return value.isoformat() if hasattr(value, "isoformat") else value
 
 
-def parse_json(text: str | bytes) -> Any:
+def parse_json(text: str | bytes, *, finite: bool = True) -> Any:
     """The data of a JSON text, within the limits of this module; its numbers are finite."""
-    return _parsed(partial(json.loads, parse_float=_finite, parse_constant=_finite), text)
+    number = _finite if finite else float
+    return _parsed(partial(json.loads, parse_float=number, parse_constant=number), text)
 
 
 def _finite(text: str) -> float:

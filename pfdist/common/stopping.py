@@ -21,7 +21,7 @@ from pfdist.common.parent import become_child, received, report_code, say
 _CODES: dict[int, int] = {
     signal.SIGINT: 130, signal.SIGTERM: 75, signal.SIGHUP: 75, signal.SIGUSR1: 75,
 }  # exit codes  # fmt: skip
-_STOPPING = "Stopping after the work in flight; press Ctrl-C again to end now"
+_STOPPING = "Stopping after the work in flight; {} again to end now"
 # A program, such as a batch script or the parent, may hand on what the whole group has received.
 _SAME_SECONDS = 0.2
 _NOTICE_SECONDS = 25.0  # Slurm kills 30 s after SIGTERM
@@ -96,7 +96,9 @@ def _listen(numbers: Iterable[int]) -> None:
     number, since = received(numbers)[0], time.monotonic()
     is_at_work = _at_work.is_set()
     if is_at_work:
-        say(_STOPPING)  # before the command can end
+        name = signal.Signals(number).name
+        again = "press Ctrl-C" if number == signal.SIGINT else f"send {name}"
+        say(_STOPPING.format(again))  # before the command can end
     _received.append(number)
     _note()
     if is_at_work:

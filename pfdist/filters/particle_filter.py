@@ -98,8 +98,10 @@ def filter_checked_sets(
     shape: tuple[int, ...] = len(planned.measured), draws.z.shape[1] if errors else 0
     weights = ESTIMATORS[settings.estimator].weights
     # The kernel adds a term of all draws before the next one: then a sum would depend on the draws
-    # that are filtered together, so each draw's terms are added up first.
-    by_draw = errors == SUMS and (sum(map(bool, weights)) > 1 or bool(weights.distance))
+    # that are filtered together, so each draw's terms are added up first. Each sensor that measures
+    # gives a term of the evidence.
+    has_terms = sum(map(bool, weights)) > 1 or bool(weights.distance or weights.evidence)
+    by_draw = errors == SUMS and has_terms
     if errors != SUMS or by_draw:
         shape = (len(draws.index), *shape)
     found = _filter(model, draws, planned, stream, settings, errors=np.zeros(shape))

@@ -7,34 +7,30 @@ the file counts for nothing.
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Sequence
 from functools import partial
+from operator import methodcaller
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pfdist import __version__
+from pfdist.common.parsing import parse_json
 from pfdist.problem.set_key import labels_of_sets
 from pfdist.results.columns import COLUMNS, Row
 from pfdist.results.stored_run import StoredRun, evaluations_of
 from pfdist.store import QUESTIONS, WHY_PHASE, record_pages, write_file
-from pfdist.store.files import check_replaceable, read_if_hashed
+from pfdist.store.files import begins_with, check_replaceable, read_if_hashed
 from pfdist.store.folder import SUMMARY
 from pfdist.store.listing import read_listing
-from pfdist.store.tables import holds_table, unpacked, write_table
 
-_NAME = b"sets of a run"
-_MOST_BYTES, _MOST_VALUES = 10_000_000, 1_000_000
+_NAME = "sets of a run"
+_MARK = f'{{"table": "{_NAME}"'.encode()
+_MOST_BYTES = 10_000_000
 _TYPES: dict[str, Any] = {
-    "float64": float | None, "int64": int, "Int64": int | None, "bool": bool, "object": object,
+    "float64": float | None, "int64": int, "Int64": int | None, "object": str | list | bool | None,
 }  # fmt: skip
-_ARROW = {
-    "float64": pa.float64(), "int64": pa.int64(), "Int64": pa.int64(), "bool": pa.bool_(),
-    "object": None,
-}  # fmt: skip
-_MADE_OF, _EVALUATIONS, _SECONDS = b"made_of", b"evaluations", b"worker_seconds"
 
 
 class Summary(NamedTuple):
@@ -71,7 +67,7 @@ def read_summary(run: StoredRun) -> Summary | None:
     if (size := path.lstat().st_size) > _MOST_BYTES:
         raise ValueError(f"it must have at most {_MOST_BYTES:,} bytes, got {size:,}")
     content = read_if_hashed(path, listing.pages[SUMMARY], _MOST_BYTES)
-    known = None if content is None else _unpacked(content, _fingerprint(run))
+    known = None if content is None else _parsed(content, _fingerprint(run))
     if known:  # labels are words of this version
         labels = labels_of_sets([row.name for row in known.sets], run.job)
         for row in known.sets:
@@ -79,13 +75,11 @@ def read_summary(run: StoredRun) -> Summary | None:
     return known
 
 
-def _unpacked(content: bytes, made_of: bytes) -> Summary | None:
-    about = pq.read_metadata(pa.BufferReader(content))
-    metadata = about.schema.to_arrow_schema().metadata
-    if not made_of or metadata[_MADE_OF] != made_of:
+def _parsed(content: bytes, made_of: str) -> Summary | None:
+    data = parse_json(content, finite=False)
+    if not made_of or data["made_of"] != made_of:
         return None
-    table = unpacked(content, about, _MOST_VALUES, _MOST_BYTES, _MOST_VALUES)
-    rows = [] if table is None else [Row(**row) for row in table.to_pylist()]
+    rows = [Row(**row) for row in data["sets"]]
     names = {row.name for row in rows}
     are_right = all(
         isinstance(getattr(row, name), _TYPES[column.dtype])
@@ -94,31 +88,25 @@ def _unpacked(content: bytes, made_of: bytes) -> Summary | None:
     )
     if not (are_right and rows and all(row.reference in {None, *names} for row in rows)):
         raise ValueError("its rows are not those of a table of sets")
-    seconds = float(metadata[_SECONDS])
-    return Summary(rows, int(metadata[_EVALUATIONS]), seconds if seconds >= 0.0 else None)
+    evaluations, seconds = int(data["evaluations"]), data["worker_seconds"]
+    return Summary(rows, evaluations, None if seconds is None else float(seconds))
 
 
 def keep_summary(run: StoredRun, sets: Sequence[Row]) -> None:
     """Write the summary of a run, with its table of sets; the caller holds the run's lock."""
-    made_of, seconds = _fingerprint(run), worker_seconds_of(run)
-    if not made_of:
+    if not (made_of := _fingerprint(run)):
         return
-    values = {
-        name: pa.array([getattr(row, name) for row in sets], _ARROW[column.dtype], from_pandas=True)
-        for name, column in COLUMNS.items()
+    summary = {
+        "table": _NAME,
+        "made_of": made_of,
+        "evaluations": evaluations_of(run),
+        "worker_seconds": worker_seconds_of(run),
+        "sets": [*map(vars, sets)],
     }
-    table = pa.table(values).replace_schema_metadata(
-        {
-            b"table": _NAME,
-            _MADE_OF: made_of,
-            _EVALUATIONS: str(evaluations_of(run)),
-            _SECONDS: str(-1.0 if seconds is None else seconds),
-        }
-    )
-    path = run.path / SUMMARY
-    check_replaceable(path, partial(holds_table, name=_NAME))
+    text, path = json.dumps(summary, default=methodcaller("item")), run.path / SUMMARY
+    check_replaceable(path, partial(begins_with, mark=_MARK, most=len(_MARK)))
     record_pages(run.path, [], locked=True, without=SUMMARY)  # so a kill leaves no wrong hash
-    write_file(path, lambda temporary: write_table(table, temporary))
+    write_file(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     record_pages(run.path, [path], locked=True)
 
 
@@ -128,11 +116,11 @@ def worker_seconds_of(run: StoredRun) -> float | None:
     return float(np.sum(run._store.rows("timings")["seconds"])) if has else None
 
 
-def _fingerprint(run: StoredRun) -> bytes:
+def _fingerprint(run: StoredRun) -> str:
     """A hash of the tables from which this version describes sets; empty if a phase goes on."""
     listing = read_listing(run.path)
     if listing is None or run._store.has_parts(without=QUESTIONS):
-        return b""
+        return ""
     files = (file for file in sorted(listing.files) if f"/{WHY_PHASE}-" not in file)
     text = "\n".join((__version__, *files))
-    return hashlib.sha256(text.encode()).hexdigest().encode()
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -23,7 +23,7 @@ RULE = "rule.json"
 """The last rule that was tuned."""
 LISTED = (*ABOUT, RULE)
 """Files, listed with their hashes, that are not made from tables."""
-FILES, FIGURES_FOLDER, REPORT, SUMMARY = "files.json", "figures", "report.html", "sets.parquet"
+FILES, FIGURES_FOLDER, REPORT, SUMMARY = "files.json", "figures", "report.html", "sets.json"
 FORMATS = ("png", "svg", "pdf")
 """File name extensions of figures."""
 

@@ -5,13 +5,14 @@ names that are not UTF-8. So pyarrow gets open files, which are opened by the by
 """
 
 import contextlib
+import io
 import os
 import re
 import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -38,6 +39,8 @@ _MOST_KNOWN, _MOST_BYTES, _MOST_KEPT = 64, 400_000, 50_000  # files; bytes and v
 # Values, and bytes of texts, that a file may hold when it is unpacked
 _USUAL_VALUES, _USUAL_TEXT, _MOST_VALUES_A_BYTE = 10_000_000, 50_000_000, 100
 _ROWS = 100_000  # whose texts are measured at once
+_SHARED_BEGINNINGS = 7  # the encoding DELTA_BYTE_ARRAY
+_LENGTHS = {1: 0, 2: 0, 3: 1, 7: 8}  # of true, false, a byte and a float in a page's header
 _LONGEST_NAME = 64  # a search's name and a number of measurements
 _NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
 
@@ -166,6 +169,65 @@ def column_chunks(about: pq.FileMetaData) -> Iterator[pq.ColumnChunkMetaData]:
         yield from map(group.column, range(group.num_columns))
 
 
+def size_of_pages(file: BinaryIO, chunks: Iterable[pq.ColumnChunkMetaData]) -> tuple[int, int]:
+    """The bytes and values in the pages of some columns, for which pyarrow takes memory.
+
+    The metadata of a forged file says less than the pages. Texts that share their beginnings count
+    as if each had all bytes of its page. Raises a `ValueError` if a page cannot be read.
+    """
+    size = values = 0
+    for chunk in chunks:
+        start = min(filter(None, (chunk.dictionary_page_offset, chunk.data_page_offset)))
+        file.seek(start)
+        while file.tell() < start + chunk.total_compressed_size:
+            page = _page_header(file)
+            count = page.get((5, 1), 0) + page.get((8, 1), 0)
+            if min(count, *(page.get((place,), -1) for place in (2, 3))) < 0:
+                raise ValueError("a page has no size")
+            shares_beginnings = _SHARED_BEGINNINGS in (page.get((5, 2)), page.get((8, 4)))
+            size += page[2,] * (count if shares_beginnings else 1)
+            values += count
+            file.seek(page[3,], os.SEEK_CUR)
+    return size, values
+
+
+def _page_header(file: BinaryIO) -> dict[tuple[int, ...], int]:
+    """The numbers in a page's header by their places in parquet.thrift.
+
+    It is a struct in Thrift's compact protocol; numbers are cut to 32 bits, as pyarrow does it.
+    """
+    place, found = [0], dict[tuple[int, ...], int]()
+    try:
+        while place:
+            step, kind = divmod(file.read(1)[0], 16)
+            if not kind:  # the end of a struct
+                place.pop()
+                continue
+            place[-1] = (place[-1] + step if step else _signed(_number(file))) & 0xFFFF
+            if kind in (4, 5, 6):  # whole numbers of 16, 32 and 64 bits
+                value = _signed(_number(file))
+                if kind == 5 and len(place) < 3:
+                    found[(*place,)] = value
+            elif kind == 12:  # a struct
+                place.append(0)
+            else:
+                file.seek(_number(file) if kind == 8 else _LENGTHS[kind], os.SEEK_CUR)
+    except LookupError as error:
+        raise ValueError("the header of a page cannot be read") from error
+    return found
+
+
+def _number(file: BinaryIO) -> int:
+    value = shift = 0
+    while (byte := file.read(1)[0]) > 127:
+        value, shift = value | (byte & 127) << shift, shift + 7
+    return (value | byte << shift) & 0xFFFFFFFF
+
+
+def _signed(number: int) -> int:
+    return number >> 1 ^ -(number & 1)
+
+
 def unpacked(
     content: bytes, about: pq.FileMetaData, most_values: int, most_text: int, most_kept: int
 ) -> pa.Table | None:
@@ -175,8 +237,8 @@ def unpacked(
     text, so texts are measured in dictionary form, before they are repeated.
     """
     chunks, size = [*column_chunks(about)], f"{len(content):,} bytes"
-    values: int = sum(chunk.num_values for chunk in chunks)
-    packed = sum(chunk.total_uncompressed_size for chunk in chunks)
+    packed, values = size_of_pages(io.BytesIO(content), chunks)
+    values = max(values, sum(chunk.num_values for chunk in chunks))
     if values > most_values:
         raise ValueError(f"{size} must not hold {values:,} values")
     texts = sorted({c.path_in_schema for c in chunks if "BYTE_ARRAY" in c.physical_type})

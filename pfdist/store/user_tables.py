@@ -21,7 +21,13 @@ from pfdist.common.nearest import must_be
 from pfdist.common.parsing import as_text
 from pfdist.errors import PfdistError, shown
 from pfdist.store.files import begins_with, check_replaceable, write_file
-from pfdist.store.tables import column_chunks, holds_table, lengths_of_texts, write_table
+from pfdist.store.tables import (
+    column_chunks,
+    holds_table,
+    lengths_of_texts,
+    size_of_pages,
+    write_table,
+)
 
 Array = NDArray[np.float64]
 
@@ -203,7 +209,7 @@ def _in_parquet(
         chunks = [each for each in column_chunks(about) if each.path_in_schema in kept]
         rows = sum(each.num_values for each in chunks) // len(kept)
         _check_rows(rows, len(kept), most_rows)
-        size = sum(each.total_uncompressed_size for each in chunks)
+        size = size_of_pages(file, chunks)[0]
         if size > (most := 8 * MOST_NUMBERS):
             raise ValueError(f"a table must have at most {most:,} bytes unpacked, got {size:,}")
         yield schema.empty_table().select(kept).to_pandas(ignore_metadata=True)  # index: a column

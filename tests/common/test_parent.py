@@ -12,9 +12,11 @@ import time
 import psutil
 import pytest
 
+from oracles import stopped
+
 CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGHUP, 75)]
-STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now\n"
-STOPPED = "pfdist: Stopped.\n"
+STOPPING = {number: f"{line}\n" for number, line in stopped.STOPPING.items()}
+STOPPED = f"{stopped.STOPPED}\n"
 ENDED = (
     "pfdist: The process that computes ended {} and without a message: a library or the model "
     "ended it, or memory ran out. Finished work is saved; run the same command to resume.\n"
@@ -98,7 +100,7 @@ def test_a_signal_to_the_parent_the_child_or_their_group_is_received_once(
         child = int(process.stdout.readline())
         os.kill({"parent": process.pid, "child": child, "group": -process.pid}[receiver], number)
         _, error = process.communicate(timeout=60)
-        assert (process.returncode, error) == (code, STOPPING)
+        assert (process.returncode, error) == (code, STOPPING[number])
 
 
 def test_a_second_signal_to_the_parent_ends_at_once() -> None:
@@ -108,14 +110,15 @@ def test_a_second_signal_to_the_parent_ends_at_once() -> None:
         process.stdout.readline()
         process.send_signal(signal.SIGTERM)
         assert process.stderr is not None
-        assert process.stderr.readline() == STOPPING
+        assert process.stderr.readline() == STOPPING[signal.SIGTERM]
         time.sleep(0.3)  # what programs repeat sooner counts once
         process.send_signal(signal.SIGINT)
         assert (process.wait(60), process.stderr.read()) == (75, STOPPED)
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"), [(b"\x03", [STOPPING]), (b"\x03\x03", [STOPPING, STOPPED])]
+    ("keys", "said"),
+    [(b"\x03", [STOPPING[signal.SIGINT]]), (b"\x03\x03", [STOPPING[signal.SIGINT], STOPPED])],
 )
 def test_ctrl_c_of_a_terminal_is_received_once(keys: bytes, said: list[str]) -> None:
     """Twice ends at once, however soon the second comes: a terminal repeats nothing."""
@@ -141,7 +144,7 @@ def test_a_terminal_that_is_closed_is_a_stop() -> None:
         assert process.stdout is not None
         process.stdout.readline()
         os.close(terminal)
-        assert process.communicate(timeout=60) == ("", STOPPING)
+        assert process.communicate(timeout=60) == ("", STOPPING[signal.SIGHUP])
     assert process.returncode == 75
     os.close(inside)
 

@@ -10,14 +10,15 @@ from typing import Any
 
 import pytest
 
+from oracles import stopped
 from pfdist.cli.main import main
 from pfdist.common import stopping
 from pfdist.problem.sections import Execution
 from pfdist.questions.at_work import noted
 
 CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGHUP, 75), (signal.SIGUSR1, 75)]
-STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now\n"
-STOPPED = "pfdist: Stopped.\n"
+STOPPING = {number: f"{line}\n" for number, line in stopped.STOPPING.items()}
+STOPPED = f"{stopped.STOPPED}\n"
 # As a terminal starts a program: a shell's background jobs ignore SIGINT, and `nohup` SIGHUP.
 PROGRAM = """
 import os, signal, sys, threading, time
@@ -63,7 +64,7 @@ stopping.answered()
 check()
 sys.exit(exit_code())
 """
-    assert done(lines) == (code, "raised\n" * 3, STOPPING)
+    assert done(lines) == (code, "raised\n" * 3, STOPPING[number])
 
 
 @pytest.mark.parametrize(("number", "code"), CODES)
@@ -76,8 +77,16 @@ def test_a_signal_before_the_first_look_ends_the_process_at_once(
 def test_a_second_signal_ends_the_process_at_once_with_the_code_of_the_first() -> None:
     again = "heard(signal.{}); send(signal.{}); time.sleep(600)"
     late = "stopping._SAME_SECONDS = 0.0"
-    assert done(again.format("SIGINT", "SIGINT"), late) == (130, "", STOPPING + STOPPED)
-    assert done(again.format("SIGTERM", "SIGINT"), late) == (75, "", STOPPING + STOPPED)
+    assert done(again.format("SIGINT", "SIGINT"), late) == (
+        130,
+        "",
+        STOPPING[signal.SIGINT] + STOPPED,
+    )
+    assert done(again.format("SIGTERM", "SIGINT"), late) == (
+        75,
+        "",
+        STOPPING[signal.SIGTERM] + STOPPED,
+    )
 
 
 @pytest.mark.parametrize(("number", "code"), CODES)
@@ -94,12 +103,16 @@ stopping._SAME_SECONDS = 0.0  # as if it were later
 send({number:d})
 time.sleep(600)
 """
-    assert done(lines) == (code, "alive\n", STOPPING + STOPPED)
+    assert done(lines) == (code, "alive\n", STOPPING[number] + STOPPED)
 
 
 def test_after_the_notice_of_a_batch_system_the_process_ends_whatever_it_does() -> None:
     lines = "heard(signal.SIGUSR1); time.sleep(600)"
-    assert done(lines, "stopping._NOTICE_SECONDS = 0.1") == (75, "", STOPPING + STOPPED)
+    assert done(lines, "stopping._NOTICE_SECONDS = 0.1") == (
+        75,
+        "",
+        STOPPING[signal.SIGUSR1] + STOPPED,
+    )
 
 
 def test_a_stop_in_the_middle_of_long_work_is_noted_and_says_that_work_is_saved() -> None:
@@ -111,7 +124,7 @@ with stopping.saved(lambda: print("noted", flush=True)), stopping.saved(lambda: 
 """
     saved = STOPPED.rstrip() + stopping.SAVED + "\n"
     once = "stopping._CTRL_C_SECONDS = 0.1"
-    assert done(lines, once) == (130, "noted\n" * 2, STOPPING + saved)
+    assert done(lines, once) == (130, "noted\n" * 2, STOPPING[signal.SIGINT] + saved)
     by_kill = "with stopping.saved(lambda: os.kill(os.getpid(), 9)): heard(signal.SIGTERM)"
     assert done(by_kill)[0] == -signal.SIGKILL  # it was noted before anything else
 
@@ -137,7 +150,7 @@ def test_the_mark_of_a_process_at_work_is_gone_once_it_was_stopped(tmp_path: Pat
 def test_a_signal_that_is_ignored_stays_ignored() -> None:
     ignore = "signal.signal(signal.SIGINT, signal.SIG_IGN)"  # as `nohup` does
     lines = "check(); send(signal.SIGINT); check(); heard(signal.SIGTERM); sys.exit(exit_code())"
-    assert done(lines, ignore) == (75, "", STOPPING)
+    assert done(lines, ignore) == (75, "", STOPPING[signal.SIGTERM])
 
 
 @pytest.mark.parametrize("handler", ["signal.SIG_DFL", "lambda *_: sys.exit(1)"])
@@ -145,7 +158,7 @@ def test_handlers_that_a_library_sets_change_nothing(handler: str) -> None:
     lines = (
         f"signal.signal(signal.SIGTERM, {handler}); heard(signal.SIGTERM); sys.exit(exit_code())"
     )
-    assert done(lines) == (75, "", STOPPING)
+    assert done(lines) == (75, "", STOPPING[signal.SIGTERM])
 
 
 def test_a_forked_child_ends_by_a_signal_that_its_parent_does_not_hear() -> None:
@@ -169,7 +182,7 @@ thread = threading.Thread(target=lambda: print("passed", check()))
 thread.start()
 thread.join()
 """
-    assert done(lines) == (0, "passed None\n", STOPPING)
+    assert done(lines) == (0, "passed None\n", STOPPING[signal.SIGTERM])
 
 
 def test_a_command_that_python_calls_listens_to_nothing() -> None:

@@ -28,15 +28,12 @@ from crash.runs import (
     until,
 )
 from oracles.bytes_of import hashes
+from oracles.stopped import SAVED, STOPPED, STOPPING
 from pfdist import Job
 
 CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
 NOTICE_SECONDS = 20.0  # what a batch system gives
 
-
-STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now"
-STOPPED = "pfdist: Stopped."
-SAVED = f"{STOPPED} Finished work is saved; run the same command to resume."
 WORKERS = ("default_worker.py", "ray::IDLE", WORKER)  # in the commands of Ray's workers
 
 
@@ -95,7 +92,7 @@ def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
         assert process.stderr is not None
         assert process.stdout.readline() == "computing\n"
         process.send_signal(signal.SIGINT)
-        assert STOPPING in iter(lambda: process.stderr.readline().strip(), "")
+        assert STOPPING[signal.SIGINT] in iter(lambda: process.stderr.readline().strip(), "")
         time.sleep(0.5)
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
@@ -147,7 +144,7 @@ def test_a_signal_while_kernels_compile_stops_before_the_next_compilation(
         output, error = process.communicate(timeout=PATIENCE_SECONDS)
         assert process.returncode == 75
     resumes = str(new) in words
-    assert error.splitlines()[-2:] == [STOPPING, SAVED if resumes else STOPPED]
+    assert error.splitlines()[-2:] == [STOPPING[signal.SIGTERM], SAVED if resumes else STOPPED]
     assert LAST_CHECK not in output
     assert "MSE" not in output
     assert not (new / "tables").exists()
@@ -196,7 +193,7 @@ def test_a_signal_in_a_callback_ends_the_run_which_then_resumes(
     ]
     with running(small_job.path, run, *options) as driver:
         assert driver.wait() == 75
-        assert driver.said[-2:] == [STOPPING, SAVED]
+        assert driver.said[-2:] == [STOPPING[signal.SIGTERM], SAVED]
     assert flag.exists()
     resumed, whole = (finish(small_job.path, each, *options) for each in (run, tmp_path / "whole"))
     assert resumed == whole
@@ -237,7 +234,7 @@ def test_a_signal_while_ray_starts_or_ends_has_its_exit_code_and_leaves_nothing(
         _, error = process.communicate(timeout=PATIENCE_SECONDS)
         assert process.returncode == code
         assert error.splitlines()[-1] == SAVED
-        assert error.splitlines().count(STOPPING) == 1
+        assert error.splitlines().count(STOPPING[number]) == 1
         until(lambda: not marked("PFDIST_TEST", mark), GONE_SECONDS)
     assert finish(small_job.path, run) == finish(small_job.path, tmp_path / "whole")
 

@@ -13,18 +13,21 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR
-from pfdist import StateSpaceModel, densities, where
+from pfdist import Sensor, StateSpaceModel, densities, where
 from pfdist.common.sensing import Sensing
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.work import BLOCK, GUIDED, PLAIN, Estimation, sum_of_draws
+from pfdist.kernels import rules
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import Thresholds
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL
 from pfdist.models.sensed import sensed
 
 HORIZON, DRAWS = 9, 45
+APART = tuple(t + 2 for t in range(HORIZON + 1))
 WALK = StateSpaceModel(
     name="walk",
     initial=lambda w, p: (2.0 * w[0],),
@@ -40,15 +43,36 @@ WALK = StateSpaceModel(
     process_noise=("normal",),
     measurement_noise=("normal",),
 )
-SENSINGS = {
-    "as it is": Sensing(),
-    "limits": Sensing(low=-1.0, high=1.0),
-    "fails": Sensing(fails=0.4),
-    "repeats": Sensing(repeats=9),
-    "delay": Sensing(delay=2),
-    "all": Sensing(-1.0, 1.0, 0.4, 2, 1),
+OWN = ("measurement", "log_likelihood", "log_tails", "measurement_noise")
+SENSOR = Sensor(**{name: getattr(WALK, name) for name in OWN})
+TWO = replace(
+    WALK,
+    sensors={"plain": SENSOR, "late": SENSOR},
+    **{name: StateSpaceModel.__dataclass_fields__[name].default for name in OWN},
+)
+SENSINGS = {  # of each sensor
+    "as it is": {"": Sensing()},
+    "limits": {"": Sensing(low=-1.0, high=1.0)},
+    "fails": {"": Sensing(fails=0.4)},
+    "repeats": {"": Sensing(repeats=9)},
+    "delay": {"": Sensing(delay=2)},
+    "all": {"": Sensing(-1.0, 1.0, 0.4, 2, 1)},
+    "two sensors": {"plain": Sensing(fails=0.4), "late": Sensing(repeats=2, delay=1)},
 }
-RULES = None, Thresholds((1.5,)), Thresholds((1.0,), 0.5, 3.0)
+# of each instant, or one for all
+LEVELS = (rules.ALWAYS, 1.5, rules.NEVER, 1.0, 2.0, 1.2, rules.ALWAYS, 3.0, 1.0, 1.5)
+RULES = None, Thresholds((1.5,)), Thresholds((1.0,), 0.5, 3.0), Thresholds(LEVELS, 0.3, 6.0)
+FOLLOWS = {  # what may follow with so many sensors
+    "anything": lambda ways: {},
+    "limits": lambda ways: {
+        "apart": APART, "required": (2 * ways,), "most": (3,) * ways, "own_apart": (APART,) * ways
+    },
+    "visits": lambda ways: {
+        "visit_ends": tuple(ways * (t + 3) for t in range(HORIZON + 1) for _ in range(ways)),
+        "visit_price": 1.0, "most_visits": 2, "install": (0.5,) * ways, "group": (1,) * ways,
+        "required": (5 * ways,),
+    },
+}  # fmt: skip
 LAGS = 0, 3, HORIZON, (0, 3, 2, 1) * 2 + (1, 0)
 SETTINGS: dict[str, tuple[Any, ...]] = {
     "sensing": tuple(SENSINGS),
@@ -57,18 +81,22 @@ SETTINGS: dict[str, tuple[Any, ...]] = {
     "threshold": (ALWAYS, 0.6),
     "proposal": (PLAIN, GUIDED),
     "rule": RULES,
+    "follows": tuple(FOLLOWS),
+    "flipped": (None, 6),
     "estimator": tuple(ESTIMATORS),
 }
 
 
 def possible(sensing: str, **given: Any) -> bool:
     """Whether a job can ask for these settings together."""
-    if SENSINGS[sensing].repeats > 1 and given["threshold"] < ALWAYS:
+    if any(each.repeats > 1 for each in SENSINGS[sensing].values()) and given["threshold"] < ALWAYS:
         return False
     weights = ESTIMATORS[given["estimator"]].weights
     if weights.evidence and (given["lag"] != 0 or given["threshold"] < ALWAYS):
         return False
     if given["rule"] and ESTIMATORS[given["estimator"]].filters > 1:
+        return False
+    if not given["rule"] and (given["follows"] != "anything" or given["flipped"]):
         return False
     is_own = given["resampling"] != CONDITIONAL.name
     return is_own or (given["rule"] is None and given["threshold"] == ALWAYS)
@@ -107,11 +135,19 @@ def check(evaluator: Evaluator, settings: Estimation) -> None:
 
 def check_settings(sensing: str, **given: Any) -> None:
     """The same for one choice of each of `SETTINGS`."""
-    model = sensed(WALK, {"": SENSINGS[sensing]})
+    each = SENSINGS[sensing]
+    model = sensed(WALK if "" in each else TWO, each)
     evaluator = Evaluator(model, HORIZON, lag=given.pop("lag"))
+    of_parts = [each for each in each.values() for _ in range(each.repeats)]
+    ways, follows = len(of_parts), FOLLOWS[given.pop("follows")]
+    if limits := follows(ways):
+        alike = tuple(map(of_parts.index, of_parts))
+        delays = tuple(part.delay for part in of_parts)
+        given["follows"] = StepLimits(**limits, alike=alike, delays=delays)
     if given["rule"] is not None:
-        levels = given["rule"].thresholds * len(model.parts)
+        levels = tuple(np.repeat(given["rule"].thresholds, ways).tolist())
         given["rule"] = given["rule"]._replace(thresholds=levels)
+        given["flipped"] = given["flipped"] and ways * given["flipped"]
     settings = Estimation(40, **given)
     try:
         check(evaluator.for_estimation(settings), settings)
@@ -128,12 +164,15 @@ def choices_at_random() -> list[dict[str, Any]]:
 
 
 def test_no_bit_of_a_draw_depends_on_the_draws_beside_it() -> None:
-    """Choices at random, until they have most pairs of values of two settings."""
+    """Choices at random, until they have most pairs of values of two settings; and what failed."""
+    first = {name: values[0] for name, values in SETTINGS.items()}
+    check_settings(**first | {"sensing": "all", "estimator": "evidence"})
     met = set[frozenset[tuple[str, str]]]()
     for choice in choices_at_random():
         items = [(name, str(value)) for name, value in choice.items()]
         pairs = {frozenset(pair) for pair in combinations(items, 2)}
-        takes_long = choice["proposal"] == GUIDED and SENSINGS[choice["sensing"]].high < np.inf
+        is_limited = any(each.high < np.inf for each in SENSINGS[choice["sensing"]].values())
+        takes_long = choice["proposal"] == GUIDED and is_limited
         if len(pairs - met) >= 11 and not takes_long:  # to derive
             met |= pairs
             check_settings(**choice)

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from pfdist.results import summary
 from pfdist.store import files, tables
 
 _WRITES = ("write_table", "write_text", "write_bytes")
@@ -35,7 +34,6 @@ class FileLayer:
         self._fault: str | None = None
         for place, name, needs_space in (
             (tables, "write_table", True),
-            (summary, "write_table", True),
             (Path, "write_text", True),
             (Path, "write_bytes", True),
             (Path, "mkdir", True),

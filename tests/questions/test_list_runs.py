@@ -100,7 +100,7 @@ def _unsummed(table: str) -> Any:
     """A table without content, and no summary: else a list would not read the table."""
 
     def spoil(run: Path) -> None:
-        (run / "sets.parquet").unlink()
+        (run / "sets.json").unlink()
         next((run / table).iterdir()).write_bytes(b"")
 
     return spoil

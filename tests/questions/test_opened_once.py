@@ -120,5 +120,5 @@ def test_commands_open_no_file_of_a_run_that_files_json_does_not_list(
     content = json.loads((run / "files.json").read_text())
     listed = {"files.json", ".lock", *content["about"], *content["files"], *content["pages"]}
     written = {name for name in inside if name.suffix == ".tmp" or name.parts[0] == "parts"}
-    assert {"rule.json", "sets.parquet", "model.json"} <= set(map(str, inside))
+    assert {"rule.json", "sets.json", "model.json"} <= set(map(str, inside))
     assert set(map(str, inside - written)) - listed == set()

@@ -1,6 +1,7 @@
 """The store: committed is committed, once, and parts and tables read as one."""
 
 import errno
+import io
 import os
 import re
 import socket
@@ -8,6 +9,7 @@ import subprocess
 from collections import OrderedDict
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
@@ -17,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from oracles.bytes_of import hashes
+from oracles.forged import with_sizes_of_nothing
 from oracles.stored_rows import compared_rows
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import StoreError
@@ -341,6 +344,62 @@ def test_a_text_that_many_rows_share_is_measured_before_it_is_repeated(tmp_path:
     assert tables.unpacked(content, about, 100, 6, 10).cast(few.schema).equals(few)
     with pytest.raises(ValueError, match="must not hold 6 bytes of texts"):
         tables.unpacked(content, about, 100, 5, 10)
+
+
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+@pytest.mark.parametrize("kind", ["texts", "a dictionary", "beginnings"])
+def test_pages_are_added_up_before_a_file_with_forged_metadata_is_unpacked(
+    kind: str, version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Memory is taken by what headers of pages say, which the metadata may not repeat."""
+    texts = ["x" * 1_000_000] * 60
+    if kind == "beginnings":  # each text is the former and a letter, so a page has one of them
+        texts = ["x" * (1_000_000 + more) for more in range(60)]
+    pq.write_table(
+        pa.table({"label": texts, "number": range(60)}), path := tmp_path / "forged.parquet",
+        compression="zstd", data_page_version=version, use_dictionary=kind == "a dictionary",
+        column_encoding={"label": "DELTA_BYTE_ARRAY"} if kind == "beginnings" else None,
+    )  # fmt: skip
+    content = with_sizes_of_nothing(path.read_bytes())
+    about = pq.read_metadata(pa.BufferReader(content))
+    assert len(content) < 10_000
+    assert sum(chunk.total_uncompressed_size for chunk in tables.column_chunks(about)) < 1000
+    assert pq.read_table(pa.BufferReader(content)).num_rows == 60  # nothing else holds it back
+    for reads in ("read", "iter_batches"):
+        monkeypatch.setattr(pq.ParquetFile, reads, None)  # nothing is unpacked
+    most = 900_000 if kind == "a dictionary" else 50_000_000
+    with pytest.raises(ValueError, match=r"must not hold [0-9,]+ bytes of texts"):
+        tables.unpacked(content, about, 200, most, 1000)
+
+
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+def test_the_sizes_of_pages_are_those_that_the_writer_has_added_up(
+    version: str, tmp_path: Path
+) -> None:
+    """Of many pages, compressed in several ways, with texts in their statistics."""
+    texts = [f"{row:050}" for row in range(3000)]
+    table = pa.table({"t": texts, "y": [*range(2999), None], "z": [[True], []] * 1500})
+    for compression in ("zstd", "snappy", "none"):
+        pq.write_table(
+            table, path := tmp_path / "pages.parquet", compression=compression,
+            data_page_version=version, data_page_size=1000, write_page_checksum=True,
+        )  # fmt: skip
+        chunks = [*tables.column_chunks(pq.read_metadata(path))]
+        with path.open("rb") as file:
+            size, values = tables.size_of_pages(file, chunks)
+        assert values == sum(chunk.num_values for chunk in chunks)
+        headers = sum(chunk.total_uncompressed_size for chunk in chunks) - size
+        assert 0 < headers < 0.2 * size
+        assert len(chunks) == 3
+
+
+@pytest.mark.parametrize("content", [b"", b"\x15", b"\x00", b"\x19\x00", b"\x1c" * 100])
+def test_a_page_that_cannot_be_read_is_an_error(content: bytes) -> None:
+    chunk: Any = SimpleNamespace(
+        dictionary_page_offset=None, data_page_offset=4, total_compressed_size=100
+    )
+    with pytest.raises(ValueError, match=r"^(the header of )?a page (cannot be read|has no size)$"):
+        tables.size_of_pages(io.BytesIO(b"PAR1" + content), [chunk])
 
 
 @pytest.mark.parametrize("count", [1, 3, 4, 100])
