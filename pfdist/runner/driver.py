@@ -110,7 +110,8 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
         for name, times in given.items()
     ]
     for search in built.searches:
-        winners = yield from run_search(session, search)
+        opponents = [given[name] for name in built.study.even]
+        winners = yield from run_search(session, search, opponents)
         rows += [
             {
                 "name": name,
