@@ -8,7 +8,7 @@ by the squared error.
 """
 
 import math
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,19 +96,19 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
 
 
 def run_search(
-    session: RunSession, search: NamedSearch, opponents: Iterable[Times] = ()
+    session: RunSession, search: NamedSearch, opponent: Times
 ) -> Generator[WorkBatch, None, dict[str, Evaluation]]:
     """The search's own evaluation of each compared set, by name, on draws that chose the set.
 
-    Opponents that are feasible race, too, so that no plan is clearly worse than them. Empty if
-    every set at the end of the search or of the race has an infinite error.
+    The best opponent races with a polished set, which is then not clearly worse. Empty if every
+    set at the end of the search or of the race has an infinite error.
     """
     built, reporter = session.built, session.reporter
     start = reporter.progress.done
     found = yield from _found(session, search)
     believed, raced = found.believed, None
-    others = filter(built.feasible.accepts, opponents if believed else ())
-    if sets := built.study.racing(dict.fromkeys((*believed, *others))):
+    joins = bool(believed and search.polishing) and built.feasible.accepts(opponent)
+    if sets := built.study.racing(dict.fromkeys((*believed, *[opponent] * joins))):
         raced = yield from _finalists(session, _racing(built, search, sets))
     ranked = list(believed)
     if raced is not None:
