@@ -73,7 +73,7 @@ def _opponent(built: Built) -> tuple[int, ...]:
     """The best evenly spaced set, by the driver of a run with an exact engine."""
     session: Any = SimpleNamespace(
         built=built, known={}, count_exact=lambda *_: None, later=lambda _: None,
-        store=SimpleNamespace(settle=None),
+        store=SimpleNamespace(settle=lambda *_: None),
     )  # fmt: skip
     driver = best_evenly_spaced(session, "evenly_spaced")
     with pytest.raises(StopIteration) as ended:
@@ -155,6 +155,16 @@ def test_no_evenly_spaced_set_does_better(kind: str, seed: int) -> None:
     own = [s for s in dict.fromkeys(own_sets(built.job, feasible.total)) if feasible.allows(s)]
     least = min(evaluator.expected_mse(own))
     (found,) = evaluator.expected_mse([_opponent(built)])
+    assert found <= least * (1 + 1e-9)
+
+
+def test_with_more_sets_than_are_filtered_it_is_as_good_as_all_pairs_of_ends() -> None:
+    """A tenth of the pairs of a first and a last instant had missed 8 to 12 % here."""
+    built = _built(1, 120, measurement_budget=10)
+    ends = ((a, b) for a in range(121) for b in range(a + 9, 121))
+    own = {tuple(np.linspace(*each, 10).round().astype(int).tolist()) for each in ends}
+    least = min(built.evaluator.expected_mse([*own]))
+    (found,) = built.evaluator.expected_mse([_opponent(built)])
     assert found <= least * (1 + 1e-9)
 
 
