@@ -219,7 +219,7 @@ def compute(
         proof = prover.steps if prover is not None and proves else 0.0
         session.reporter.foresee(proof - foreseen, -foreseen)
         if (proves or is_alone) and not is_scanned:
-            yield from compare_evenly_spaced(session, run)
+            yield from compare_evenly_spaced(session, run, SHARE * core_steps(built, prover))
             session.commit()
             for table in ("error_sums", "timings"):
                 for phase in (EVEN_PHASE, RANKING):

@@ -46,6 +46,7 @@ from pfdist.runner.searches import (
     RANKING,
     NamedSearch,
     Settings,
+    beside_of,
     coarse_of,
     comparing_of,
     named_search,
@@ -72,7 +73,7 @@ class Built:
     def phases(self) -> list[str]:
         """Names of all phases that choose sets."""
         references = (
-            name for each in self.study.even for name in (coarse_of(each), shortlist_of(each))
+            name(each) for each in self.study.even for name in (coarse_of, shortlist_of, beside_of)
         )
         return [
             RANKING,

@@ -80,8 +80,9 @@ def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, f
     foreseen["online"] = online_steps(built)
     if prover is not None:
         foreseen["proof"], foreseen["likelihood"] = prover.steps, prover.rank_steps
-        foreseen["scan"] = scan_steps(built)
-        _, foreseen["rule"] = look_work(built, SHARE * core_steps(built, prover))
+        allowed = SHARE * core_steps(built, prover)
+        foreseen["scan"] = scan_steps(built, allowed)
+        _, foreseen["rule"] = look_work(built, allowed)
     return {part: steps for part, steps in foreseen.items() if steps}
 
 
@@ -109,7 +110,7 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
         for name, times in given.items()
     ]
     for search in built.searches:
-        winners = yield from run_search(session, search)
+        winners = yield from run_search(session, search, next(iter(given.values())))
         rows += [
             {
                 "name": name,

@@ -19,7 +19,7 @@ from pfdist.results.moments import controlled_mse
 from pfdist.results.stored_run import measured_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
-from pfdist.runner.opponent import EvenSearch, most_if_exact, most_steps, settings_of
+from pfdist.runner.opponent import EvenSearch, most_if_exact, settings_of
 from pfdist.runner.progress import Detail
 from pfdist.search.programme import Programme
 from pfdist.store import EVEN_PHASE, schema
@@ -45,7 +45,9 @@ def is_known(built: Built) -> bool:
     return is_alone and is_free and problem.points.ways == 1 and built.job.criterion.is_mean
 
 
-def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch, None, None]:
+def compare_evenly_spaced(
+    session: RunSession, run: Run, most_steps: float
+) -> Generator[WorkBatch, None, None]:
     """Find how many evenly spaced measurements do as well, and write the table ``evenly_spaced``.
 
     Looks on separate draws bisect the numbers. On the draws of the comparison, the smallest number
@@ -56,7 +58,7 @@ def compare_evenly_spaced(session: RunSession, run: Run) -> Generator[WorkBatch,
     built, name = session.built, session.built.searches[0].name
     measured, feasible = measured_of(run), built.feasible
     session.reporter.begin("evenly spaced times")
-    scale = _scale_of(built)
+    scale = _scale_of(built, most_steps)
     if scale < _LEAST:
         session.say(Detail(_TOO_LONG))
         return
@@ -90,16 +92,16 @@ def _draws_of(built: Built, scale: float) -> int:
     return math.ceil(scale * (_WITH_CONTROL if built.job.comparison.control else DRAWS))
 
 
-def scan_steps(built: Built) -> float:
+def scan_steps(built: Built, most_steps: float) -> float:
     """The most particle-steps of `compare_evenly_spaced`; 0 if it is left out."""
-    if not is_known(built) or built.evaluator.exact or _scale_of(built) < _LEAST:
+    if not is_known(built) or built.evaluator.exact or _scale_of(built, most_steps) < _LEAST:
         return 0.0
-    return min(_usual_steps(built), most_steps(built))
+    return min(_usual_steps(built), most_steps)
 
 
-def _scale_of(built: Built) -> float:
+def _scale_of(built: Built, most_steps: float) -> float:
     """The share of the usual numbers of draws that the limit of work allows, at most 1."""
-    return 1.0 if built.evaluator.exact else min(1.0, most_steps(built) / _usual_steps(built))
+    return 1.0 if built.evaluator.exact else min(1.0, most_steps / _usual_steps(built))
 
 
 def _usual_steps(built: Built) -> float:

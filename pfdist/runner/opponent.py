@@ -4,9 +4,9 @@ The first programme of the relaxation ranks all evenly spaced sets by the sums o
 the work of some eighty evaluations. Its windows are short, so an evaluation from coarse to fine
 adds other sets; it is alone where no relaxation adds up the errors of instants. A race on fresh
 draws decides between the best of both: neither knows more than the best hundred, so it begins with
-many sets and few draws. With exact errors there is no race. The particle-steps of all this are at
-most a twentieth of those of search, comparison and proof, at any horizon and number; small jobs may
-take `_LEAST_STEPS`.
+many sets and few draws. Its winner races again, with the sets that are most similar to it. With
+exact errors there is no race. The particle-steps of all this are at most a twentieth of those of
+search and comparison, at any horizon and number; small jobs may take `_LEAST_STEPS`.
 """
 
 import math
@@ -31,15 +31,14 @@ from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.search_phase import search_steps
-from pfdist.runner.searches import RANKING, Settings, coarse_of, shortlist_of
+from pfdist.runner.searches import RANKING, Settings, beside_of, coarse_of, shortlist_of
 from pfdist.search import Candidate, Race, Refine
 from pfdist.search.programme import Programme
 from pfdist.search.state_space_relaxation import first_relaxation
 
 SHARE = 0.05
-"""Largest share of the particle-steps of search, comparison and proof, for each of two answers."""
+"""Largest share of the particle-steps of search, comparison and proof, for each further answer."""
 _LEAST_STEPS = 2e8  # a second or two: in a small job a share found opponents with 3 % more error
-_PROVED = 2  # with a proof, all of them take about so many times the search and the comparison
 
 _RANKED = 150_000  # lines of a ranking; the 39,627 sets of the paper's problem have 113,778
 _EXACTLY = 200_000, 20, 1000  # instants of the sets with exact errors; least and most sets
@@ -47,7 +46,8 @@ _NEAR, _LEVELS = 16, 3  # lines near which others are ranked, and how often, if 
 _RANKING_DRAWS = 2 * BLOCK
 _RACING, _FIRST = 96, 96  # sets of a race, and draws of its first round
 _KEPT, _UNTIL = 12, 600  # sets that are kept until so many draws
-_WHOLE_RACE = 23_000  # draws of all sets of such a race, about; they share much
+_AGAIN, _BESIDE = 3, 21  # the best of a race, and sets beside the winner that race with them
+_WHOLE_RACE = 30_000  # draws of all sets of both races, about; they share much
 _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
 _OF_RANKING, _OF_REFINING = 0.35, 0.4  # of the work, at most; the race takes what is left
 _LEAST_SPREAD, _MOST_SPREAD = 16, 400  # sets with which an evaluation from coarse to fine begins
@@ -79,7 +79,7 @@ class EvenSearch:
     @property
     def steps(self) -> float:
         """The most particle-steps that the search may take."""
-        return most_steps(self.built, _LEAST_STEPS) / len(self.built.study.each)
+        return most_steps(self.built) / len(self.built.study.each)
 
     @cached_property
     def phase(self) -> Phase:
@@ -132,7 +132,12 @@ class EvenSearch:
         most = given + max(2, min(_RACING, int(scale * _RACING * _FIRST / draws)))
         race = Race(tuple(sets[:most]), draws, _KEPT, math.ceil(scale * _UNTIL))
         raced = yield from run_phase(self._with(race, draws), session)
-        return [each.measurement_times for each in raced]
+        order = [each.measurement_times for each in raced]
+        race = replace(race, sets=(*order[:_AGAIN], *_beside(order[0], sets[most:])))
+        again = yield from run_phase(
+            replace(self._with(race, draws), name=beside_of(self.name)), session
+        )
+        return [*(each.measurement_times for each in again), *order]
 
     def _candidates(
         self, session: RunSession
@@ -182,7 +187,7 @@ class EvenSearch:
             return None
         blocks = _RANKING_DRAWS // BLOCK
         a_draw = _RANKING_DRAWS * self._a_draw / (feasible.horizon + 1)
-        allowed = most_steps(built, _LEAST_STEPS)  # for all numbers of measurements
+        allowed = most_steps(built)  # for all numbers of measurements
         most = int(_OF_RANKING * allowed / a_draw)
         try:
             relaxation = first_relaxation(feasible, study.usual, built.evaluator.lag, most)
@@ -212,6 +217,13 @@ class EvenSearch:
         return replace(
             self.phase, optimiser=optimiser, settings=replace(self.phase.settings, draws=draws)
         )
+
+
+def _beside(best: Times, sets: list[Times]) -> list[Times]:
+    """The sets that are most similar to the best one, with as many measurements."""
+    alike = [times for times in sets if len(times) == len(best)]
+    apart = np.abs(np.reshape(alike, (len(alike), len(best))) - best).sum(axis=1)
+    return [alike[place] for place in np.argsort(apart, kind="stable")[:_BESIDE].tolist()]
 
 
 def most_if_exact(feasible: Feasible) -> int:
@@ -252,22 +264,22 @@ def settings_of(built: Built) -> Settings:
     )
 
 
-def most_steps(built: Built, least: float = 0.0) -> float:
-    """The most particle-steps of one answer beside the plan: its share of all, or so many.
+def most_steps(built: Built) -> float:
+    """The most particle-steps of all opponents: their share, or so many as a small job may take.
 
-    A batched model may be slow, and keeps to the share.
+    What a run computes does not depend on whether a proof follows: its work does not count here. A
+    batched model may be slow, and keeps to the share.
     """
     planned = sum(search_steps(built, search) for search in built.searches)
-    proved = _PROVED if built.job.criterion.bound != "none" else 1
     is_slow = isinstance(built.evaluator.model, BatchedModel)
-    share = SHARE * proved * (planned + comparison_steps(built))
-    return share if is_slow else max(share, least)
+    share = SHARE * (planned + comparison_steps(built))
+    return share if is_slow else max(share, _LEAST_STEPS)
 
 
 def opponent_steps(built: Built) -> float:
     """Approximate number of particle-steps of all opponents."""
     has_any = built.study.even and built.evaluator.has_particles
-    return most_steps(built, _LEAST_STEPS) if has_any else 0.0
+    return most_steps(built) if has_any else 0.0
 
 
 def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Opponent]:

@@ -96,17 +96,19 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
 
 
 def run_search(
-    session: RunSession, search: NamedSearch
+    session: RunSession, search: NamedSearch, opponent: Times
 ) -> Generator[WorkBatch, None, dict[str, Evaluation]]:
     """The search's own evaluation of each compared set, by name, on draws that chose the set.
 
-    Empty if every set at the end of the search or of the race has an infinite error.
+    The best opponent races with a polished set, which is then not clearly worse. Empty if every
+    set at the end of the search or of the race has an infinite error.
     """
     built, reporter = session.built, session.reporter
     start = reporter.progress.done
     found = yield from _found(session, search)
     believed, raced = found.believed, None
-    if sets := built.study.racing(believed):
+    joins = bool(believed and search.polishing) and built.feasible.accepts(opponent)
+    if sets := built.study.racing(dict.fromkeys((*believed, *[opponent] * joins))):
         raced = yield from _finalists(session, _racing(built, search, sets))
     ranked = list(believed)
     if raced is not None:
@@ -114,9 +116,8 @@ def run_search(
         ranked = [evaluation.measurement_times for evaluation in order]
     # Searches may end sooner or later than foreseen: progress goes on from the forecast.
     reporter.note(done=start + search_steps(built, search))
-    unknown = {t for t, each in believed.items() if not math.isfinite(each.expected_mse)}
-    of_race = [each for each in raced or () if each.measurement_times in unknown]
-    believed |= {each.measurement_times: each for each in of_race}
+    known = {t for t, each in believed.items() if math.isfinite(each.expected_mse)}
+    believed |= {t: each for each in raced or () if (t := each.measurement_times) not in known}
     return {
         name: believed[times] for name, times in built.study.winners(search.name, ranked).items()
     }
@@ -129,7 +130,7 @@ def search_steps(built: Built, search: NamedSearch) -> float:
     if search.polishing:
         if not _is_too_long(built, search):
             phases += [_polishing(built, search, start, name) for name in search.polishes]
-        phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED)))
+        phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED + 1)))
     return sum(phase.steps() for phase in phases)
 
 

@@ -142,7 +142,7 @@ def test_nothing_is_said_where_a_look_would_take_too_long(
     changes = ["comparison.draws=50"]
     said = list[bool]()
     for limit in (1.0, 0.0):
-        monkeypatch.setattr("pfdist.runner.opponent.SHARE", limit)
+        monkeypatch.setattr("pfdist.questions.run.SHARE", limit)
         run = pfdist.plan(problem, tmp_path / str(limit), changes=changes, figures=False)
         said.append("evenly_spaced" in run.tables)
     assert said == [True, False]

@@ -1,6 +1,7 @@
 """The gain over the best opponent: of situations in which a restricted list made it too large."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,17 @@ def _systems() -> tuple[StateSpaceModel, StateSpaceModel]:
     return single, StateSpaceModel(name="two", sensors={"a": a, "b": b}, **common)
 
 
+def _season() -> StateSpaceModel:
+    """A scalar system whose noise, and that of its sensor, change with the season."""
+    rng, t = np.random.default_rng(0), np.arange(25)
+    phase, period = rng.uniform(0, 6.28), rng.uniform(5, 12)
+    q = 0.5 + 0.45 * np.sin(2 * np.pi * t / period + phase)
+    r = np.abs(0.8 + 0.6 * np.sin(2 * np.pi * t / period * rng.uniform(0.8, 1.3)))
+    return replace(
+        ONE, name="season", parameters={"q": tuple(q.tolist()), "r": tuple(r.tolist())},
+    )  # fmt: skip
+
+
 ONE, TWO = _systems()
 WALK: dict[str, Any] = {"horizon": 10, "measurement_budget": 3}
 SITUATIONS: dict[str, tuple[Any, dict[str, Any], float]] = {
@@ -58,6 +70,10 @@ SITUATIONS: dict[str, tuple[Any, dict[str, Any], float]] = {
     ),
     "required": (
         "random_walk", {"horizon": 60, "measurement_budget": 24, "required": ["0:20"]}, 0.0,
+    ),
+    # 0, 7, 15, 23 are every 7.5 from 0.
+    "a tie": (
+        _season(), {"horizon": 24, "measurement_budget": 4, "estimate": "smoothed"}, 0.0,
     ),
 }  # fmt: skip
 

@@ -67,7 +67,8 @@ def test_the_phases_of_a_search_take_these_estimators(
     race = rows[rows["phase"] == f"{DEFAULT_METHOD}.shortlist"]
     assert set(race["estimator"]) == {"squared_error"}
     assert set(race["particles"]) == {small_job.filter.particles}
-    assert 2 <= race["measurement_times"].map(tuple).nunique() <= 4  # 3 polished, 1 of the search
+    # 3 polished, 1 of the search, the opponent:
+    assert 2 <= race["measurement_times"].map(tuple).nunique() <= 5
 
 
 def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
