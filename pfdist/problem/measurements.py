@@ -189,7 +189,7 @@ def read_measurements(
         readers = clock.readers(between=True) | reading.readers(chain(*allowed))
         columns = read_user_table(path, check, known, {"sensor": sensors}, readers, most,
                                   reading.columns)  # fmt: skip
-        times = clock.of_table(columns["t"].tolist())
+        times = clock.of_table(columns["t"].tolist(), reading.note)
         of_rows, instants, moved = instants_of_table(times, clock, reading, start)
         reading.moved(moved, clock)
         if of_rows is not clock and (varied := [k for k, v in own.items() if isinstance(v, tuple)]):
@@ -403,7 +403,7 @@ def _check_header(
         return
     choices = " or ".join(map(", ".join, allowed))
     text = f"the columns must be {choices}, got {shown(', '.join(header))}"
-    if len(header) == 1 and any(separator in header[0] for separator in "\t|"):
+    if len(header) == 1:
         text += f"; {SEPARATORS}"
     elif header and header[0][:1].isdigit():
         text += "; the first line must name the columns"

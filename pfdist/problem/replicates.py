@@ -184,7 +184,7 @@ def _table(
             column or next(filter(None, header), ""),
             [each for each in header if each and each not in own],
         )
-        separated = f"; {SEPARATORS}" if any(mark in "".join(header) for mark in "\t|") else ""
+        separated = f"; {SEPARATORS}" * (len(header) == 1)
         if name not in named:
             rule = f"a column with names of systems: {', '.join(named) or 'the table has none'}"
             raise MeasurementsError(must_be("replicate", rule, name, named) + separated)
@@ -211,7 +211,7 @@ def _table(
     columns = read_user_table(source, check, read, names, readers, renamed=reading.columns)
     if not columns["t"].size:
         raise MeasurementsError("the table must have rows, got none")
-    columns["t"] = np.array(clock.of_table(columns["t"].tolist()))
+    columns["t"] = np.array(clock.of_table(columns["t"].tolist(), reading.note))
     return pd.DataFrame(columns), column or next(each for each in columns if each not in own)
 
 
