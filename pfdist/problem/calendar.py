@@ -94,10 +94,11 @@ class Calendar:
         return self._elapsed(moment) / timedelta(seconds=SECONDS[self.unit])
 
     def readings(self, last: float) -> dict[str, Callable[[str], float]]:
-        """What the texts of a table may be, each with what makes a time of one, or a ValueError.
+        """The possible readings of texts in a table, each with a function from a text to its time.
 
-        Numbers such as seconds since 1970 are in UTC, or else in the clock's local time. Days of
-        the year are those from the start on, if the horizon, which ends at `last`, has one of each.
+        A function raises ValueError for another text. Numbers such as seconds since 1970 are in
+        UTC, or without a time zone in local time. Days of the year are those from the start on, if
+        the horizon, which ends at `last`, has one of each.
         """
         own = SECONDS[self.unit]
 

@@ -300,7 +300,7 @@ def number_of_cell(text: str) -> float:
 
 
 def _as_read(read: Callable[[str], Any], column: "pd.Series[Any]") -> NDArray[Any]:
-    """What is read of a column of texts or dates: numbers or texts."""
+    """A column of texts or dates as it is read: numbers or texts."""
     numbers = list[Any]()
     for row, value in zip(column.index, column, strict=True):
         try:
