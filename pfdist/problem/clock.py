@@ -11,17 +11,18 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import CLOCK, DATES, Times
 from pfdist.common.parsing import MOST_NUMBERS, as_text
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.calendar import OWN_DATES, SECONDS, Calendar, groups
 
 Time = int | float
+T = TypeVar("T")
 
 _MISSING = ("", "nan", "nat", "none", "null", "na")  # texts of a cell without a date
 _NO_TIME = "t must not be empty, got nothing"
@@ -122,6 +123,29 @@ class Clock:
     def dates(self) -> tuple[datetime, ...]:
         """The local date and hour of each instant, (T+1,); empty if the clock has no start."""
         return tuple(map(self.calendar.date, self.times)) if self.calendar else ()
+
+    @cached_property
+    def dates_in_formulas(self) -> dict[str, tuple[float, ...]]:
+        """The parameters `DATES` of models: the value of each for each instant, in local time."""
+        parts = [
+            (
+                each.timetuple().tm_yday,
+                each.hour + each.minute / 60 + (each.second + each.microsecond / 1e6) / 3600,
+                each.weekday(),
+            )
+            for each in self.dates
+        ]
+        columns = ([*map(float, column)] for column in zip(*parts, strict=True))
+        return dict(zip(DATES, map(tuple, columns), strict=bool(parts)))
+
+    def without(self, parameters: Mapping[str, T]) -> dict[str, T]:
+        """The parameters of a model on this clock without those of the clock and of its dates."""
+        dates = self.dates_in_formulas
+        return {
+            name: value
+            for name, value in parameters.items()
+            if name not in CLOCK and (name not in dates or value != dates[name])
+        }
 
     @cached_property
     def _written(self) -> dict[str, int]:

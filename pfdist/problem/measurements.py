@@ -21,7 +21,7 @@ from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.one_filter import checked_instant, checked_measurement, made, plain_number
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
-from pfdist.models.parameters import CLOCK, Parameter
+from pfdist.models.parameters import Parameter
 from pfdist.problem.clock import Clock
 from pfdist.store.user_tables import SEPARATORS, number_of_cell, read_user_table
 
@@ -181,7 +181,7 @@ def read_measurements(
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
         allowed += [["t", *allowed[0][2:]]] * reading.is_of_one
     try:
-        own = {name: value for name, value in model.parameters.items() if name not in CLOCK}
+        own = clock.without(model.parameters)
         below = {f"{name}_below": name for name in chain(*allowed)}
         known = {*chain(*allowed), *own, *below}
         check = partial(_check_header, allowed, own, reading)

@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import CLOCK, Times
 from pfdist.common.nearest import must_be
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
-from pfdist.models.parameters import CLOCK, Parameter
+from pfdist.models.parameters import Parameter
 from pfdist.problem.clock import Clock
 from pfdist.problem.measurements import (
     COMPONENT,
