@@ -288,10 +288,25 @@ COMMANDS = {
             ),
         },
     ),
+    "simulate": Command(
+        "pfdist.cli.own:simulate",
+        "Simulate a job's model, and write the systems as a table with a picture.",
+        {
+            "pfdist simulate jobs/plan.toml --out systems.csv": (
+                "See the model before you plan: a table, and systems.png"
+            ),
+            "pfdist simulate jobs/plan.toml --out few.csv --draws 5": "Simulate five systems",
+        },
+    ),
     "models": Command(
         "pfdist.cli.own:models",
         "List the models that a job can name.",
         {"pfdist models": "Show which names a job can give as model.name"},
+    ),
+    "schema": Command(
+        "pfdist.cli.own:schema",
+        "Print the JSON schema of job files and sweep files, for an editor.",
+        {"pfdist schema > job.schema.json": "Write it beside the jobs that name it"},
     ),
     "completion": Command(
         "pfdist.cli.own:completion",
@@ -317,6 +332,6 @@ GROUPS = {
     "Ask": ("evaluate", "compare", "why", "bound", "explore"),
     "Real data": ("filter", "next", "rule", "online", "backtest"),
     "Runs": ("status", "list", "table", "report", "plot", "verify"),
-    "Models": ("init", "check-model", "models", "completion"),
+    "Models": ("init", "check-model", "simulate", "models", "schema", "completion"),
 }
 """The groups of the help, with their commands in order."""

@@ -6,7 +6,10 @@ from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, StoreError, shown
 from pfdist.store.files import reading
 
-JOB = """# When to measure? This job and its model NAME.py run as they are; change them.
+JOB = """#:schema ./job.schema.json
+# `pfdist schema > job.schema.json` lets an editor complete and check this file (docs/install.md).
+#
+# When to measure? This job and its model NAME.py run as they are; change them.
 #
 #   pfdist check-model NAME.toml    # after each change: is anything wrong?
 #   pfdist plan NAME.toml           # when to measure, and how good that is

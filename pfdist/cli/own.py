@@ -3,6 +3,7 @@
 Each returns an answer, as the functions of `pfdist.questions` do, or yields lines or checks.
 """
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, Unpack
@@ -193,6 +194,48 @@ def plot(run: str) -> Iterator[str]:
         yield from map(str, draw_figures(open_run(path), formats=FORMATS))
     else:
         yield from map(str, draw_points(table(path), path, FORMATS))
+
+
+def simulate(
+    job: str,
+    *,
+    out: str,
+    draws: int = 100,
+    seed: int | None = None,
+    changes: Sequence[str] = (),
+) -> Iterator[str]:
+    """Simulate a job's model, and write the systems as a table with a picture.
+
+    The table has a row for each system and instant: draw, t, the states x, the measurements y that
+    could be made, and the quantities of interest z. The picture, a PNG file beside it, has the band
+    of 90 % of the systems, and four of them.
+
+    Parameters
+    ----------
+    job : str
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
+    out : str
+        The file of the table: CSV, or Parquet if its name ends in ``.parquet``.
+    draws : int
+        Number of systems. A larger number begins with the same systems.
+    seed : int, optional
+        By default the seed of the job.
+    changes : sequence of str, optional
+        Other values of keys of the job, as ``model.parameters.NAME=0.5``.
+    """
+    from pfdist.questions.simulate import write_simulated
+
+    yield from map(str, write_simulated(job, out, draws, seed, changes))
+
+
+def schema() -> str:
+    """Print the JSON schema of job files and sweep files, for an editor.
+
+    An editor with it completes and checks keys while you write: see docs/install.md.
+    """
+    from pfdist.problem.job_schema import job_schema
+
+    return json.dumps(job_schema(), indent=1)
 
 
 def verify(run: str) -> Iterator[str]:

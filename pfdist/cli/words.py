@@ -187,6 +187,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
         Path, Parameter(metavar="RUN", converter=_each(_path), required=True), stands_alone=True
     ),
     "evaluate.times": _texts("TIMES", _sets_or_one),
+    "simulate.out": Word(Path, Parameter(metavar="FILE", converter=_each(_path), required=True)),
     "check-model.times": _text("TIMES"),
 }
 """The words of each parameter by its name, or by its command and its name."""

@@ -15,6 +15,10 @@ Lag = int | tuple[int, ...]
 REGULAR: Final = "regular"  # name of the regular times in jobs and tables
 EVEN: Final = "evenly_spaced"  # name of the best evenly spaced times in tables
 MOST_REGULAR: Final = 2  # so few times are always evenly spaced: their opponent is regular times
+CLOCK: Final = ("time", "dt")
+"""Parameters that the clock of a job gives: the time of each instant, and the time to the next."""
+DATES: Final = ("day_of_year", "hour", "weekday")
+"""Parameters that the dates of a job give, unless a model has its own of this name."""
 
 
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:

@@ -7,6 +7,7 @@ each draw stays the same, and so does every number computed from the draws in th
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -601,6 +602,7 @@ def recorded_evaluator(
     *,
     horizon: int,
     times: tuple[float, ...] | None = None,
+    dates: Mapping[str, tuple[float, ...]] = MappingProxyType({}),
     others: Iterable[Mapping[str, Parameter]] = (),
     knows_scenario: bool = False,
     **settings: Any,
@@ -614,6 +616,8 @@ def recorded_evaluator(
     horizon : int
     times : tuple of float, (T+1,), optional
         The time of each instant, which formulas read.
+    dates : mapping of str to tuple of float, optional
+        What formulas read of the date of each instant; see `StateSpaceModel.on_clock`.
     others : iterable of mapping
         Further values of the truth's parameters: those of scenarios.
     knows_scenario : bool
@@ -627,7 +631,7 @@ def recorded_evaluator(
         A model does not fit the job, or has a formula that fails.
     """
     if times is not None:
-        model, filter_model = model.on_clock(times), filter_model.on_clock(times)
+        model, filter_model = (each.on_clock(times, dates) for each in (model, filter_model))
     for part, each in (("model", model), ("model.filter", filter_model)):
         check_lengths(each.parameters, horizon + 1, f"{part}.parameters.", exactly=True)
     check_fits(filter_model, model)

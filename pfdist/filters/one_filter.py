@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Lag, Times
+from pfdist.common.measurement_times import CLOCK, Lag, Times
 from pfdist.common.streams import stream_key
 from pfdist.errors import MeasurementsError, shown
 from pfdist.filters import kalman, plain
@@ -23,7 +23,7 @@ from pfdist.filters.plain import step
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
 from pfdist.models import StateSpaceModel, squared_error
-from pfdist.models.parameters import CLOCK, check_lengths
+from pfdist.models.parameters import check_lengths
 from pfdist.models.twin import twin_of
 
 

@@ -6,11 +6,13 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from pfdist.common.component_names import Component, named_components
+from pfdist.common.measurement_times import CLOCK
 from pfdist.common.nearest import allowed_names, did_you_mean, must_be
 from pfdist.common.points import PointNumbers
 from pfdist.errors import ModelError
@@ -22,7 +24,6 @@ from pfdist.models.checks import (
     own_formulas,
 )
 from pfdist.models.parameters import (
-    CLOCK,
     Parameter,
     fixed_parameter,
     named_parameters,
@@ -295,13 +296,18 @@ class StateSpaceModel:
             return True  # with a clock the formulas did not fail when the model was made
         return False
 
-    def on_clock(self, time: Sequence[float]) -> "StateSpaceModel":
+    def on_clock(
+        self, time: Sequence[float], dates: Mapping[str, Sequence[float]] = MappingProxyType({})
+    ) -> "StateSpaceModel":
         """The model with the parameters ``time`` and ``dt``, a value for each instant.
 
         Parameters
         ----------
         time : sequence of float, (T+1,)
             The time of each instant. dt[t] is the time from t to t + 1; the last is that before it.
+        dates : mapping of str to sequence of float, optional
+            Values of ``day_of_year``, ``hour`` and ``weekday`` for each instant. A parameter of the
+            model with such a name stays.
 
         Raises
         ------
@@ -319,7 +325,7 @@ class StateSpaceModel:
         times = tuple(map(float, time))
         steps = [after - before for before, after in pairwise(times)]
         clock = {"time": times, "dt": (*steps, steps[-1])}
-        return dataclasses.replace(self, parameters={**self.parameters, **clock})
+        return dataclasses.replace(self, parameters={**dates, **self.parameters, **clock})
 
     @cached_property
     def components(self) -> tuple[int, int, int]:

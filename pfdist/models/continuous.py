@@ -14,11 +14,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from pfdist.common.measurement_times import CLOCK
 from pfdist.common.section import Number, Whole, checked
 from pfdist.errors import ArgumentError, ModelError, shown
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.mistakes import place_of_function
-from pfdist.models.parameters import CLOCK
 from pfdist.models.program import MOST_STEPS
 from pfdist.models.programs import Declared, Programs
 from pfdist.models.repeating import repeated_steps

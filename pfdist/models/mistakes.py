@@ -11,6 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from pfdist.common.measurement_times import DATES
 from pfdist.densities import DENSITIES
 
 _LONGEST = 500  # characters of an error's text
@@ -112,6 +113,10 @@ NO_CLOCK = (
     "take the model's on_clock(times)"
 )
 """The advice where a formula reads the clock of a job that has none."""
+NO_DATES = (
+    "p.day_of_year[t], p.hour[t] and p.weekday[t] need a job with dates: give it a problem.clock "
+    "with a start"
+)
 _REMEDIES = {
     "inhomogeneous": _MATRIX,
     "core dimension": _MATRIX,
@@ -124,6 +129,7 @@ _REMEDIES = {
     "'tuple' object does not support item assignment": "give a new tuple, for instance (a, b)",
     "'Parameters' object has no attribute 'time'": NO_CLOCK,
     "'Parameters' object has no attribute 'dt'": NO_CLOCK,
+    **{f"'Parameters' object has no attribute {name!r}": NO_DATES for name in DATES},
     "tuple indices must be integers or slices, not str": "a parameter is read as p.name",
     "only integers, slices": "an index is an integer: write t // 2 instead of t / 2",
     "math domain error": "write np.log and np.sqrt, which give nan or inf instead of an error",

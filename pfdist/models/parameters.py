@@ -3,10 +3,11 @@
 import math
 from collections import namedtuple
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
+from pfdist.common.measurement_times import CLOCK, DATES
 from pfdist.errors import ModelError
 
 Parameter = float | Sequence[float]
@@ -16,9 +17,6 @@ NOT_NEGATIVE, POSITIVE = (0.0, math.inf), (1e-9, math.inf)
 """Ranges of parameters of the built-in models."""
 
 _INSTANTS = 100  # length of the clock of a trial call, which is made for t = 0
-
-CLOCK: Final = ("time", "dt")
-"""Parameters that the clock of a job gives: the time of each instant, and the time to the next."""
 
 
 def values_of_parameter(value: Any) -> Iterable[Any]:
@@ -46,8 +44,8 @@ def named_parameters(parameters: Mapping[str, Any]) -> Any:
 
 
 def trial_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters for a trial call, with a clock in case the formulas read it."""
-    clock = dict(zip(CLOCK, (tuple(range(_INSTANTS)), (1.0,) * _INSTANTS), strict=True))
+    """The parameters for a trial call, with a clock and dates in case the formulas read them."""
+    clock = dict.fromkeys((*CLOCK, *DATES), (1.0,) * _INSTANTS) | {"time": tuple(range(_INSTANTS))}
     return clock | dict(parameters)
 
 

@@ -17,6 +17,7 @@ from pfdist.pages.panel import (
     error_unit,
     label_instants,
     label_quantity,
+    label_times,
     legend_above,
     marker,
     minus,
@@ -126,6 +127,26 @@ def system(run: Run) -> Sequence[Axes]:
     """
     check_kind(run, (Run,), "run")
     return shown_by_pyplot(system_figure(Tables(run)))
+
+
+def simulated_plot(table: pd.DataFrame, angles: Sequence[bool]) -> Plot:
+    """The plot of simulated systems: the band of 90 % of each component of z, and some of them.
+
+    The table has the columns of `pfdist.simulate`; `angles` says which components are angles.
+    """
+    quantities = components_in(table, "z_")
+    components = [
+        _Component(k, each, angles[k], each.unit) for k, each in enumerate(quantities[:_MOST])
+    ]
+
+    def draw(panels: Sequence[Axes]) -> None:
+        for ax, k in zip(panels, components, strict=True):
+            _draw_band(ax, table, k)
+            label_quantity(ax, quantities, k.number)
+            label_times(ax, table)
+
+    title = f"{table['draw'].nunique()} simulated systems."
+    return Plot(0.7 + _PANELS[0], draw, columns=len(components), title=title)
 
 
 def _sets_of(run: Run) -> list[_Set]:

@@ -9,6 +9,8 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
+from fractions import Fraction
+from functools import partial
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
@@ -25,6 +27,23 @@ _UNIT = re.compile(rf"({'|'.join(SECONDS)}) since (\d{{4}}-\d\d-\d\d(?:T\S+)?)(?
 _DATED = re.compile(r"\.\.|\d{4}-\d\d-\d\d")
 _WITH_SPACE = re.compile(r"(?<=\d{4}-\d\d-\d\d) (?=\d\d:\d\d)")
 _AROUND_DOTS = re.compile(r"\s*\.\.\s*")
+OWN_DATES = "dates and times of the clock"
+_NUMBERED = {  # number, of how many seconds, that 1970 has: numbers that are dates
+    "seconds since 1970": ("1", "0"),
+    "milliseconds since 1970": ("1e-3", "0"),
+    "microseconds since 1970": ("1e-6", "0"),
+    "nanoseconds since 1970": ("1e-9", "0"),
+    "Julian dates": ("86400", "2440587.5"),
+    "modified Julian dates": ("86400", "40587"),
+}
+_WRITTEN = {  # dates that are not those of ISO 8601
+    "year month day": r"(?P<y>\d{4})(?P<m>\d\d)(?P<d>\d\d)",
+    "day.month.year": r"(?P<d>\d\d?)\.(?P<m>\d\d?)\.(?P<y>\d{4})",
+    "day/month/year": r"(?P<d>\d\d?)/(?P<m>\d\d?)/(?P<y>\d{4})",
+    "month/day/year": r"(?P<m>\d\d?)/(?P<d>\d\d?)/(?P<y>\d{4})",
+    "year/month/day": r"(?P<y>\d{4})/(?P<m>\d\d?)/(?P<d>\d\d?)",
+}
+_THEN_HOUR = r"(?:[ T]?(?P<H>\d\d|\d(?=:)):?(?P<M>\d\d)?:?(?P<S>\d\d)?)?"
 _SPELLED = (
     "must name dates, as {0}, ranges of dates, as {0}..{1}, hours of the day, as 08:00..18:00, or "
     "weekdays, as mon..fri, because the clock has a start; got {2}"
@@ -74,9 +93,45 @@ class Calendar:
         """The time of a date and hour, in the unit."""
         return self._elapsed(moment) / timedelta(seconds=SECONDS[self.unit])
 
-    def since_epoch(self, seconds: float) -> float:
-        """The time of a number of seconds since 1970, in UTC, or else in the clock's local time."""
-        return (seconds - _in_utc(self.start).timestamp()) / SECONDS[self.unit]
+    def readings(self, last: float) -> dict[str, Callable[[str], float]]:
+        """The possible readings of texts in a table, each with a function from a text to its time.
+
+        A function raises ValueError for another text. Numbers such as seconds since 1970 are in
+        UTC, or without a time zone in local time. Days of the year are those from the start on, if
+        the horizon, which ends at `last`, has one of each.
+        """
+        own = SECONDS[self.unit]
+
+        def number(name: str, text: str) -> float:
+            size, origin = map(Fraction, _NUMBERED[name])
+            since_1970 = (Fraction(_matched(_NUMBER.pattern, text)[0]) - origin) * size
+            return float(round(since_1970 - Fraction(_in_utc(self.start).timestamp()), 6)) / own
+
+        def written(name: str, text: str) -> float:
+            found = _matched(_WRITTEN[name] + _THEN_HOUR, text)
+            y, m, d, *hour = (found[each] or "0" for each in "ymdHMS")
+            at = ":".join(each.zfill(2) for each in hour)
+            return self.time(self.read(f"{y}-{m:0>2}-{d:0>2}T{at}"))
+
+        def day_of_year(text: str) -> float:
+            day = float(_matched(_NUMBER.pattern, text)[0])
+            if not 1 <= day < 367:
+                raise ValueError(f"must be a day of the year, got {text}")
+            starts = (self.start.replace(year=self.start.year + k, month=1, day=1) for k in (0, 1))
+            midnights = (datetime.combine(each, time(), self.start.tzinfo) for each in starts)
+            both = [self.time(each + timedelta(day - 1)) for each in midnights]
+            return both[both[0] < 0]
+
+        found: dict[str, Callable[[str], float]] = {OWN_DATES: self.elapsed}
+        found |= {name: partial(number, name) for name in _NUMBERED}
+        found |= {name: partial(written, name) for name in _WRITTEN}
+        if last * own < 365 * SECONDS["d"]:
+            found["days of the year"] = day_of_year
+        return found
+
+    def in_year_of_start(self, moment_of: float) -> float:
+        """The time of the same day and hour in the year of the start."""
+        return self.time(self.date(moment_of).replace(year=self.start.year))
 
     def written(self, time: float) -> str:
         """The date and hour of a time as a text; with its offset in an hour that occurs twice."""
@@ -202,6 +257,12 @@ def _moment(text: str, zone: tzinfo | None) -> datetime:
         )
     hours = " or ".join(each.isoformat(timespec="minutes") for each in both)
     raise ValueError(f"must be one moment in {zone}, got {text}: write {hours}")
+
+
+def _matched(pattern: str, text: str) -> "re.Match[str]":
+    if not (found := re.fullmatch(pattern, text)):
+        raise ValueError(f"must be written as in the other rows, got {shown(text)}")
+    return found
 
 
 def _read(read: Callable[[str], Any], text: str) -> Any:

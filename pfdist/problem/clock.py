@@ -11,17 +11,18 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import CLOCK, DATES, Times
 from pfdist.common.parsing import MOST_NUMBERS, as_text
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError, shown
-from pfdist.problem.calendar import SECONDS, Calendar, groups
+from pfdist.problem.calendar import OWN_DATES, SECONDS, Calendar, groups
 
 Time = int | float
+T = TypeVar("T")
 
 _MISSING = ("", "nan", "nat", "none", "null", "na")  # texts of a cell without a date
 _NO_TIME = "t must not be empty, got nothing"
@@ -124,6 +125,29 @@ class Clock:
         return tuple(map(self.calendar.date, self.times)) if self.calendar else ()
 
     @cached_property
+    def dates_in_formulas(self) -> dict[str, tuple[float, ...]]:
+        """The parameters `DATES` of models: the value of each for each instant, in local time."""
+        parts = [
+            (
+                each.timetuple().tm_yday,
+                each.hour + each.minute / 60 + (each.second + each.microsecond / 1e6) / 3600,
+                each.weekday(),
+            )
+            for each in self.dates
+        ]
+        columns = ([*map(float, column)] for column in zip(*parts, strict=True))
+        return dict(zip(DATES, map(tuple, columns), strict=bool(parts)))
+
+    def without(self, parameters: Mapping[str, T]) -> dict[str, T]:
+        """The parameters of a model on this clock without those of the clock and of its dates."""
+        dates = self.dates_in_formulas
+        return {
+            name: value
+            for name, value in parameters.items()
+            if name not in CLOCK and (name not in dates or value != dates[name])
+        }
+
+    @cached_property
     def _written(self) -> dict[str, int]:
         """The instant of each date as it is written; an instant that was not found is not here."""
         return {self.formatted(t): t for t in range(len(self.dates))}
@@ -200,20 +224,23 @@ class Clock:
         start = bisect_left(self.times, first - self.slack)
         return range(start, bisect_right(self.times, last + self.slack))
 
-    def readers(self, *, between: bool = False) -> dict[str, Callable[[str], float]]:
+    def readers(self, *, between: bool = False) -> dict[str, Callable[[str], Any]]:
         """A reader of dates for the column t of a user's table; none if the clock has no start.
 
-        With `between`, dates may also lie between instants and outside the horizon.
+        With `between`, dates may also lie between instants and outside the horizon, and remain
+        texts for `of_table`.
         """
         calendar = self.calendar
         if calendar is None:
             return {}
 
-        def read(text: str) -> float:
+        def read(text: str) -> float | str:
             if text.lower() in _MISSING:
                 raise MeasurementTimesError(_NO_TIME)
-            time = calendar.elapsed(text)  # raises if a cell has anything else than a date
-            return time if between else self.times[self.instant(text, "t")]
+            if between:
+                return text
+            calendar.elapsed(text)  # raises if a cell has anything else than a date
+            return self.times[self.instant(text, "t")]
 
         return {"t": read}
 
@@ -230,26 +257,80 @@ class Clock:
         own = np.array(self.times, np.float64)
         return [int(np.abs(own - time).argmin()) for time in times]
 
-    def of_table(self, times: Sequence[float]) -> list[float]:
-        """The times of a user's table in the clock's unit, if all can only be epoch seconds.
+    def of_table(
+        self, given: Sequence[float | str], note: Callable[[str], Any] = lambda line: None
+    ) -> list[float]:
+        """The times of the column t of a user's table, whose dates may be written in many ways.
 
-        Raises ValueError if a time is missing, or if they are epoch milliseconds.
+        If they do not all lie in the horizon as times and dates of the clock, another reading is
+        taken if they all do in one alone, and `note` receives a line. Raises ValueError if a time
+        is missing, if several readings are possible, or if only others than the clock's are near.
         """
-        first, last, given = self.times[0], self.times[-1], [*times]
         for row, time in enumerate(given, 1):
-            if math.isnan(time):
+            if not isinstance(time, str) and math.isnan(time):
                 raise ValueError(f"{_NO_TIME} (row {row})")
-        is_late = self.calendar and given and min(given) > 2 * last - first
-        for each in (1.0, 1000.0) if is_late else ():
-            seconds = [cast("Calendar", self.calendar).since_epoch(t / each) for t in given]
-            if first - self.slack <= min(seconds) and max(seconds) <= last + self.slack:
-                if each == 1.0:
-                    return seconds
-                raise ValueError(
-                    f"t must be dates or seconds since 1970, got {given[0]:.15g}, which is in "
-                    "milliseconds: divide t by 1,000"
-                )
-        return given
+        if self.calendar is None or not given:
+            return cast("list[float]", given)
+        texts = [
+            each if isinstance(each, str) else np.format_float_positional(each, trim="-")
+            for each in given
+        ]
+        read, why = self._each_reading(texts)
+        away = {name: self._away(times) for name, times in read.items()}
+        fits = [name for name, distance in away.items() if distance <= self.slack]
+        both = " or ".join(f"{self.text(read[name][0])} ({name})" for name in fits)
+        if len(fits) > 1:
+            got = f"{shown(texts[0])}, which is {both}"
+            raise ValueError(f"t must be one date, as 2026-04-01, got {got}")
+        if not read:
+            raise ValueError(why)
+        nearest = min(away, key=lambda name: away[name])
+        if not fits:
+            self._check_has_other_reading(nearest, read[nearest], texts)
+        elif nearest != OWN_DATES:
+            at = self.text(read[nearest][0])
+            note(f"t of the table is read as {nearest}: {shown(texts[0])} is {at}")
+        return read[nearest]
+
+    def _away(self, times: Iterable[float]) -> float:
+        """How far the furthest of some times lies outside the horizon."""
+        return max(max(self.times[0] - time, time - self.times[-1], 0.0) for time in times)
+
+    def _each_reading(self, texts: Sequence[str]) -> tuple[dict[str, list[float]], str]:
+        """The times of a column in each possible reading, and why the best of the others is not.
+
+        If they lie in the horizon as times and dates of the clock, no other reading is tried.
+        """
+        read, rows, why = dict[str, list[float]](), -1, ""
+        for name, reader in cast("Calendar", self.calendar).readings(self.times[-1]).items():
+            times = list[float]()
+            try:
+                times.extend(map(reader, texts))
+            except (MeasurementTimesError, ValueError, OverflowError) as error:
+                if len(times) > rows:
+                    rows = len(times)
+                    why = f"t {str(error).removeprefix('t ')} (row {rows + 1})"
+                continue
+            read[name] = times
+            if name == OWN_DATES and self._away(times) <= self.slack:
+                break
+        return read, why
+
+    def _check_has_other_reading(
+        self, nearest: str, times: Sequence[float], texts: Sequence[str]
+    ) -> None:
+        """Raise ValueError if times outside the horizon are near in another reading, or year."""
+        row = max(range(len(times)), key=lambda k: self._away(times[k : k + 1]))
+        rule = f"t must lie in {self.text(self.times[0])}..{self.formatted(self.horizon)}"
+        rule += f", got {shown(texts[row])} (row {row + 1})"
+        if nearest != OWN_DATES:
+            raise ValueError(f"{rule}; the nearest are {nearest}: {self.text(times[row])}")
+        try:
+            moved = [*map(cast("Calendar", self.calendar).in_year_of_start, times)]
+        except (ValueError, OverflowError):
+            return
+        if self._away(moved) <= self.slack:
+            raise ValueError(f"{rule}, of another year: write t in {self.unit} since the start")
 
     def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:
         """The columns t and, if the clock has a start, date of a table with these instants."""

@@ -21,7 +21,7 @@ from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.one_filter import checked_instant, checked_measurement, made, plain_number
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
-from pfdist.models.parameters import CLOCK, Parameter
+from pfdist.models.parameters import Parameter
 from pfdist.problem.clock import Clock
 from pfdist.store.user_tables import SEPARATORS, number_of_cell, read_user_table
 
@@ -181,7 +181,7 @@ def read_measurements(
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
         allowed += [["t", *allowed[0][2:]]] * reading.is_of_one
     try:
-        own = {name: value for name, value in model.parameters.items() if name not in CLOCK}
+        own = clock.without(model.parameters)
         below = {f"{name}_below": name for name in chain(*allowed)}
         known = {*chain(*allowed), *own, *below}
         check = partial(_check_header, allowed, own, reading)
@@ -189,7 +189,7 @@ def read_measurements(
         readers = clock.readers(between=True) | reading.readers(chain(*allowed))
         columns = read_user_table(path, check, known, {"sensor": sensors}, readers, most,
                                   reading.columns)  # fmt: skip
-        times = clock.of_table(columns["t"].tolist())
+        times = clock.of_table(columns["t"].tolist(), reading.note)
         of_rows, instants, moved = instants_of_table(times, clock, reading, start)
         reading.moved(moved, clock)
         if of_rows is not clock and (varied := [k for k, v in own.items() if isinstance(v, tuple)]):
@@ -403,7 +403,7 @@ def _check_header(
         return
     choices = " or ".join(map(", ".join, allowed))
     text = f"the columns must be {choices}, got {shown(', '.join(header))}"
-    if len(header) == 1 and any(separator in header[0] for separator in "\t|"):
+    if len(header) == 1:
         text += f"; {SEPARATORS}"
     elif header and header[0][:1].isdigit():
         text += "; the first line must name the columns"

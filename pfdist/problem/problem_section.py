@@ -17,6 +17,7 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from pydantic.config import JsonDict
 
 from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.section import JobSection, Listed
@@ -29,7 +30,14 @@ from pfdist.problem.clock_section import ClockSection, without_units
 from pfdist.problem.constraints import Limit, money
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
-from pfdist.problem.sections import CriterionName, Moment, MomentsAndRanges, is_list_of
+from pfdist.problem.sections import (
+    CriterionName,
+    ListWritten,
+    Moment,
+    MomentsAndRanges,
+    Written,
+    is_list_of,
+)
 from pfdist.problem.sensor_section import (
     MeasurementBudget,
     Prices,
@@ -47,6 +55,8 @@ _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
 _Numbers = Listed[Moment]
+# `_are_sensors` makes sections of names.
+_OR_NAMES: JsonDict = {"type": ["object", "array"], "items": {"type": "string"}}
 
 
 class ProblemSection(JobSection):
@@ -102,12 +112,14 @@ class ProblemSection(JobSection):
 
     # Read as "clock": `clock` is the clock that follows from all keys.
     dates: ClockSection | None = Field(None, alias="clock")
-    horizon: Moment | None = None
+    horizon: Annotated[Moment, Written] | None = None
     time_step: Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=False)] | None = None
     time_unit: Annotated[str, Field(max_length=_LONGEST_UNIT)] | None = None
-    times: Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS)] | None = None
+    times: (
+        Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS), ListWritten] | None
+    ) = None
     instant_weights: _Numbers | None = None
-    lag: Moment | None = None
+    lag: Annotated[Moment, Written] | None = None
     # None stands for "filtered", which is not written into a job
     estimate: Literal["filtered", "smoothed"] | None = None
     criterion: CriterionName | None = None  # None stands for "expected_mse"
@@ -115,12 +127,14 @@ class ProblemSection(JobSection):
     forbidden: MomentsAndRanges | None = None
     allowed: MomentsAndRanges | None = None
     required: MomentsAndRanges | None = None
-    minimum_spacing: Moment | None = None
+    minimum_spacing: Annotated[Moment, Written] | None = None
     price: Prices | None = priced("price", "cost")
     total_price: Annotated[Moment, Field(gt=0, lt=2**63)] | None = priced(
         "total_price", "total_cost"
     )
-    sensors: Annotated[dict[str, SensorSection], Field(min_length=2)] | None = None
+    sensors: (
+        Annotated[dict[str, SensorSection], Field(min_length=2, json_schema_extra=_OR_NAMES)] | None
+    ) = None
     sensor: SensingSection | None = None
     visits: VisitsSection | None = None
 

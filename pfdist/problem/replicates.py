@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import CLOCK, Times
 from pfdist.common.nearest import must_be
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
-from pfdist.models.parameters import CLOCK, Parameter
+from pfdist.models.parameters import Parameter
 from pfdist.problem.clock import Clock
 from pfdist.problem.measurements import (
     COMPONENT,
@@ -184,7 +184,7 @@ def _table(
             column or next(filter(None, header), ""),
             [each for each in header if each and each not in own],
         )
-        separated = f"; {SEPARATORS}" if any(mark in "".join(header) for mark in "\t|") else ""
+        separated = f"; {SEPARATORS}" * (len(header) == 1)
         if name not in named:
             rule = f"a column with names of systems: {', '.join(named) or 'the table has none'}"
             raise MeasurementsError(must_be("replicate", rule, name, named) + separated)
@@ -211,7 +211,7 @@ def _table(
     columns = read_user_table(source, check, read, names, readers, renamed=reading.columns)
     if not columns["t"].size:
         raise MeasurementsError("the table must have rows, got none")
-    columns["t"] = np.array(clock.of_table(columns["t"].tolist()))
+    columns["t"] = np.array(clock.of_table(columns["t"].tolist(), reading.note))
     return pd.DataFrame(columns), column or next(each for each in columns if each not in own)
 
 

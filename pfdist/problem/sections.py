@@ -4,7 +4,14 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from pfdist.common.measurement_times import EVEN, REGULAR
@@ -51,12 +58,27 @@ def _listed_times(written: Any) -> Any:
 
 Moment = Annotated[Time, AfterValidator(plain_time)]
 """A number as a job stores it, such as a time."""
+_NUMBER_OR_TEXT: Final = {"type": ["number", "string"]}
+Written = WithJsonSchema(_NUMBER_OR_TEXT)
+"""How a job file has a date, or a span of time such as "2 h"."""
+ListWritten = WithJsonSchema({"type": "array", "items": _NUMBER_OR_TEXT})
+"""How a job file has dates."""
+_OF_TABLE: Final = {
+    "type": "object",
+    "properties": {"file": {"type": "string"}, "column": {"type": "string"}},
+    "required": ["file"],
+    "additionalProperties": False,
+}
 MomentsAndRanges = Listed[Annotated[Time | str, AfterValidator(plain_time)]]
 """Times and ranges as a job stores them."""
 Parameter = Annotated[
-    float | Annotated[tuple[float, ...], Field(min_length=1)], BeforeValidator(_plain_parameter)
+    float | Annotated[tuple[float, ...], Field(min_length=1)],
+    BeforeValidator(_plain_parameter),
+    WithJsonSchema(
+        {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}, _OF_TABLE]}
+    ),
 ]
-"""A number, or a number for each instant."""
+"""A number, or a number for each instant; `covariates.with_columns` reads a column of a table."""
 Text = Annotated[str, Field(max_length=_LONGEST_TEXT, pattern=r"^[^\x00]*$")]
 
 
@@ -71,7 +93,11 @@ def _criterion_name(written: str) -> str:
 CriterionName = Annotated[Text, AfterValidator(_criterion_name)]
 """A name of `pfdist.filters.criterion.criterion_named`."""
 _SetName = Annotated[str, Field(max_length=LONGEST_SET_NAME), AfterValidator(is_name)]
-_SetTimes = Annotated[Literal["regular"] | MomentsAndRanges, BeforeValidator(_listed_times)]
+_SetTimes = Annotated[
+    Literal["regular"] | MomentsAndRanges,
+    BeforeValidator(_listed_times),
+    WithJsonSchema({"type": ["string", "array"], "items": _NUMBER_OR_TEXT}),
+]
 
 
 def _as_event(row: Any) -> Any:
@@ -81,6 +107,7 @@ def _as_event(row: Any) -> Any:
 
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
+_OfEvents = WithJsonSchema({"anyOf": [{"type": "array", "items": {"type": "array"}}, _OF_TABLE]})
 _Event = Annotated[
     tuple[_Finite, _Finite | str, Annotated[int, Field(ge=0)]],
     BeforeValidator(_as_event),
@@ -121,7 +148,7 @@ class Model(JobSection):
     name: Text = "ungm"
     parameters: dict[str, Parameter] = Field(default_factory=dict)
     filter: FilterModel = FilterModel()
-    events: dict[str, Listed[_Event]] | None = None
+    events: dict[str, Annotated[Listed[_Event], _OfEvents]] | None = None
 
 
 class FilterSection(JobSection):

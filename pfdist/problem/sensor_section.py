@@ -15,7 +15,7 @@ from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.clock import Clock, Time, plain_time
 from pfdist.problem.constraints import money
 from pfdist.problem.points import Points
-from pfdist.problem.sections import Moment, MomentsAndRanges
+from pfdist.problem.sections import Moment, MomentsAndRanges, Written
 from pfdist.problem.visits import Visits
 from pfdist.problem.written import instants_written
 
@@ -51,7 +51,7 @@ class SensingSection(JobSection):
     limits: Annotated[Listed[Finite], Field(min_length=2, max_length=2)] | None = None
     fails: Annotated[float, Field(gt=0.0, lt=1.0, strict=False)] | None = None
     repeats: Annotated[int, Field(ge=2, le=len(REPEATS))] | None = None
-    delay: Annotated[Moment, Field(gt=0)] | None = None
+    delay: Annotated[Moment, Field(gt=0), Written] | None = None
 
     @model_validator(mode="after")
     def _has_limits(self) -> Self:
@@ -96,7 +96,7 @@ class SensorSection(SensingSection):
     forbidden: MomentsAndRanges | None = None
     allowed: MomentsAndRanges | None = None
     most: MeasurementBudget | None = None
-    minimum_spacing: Time | None = None
+    minimum_spacing: Annotated[Time, Written] | None = None
 
 
 class VisitsSection(JobSection):
@@ -121,7 +121,7 @@ class VisitsSection(JobSection):
 
     price: Annotated[Price, Field(gt=0)] | None = None
     most: MeasurementBudget | None = None
-    within: Annotated[Moment, Field(gt=0)] | None = None
+    within: Annotated[Moment, Field(gt=0), Written] | None = None
     per: Literal["day", "week"] | None = None
     allowed: Annotated[MomentsAndRanges, Field(min_length=1)] | None = None
 

@@ -295,9 +295,8 @@ def backtest(
         _check_filter(built)
         execution = built.job.with_changes(settings={"execution": chosen.execution}).execution
         model, clock = built.evaluator.model, built.job.problem.clock
-        names = [*model.parameters, *built.evaluator.believed.parameters]
+        names = [*clock.without({**model.parameters, **built.evaluator.believed.parameters})]
         reading = reading_of(built, columns, within, chosen.say)
-        names = [*dict.fromkeys(names)]
         replicates = read_replicates(table, replicate, model, clock, names, reading)
         _check_columns(built, replicates)
         if within is None:

@@ -121,7 +121,7 @@ def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
     for prefix, each in zip(prefixes, models, strict=False):
 
         def load(each: StateSpaceModel = each) -> StateSpaceModel:
-            return each if clock is None else each.on_clock(clock.times)
+            return each if clock is None else each.on_clock(clock.times, clock.dates_in_formulas)
 
         for check in check_loaded(load, horizon, particles, filtered=False):
             yield replace(check, name=f"{prefix}{check.name}")

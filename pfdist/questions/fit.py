@@ -262,7 +262,8 @@ def fit(
                 f"and let {name}_factor differ",
                 argument="parameters",
             )
-    names = [*built.evaluator.model.parameters, *believed.parameters]
+    parts = {**built.evaluator.model.parameters, **believed.parameters}
+    names = [*built.job.problem.clock.without(parts)]
     reading = reading_of(built, columns, within, chosen.say)._replace(all_count=True)
     replicates = read_replicates(
         table, replicate, built.evaluator.model, built.job.problem.clock, [*dict.fromkeys(names)],

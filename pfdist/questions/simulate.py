@@ -1,11 +1,16 @@
 """Simulated draws of a problem's model as a table."""
 
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from pydantic import Field
 
+from pfdist.common.arguments import path_argument
 from pfdist.common.section import Whole, checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError
@@ -14,11 +19,14 @@ from pfdist.filters.engines import ENGINES
 from pfdist.models import StateSpaceModel
 from pfdist.problem.clock import Clock
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.runner.build import build
+from pfdist.runner.build import Built, build
+from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.schema import LABELS, labels_of
+from pfdist.store.user_tables import write_user_table
 
 DRAWS = 100
 MOST_NUMBERS = 50_000_000  # of a table
+_TITLE = "pfdist: simulated systems"
 
 
 @checked
@@ -54,9 +62,45 @@ def simulate(
     ArgumentError
         There are fewer than 1 draws, or more than fit into a table.
     """
+    return _simulated(_built(problem, (), seed), draws)
+
+
+@checked
+def write_simulated(
+    job: JobSource,
+    out: str | Path,
+    draws: Annotated[Whole, Field(ge=1, le=10_000_000)] = DRAWS,
+    seed: int | None = None,
+    changes: Iterable[str] = (),
+) -> tuple[Path, Path]:
+    """The table of `simulate` in a file, CSV or Parquet, and beside it a PNG file with its picture.
+
+    They replace those of an earlier call, and no other file.
+    """
+    # Not above: the help of the command waits for no Matplotlib.
+    from pfdist.pages.figure import save_plot  # noqa: PLC0415
+    from pfdist.pages.system import simulated_plot  # noqa: PLC0415
+
+    path, built = path_argument("out", out), _built(job, changes, seed)
+    picture = path.with_suffix(".png")
+    if path == picture:
+        raise ArgumentError(f"out must end in .csv or .parquet, got {path}", argument="out")
+    check_replaceable(picture, partial(begins_with, mark=_TITLE.encode(), most=4096))
+    frame = _simulated(built, draws)
+    table = pa.Table.from_pandas(frame, preserve_index=False)
+    write_user_table(path, table.replace_schema_metadata({"table": "simulated"}))
+    save_plot(picture, simulated_plot(frame, built.evaluator.model.is_angle), _TITLE)
+    return path, picture
+
+
+def _built(problem: JobSource, changes: Iterable[str], seed: int | None) -> Built:
     # Draws depend on no filter, so neither particles nor a proposal need be found.
-    job = as_job(problem, settings={"seed": seed, "filter": {"particles": 1, "proposal": "plain"}})
-    built = build(job)
+    plain = {"particles": 1, "proposal": "plain"}
+    return build(as_job(problem, changes, settings={"seed": seed, "filter": plain}))
+
+
+def _simulated(built: Built, draws: int) -> pd.DataFrame:
+    job = built.job
     model, horizon = built.evaluator.model, built.evaluator.horizon
     numbers = draws * (horizon + 1) * (2 + sum(model.components))
     if numbers > MOST_NUMBERS:

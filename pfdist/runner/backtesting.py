@@ -247,9 +247,11 @@ def follows_clock(built: Built) -> bool:
     """Whether the models of a job can have instants that its clock lacks."""
     job, (truth, believed) = built.job, models_of_job(built.job)
     models = [truth] if believed == truth else [truth, believed]
-    times = job.problem.clock.times
+    clock = job.problem.clock
     is_free = job.problem.has_clock and not job.problem.points.delays  # a delay is of equal steps
-    return is_free and all(is_of_any_time(each.on_clock(times)) for each in models)
+    return is_free and all(
+        is_of_any_time(each.on_clock(clock.times, clock.dates_in_formulas)) for each in models
+    )
 
 
 def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> Evaluator:
@@ -272,7 +274,9 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
         made = without_failures(model, fails)
         if not is_predicted:
             return made
-        angles = circular_measurements(made.on_clock(on.times) if problem.has_clock else made)
+        angles = circular_measurements(
+            made.on_clock(on.times, on.dates_in_formulas) if problem.has_clock else made
+        )
         return predicted(made, problem.points.delays, on.horizon, angles)
 
     return evaluator_on(built, clock, replicate.parameters, judged)

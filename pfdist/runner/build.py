@@ -26,8 +26,8 @@ from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
 from pfdist.models.continuous import Rows, with_events
 from pfdist.models.learned import learned
-from pfdist.models.mistakes import NO_CLOCK
-from pfdist.models.parameters import CLOCK, check_lengths
+from pfdist.models.mistakes import NO_CLOCK, NO_DATES
+from pfdist.models.parameters import check_lengths
 from pfdist.models.recorded import declarations, differences, with_functions
 from pfdist.models.sensed import sensed
 from pfdist.pools.base import Pool
@@ -188,10 +188,16 @@ def evaluator_of(
     times = on.times if problem.has_clock else None
     for part, each in (("model", model), ("model.filter", filter_model)):
         if times is None and each.reads_clock:
-            raise ModelError(
-                f"{part}: model {each.name} reads the clock: {NO_CLOCK} (a job's clock is "
-                "problem.time_step, problem.time_unit or problem.times)"
+            has_dates = each.on_clock((0.0, 1.0)).reads_clock
+            advice = (
+                NO_DATES
+                if has_dates
+                else (
+                    f"{NO_CLOCK} (a job's clock is problem.time_step, problem.time_unit or "
+                    "problem.times)"
+                )
             )
+            raise ModelError(f"{part}: model {each.name} reads the clock: {advice}")
     try:
         evaluator = recorded_evaluator(
             model,
@@ -200,6 +206,7 @@ def evaluator_of(
             engine=job.filter.engine,
             estimations=(comparing_of(job), Settings.from_job(job).estimation),
             times=times,
+            dates=on.dates_in_formulas,
             weights=problem.weights if clock is None else None,
             lag=problem.lag_on(on),
             others=[each.parameters for each in scenarios],
@@ -453,13 +460,9 @@ def _kept_models(job: Job) -> tuple[StateSpaceModel, ...]:
     models = read_models(folder)
     if not job.problem.has_clock:
         return models
-    truth, believed = map(_without_clock, models)  # the job has the clock
+    clock = job.problem.clock  # of the job
+    truth, believed = (replace(each, parameters=clock.without(each.parameters)) for each in models)
     return (truth, truth) if models[0] is models[1] else (truth, believed)
-
-
-def _without_clock(model: StateSpaceModel) -> StateSpaceModel:
-    own = {name: value for name, value in model.parameters.items() if name not in CLOCK}
-    return replace(model, parameters=own)
 
 
 def _as_kept(evaluator: Evaluator, run: Path) -> Evaluator | None:

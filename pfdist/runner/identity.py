@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.common.dotted_keys import leaves
+from pfdist.common.measurement_times import CLOCK, DATES
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.filters.engines import AUTO
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.models.parameters import CLOCK
 from pfdist.models.recorded import differences
 from pfdist.models.written import text_of_models
 from pfdist.problem.job import Job, job_toml
@@ -192,7 +192,8 @@ def changed_models(path: Path, built: Built) -> dict[str, str]:
     if (run.get("model"), run.get("filter_model")) == evaluator.keys:
         return {}
     truth, believed = read_models(path)
-    clock = {f"parameters.{name}" for name in CLOCK if evaluator.times is not None}  # the job's
+    of_clock = (*CLOCK, *DATES) if evaluator.times is not None else ()  # the job's
+    clock = {f"parameters.{name}" for name in of_clock}
     of_truth, of_filter = (
         {key: text for key, text in differences(*models) if key not in clock}
         for models in ((truth, evaluator.model), (believed, evaluator.believed))

@@ -37,12 +37,13 @@ MOST_COLUMNS = 1000
 _LONGEST_LINE, _LONGEST_TEXT = 1_000_000, 250  # of a header or comment; of a cell in Parquet
 _CELLS = 1_000_000  # that are read at once
 _NONE: Mapping[str, Sequence[str]] = {}  # no column holds texts
-NO_READERS: Mapping[str, Callable[[str], float]] = {}  # all numbers are written as numbers
+NO_READERS: Mapping[str, Callable[[str], Any]] = {}  # all numbers are written as numbers
 NO_NAMES: Mapping[str, str] = {}  # all columns have the names that pfdist reads
 _DECIMAL = r"[+-]?\d*[.,]\d+(?:[eE][+-]?\d+)?"  # a number with a decimal point or comma
 _GROUPED = r"[+-]?[1-9]\d{0,2}[.,]\d{3}"  # such a number that may be a whole one, in thousands
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
-SEPARATORS = "columns must be separated by commas; decimals have a point"
+SEPARATORS = "columns must be separated by commas, semicolons, tabs or |; decimals have a point"
+_VALUE = re.compile(r"[<>]?\s*[+-]?[.\d][-+.,:/\deETZ ]*")  # a number, or a date
 
 
 def read_user_table(
@@ -50,19 +51,20 @@ def read_user_table(
     check_header: Callable[[list[str]], Collection[str] | None],
     only: Collection[str] = (),
     names: Mapping[str, Sequence[str]] = _NONE,
-    readers: Mapping[str, Callable[[str], float]] = NO_READERS,
+    readers: Mapping[str, Callable[[str], Any]] = NO_READERS,
     most_rows: int = MOST_NUMBERS,
     renamed: Mapping[str, str] = NO_NAMES,
 ) -> dict[str, Any]:
     """The columns of a table of numbers by name; a missing number is NaN.
 
     `names` has the texts that some columns may hold; such a column becomes indices of its texts.
-    `readers` has what reads the texts and dates of some columns as numbers. `renamed` has the name
-    in the table of columns that have another name there.
+    `readers` has what reads the texts and dates of some columns, as numbers or as texts. `renamed`
+    has the name in the table of columns that have another name there.
 
     A file is Parquet if its name ends in ``.parquet``, else CSV. The first line of CSV names the
-    columns; lines before it that begin with ``#`` are comments. Columns are separated by commas, or
-    by semicolons; then decimals may have a comma, unless a number could be one of thousands. The
+    columns; lines before it that begin with ``#`` are comments. Columns are separated by commas,
+    or by semicolons, tabs or ``|``, whichever the line of names has most of; then decimals may have
+    a comma, unless a number could be one of thousands. A row of units or formats is an error. The
     index of a table in memory counts as a column if it has a name. `check_header` raises an error
     if the names of the columns are wrong, and may return those that hold texts. With `only`, other
     columns are left out, and may hold anything. Errors count rows from 1, without the line of
@@ -161,7 +163,7 @@ def _in_csv(path: Path, wanted: Callable[[list[str]], list[str]]) -> Iterator[pd
             raise ValueError(f"the first line must be shorter than {_LONGEST_LINE:,} letters")
         if not line:
             raise ValueError("a table must have a line that names the columns, got none")
-        separator = ";" if ";" in line and "," not in line else ","
+        separator = max(",;\t|", key=line.count)
         names = next(csv.reader(chain([line], lines), delimiter=separator))
         header = [name.strip("\ufeff ") for name in names]
         kept, start, mark = wanted(header), 1, ""
@@ -175,21 +177,33 @@ def _in_csv(path: Path, wanted: Callable[[list[str]], list[str]]) -> Iterator[pd
             chunksize=_CELLS // len(header),
         ) as parts:  # fmt: skip
             for part in parts:
+                if start and len(part) > 1:
+                    _check_holds_values(part.iloc[1])
                 table = part.set_axis(header, axis=1)[kept].iloc[start:]
-                if separator == ";":
+                if separator != ",":
                     table, mark = _with_points(table, mark)
                 yield table
                 start = 0
 
 
+def _check_holds_values(row: "pd.Series[Any]") -> None:
+    """Raise ValueError if the first row has units or formats of columns, as agencies write them."""
+    cells = [text for cell in row.dropna() if (text := cell.strip()).lower() not in _MISSING]
+    if cells and not any(map(_VALUE.fullmatch, cells)):
+        raise ValueError(
+            f"the row below the names must hold values, got {shown(' '.join(cells))}: remove a row "
+            "of units or formats"
+        )
+
+
 def _with_points(table: pd.DataFrame, mark: str) -> tuple[pd.DataFrame, str]:
-    """Texts between semicolons, with decimal points; and the mark of decimals, empty if unknown."""
+    """Texts not between commas, with decimal points; and the mark of decimals, empty if unknown."""
     cells = pd.Series(table.to_numpy().ravel(), dtype=object).dropna().astype(str).str.strip()
     numbers = cells[cells.str.fullmatch(_DECIMAL)]
     marks = {*numbers.str.extract("([.,])")[0], *mark}
     if len(marks) > 1 or (marks and not mark and numbers.str.fullmatch(_GROUPED).all()):
         raise ValueError(
-            "decimals between semicolons must all have a comma or all a point, and one number must "
+            "decimals must all have a comma or all a point, and one number must "
             f"show that it is not thousands, got {shown(', '.join(numbers.unique()[:2]))}: "
             f"{SEPARATORS}"
         )
@@ -291,15 +305,15 @@ def number_of_cell(text: str) -> float:
         raise ValueError(f"a cell must be a number, got {shown(text)}") from error
 
 
-def _as_read(read: Callable[[str], float], column: "pd.Series[Any]") -> Array:
-    """The numbers of a column of texts or dates."""
-    numbers = list[float]()
+def _as_read(read: Callable[[str], Any], column: "pd.Series[Any]") -> NDArray[Any]:
+    """A column of texts or dates as it is read: numbers or texts."""
+    numbers = list[Any]()
     for row, value in zip(column.index, column, strict=True):
         try:
             numbers.append(read(str(as_text(value)).strip()))
         except (PfdistError, ValueError) as error:
             raise ValueError(f"{error} (row {row + 1})") from error
-    return np.array(numbers, np.float64)
+    return np.array(numbers, object if isinstance(next(iter(numbers), 0.0), str) else np.float64)
 
 
 def write_user_table(path: Path, table: pa.Table) -> None:

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 from pfdist import BatchedModel, StateSpaceModel
+from pfdist.common.measurement_times import CLOCK
 from pfdist.models.base import squared_error
 from pfdist.models.checks import ARGUMENTS, MEASURING, ONE_NUMBER, own_formulas
-from pfdist.models.parameters import CLOCK
 
 
 def on_arrays(name, formula):

@@ -70,6 +70,8 @@ def test_spaces_comments_a_mark_of_byte_order_and_words_for_missing_are_read(
     [
         "t;y0\n0.5;1.25\n2;0.75\n",
         "t;y0\n0,5;1,25\n2;0,75\n",
+        "t\ty0\n0,5\t1,25\n2\t0,75\n",
+        "# Depth, m\nt|y0\n0.5|1.25\n2|0.75\n",
         "t,y0\r\n+5e-1,1.25\r\n2,7.5E-1\r\n",
         '"t","y0"\n"2","0.75"\n"0.5000000001","1.25"\n',
         ",t,y0\n1,0.5,1.25\n2,2,0.75\n",  # the index of pandas or R
@@ -99,7 +101,9 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
     ("content", "words"),
     [
         ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1 or t, y_range, y_bearing"),
-        ("t|y0|y1\n1|2|3", "columns must be separated by commas; decimals have a point"),
+        ("t y0 y1\n1 2 3", "columns must be separated by commas, semicolons, tabs or |; dec"),
+        ("t\ty0\ty1\n5s\t14n\t10n\n1\t2\t3", "must hold values, got '5s 14n 10n': remove a row"),
+        ("t,y0,y1\nUTC,m,rad\n1,2,3", "the row below the names must hold values, got 'UTC m rad'"),
         ("1,2,3\n2,3,4", "the first line must name the columns"),
         ("", "must have a line that names the columns, got none"),
         ("t,y0,y1" + "\n1,2,3" * 9, "each time must have at most 8 rows, got more at t = 1"),
@@ -148,17 +152,69 @@ def test_a_missing_time_is_named_as_missing(
         read_measurements(path, ship, clock)
 
 
-def test_milliseconds_since_1970_are_said_to_be_so(tmp_path: Path, ship: StateSpaceModel) -> None:
-    start = Calendar.starting("2026-10-23", "h", "", by_days=False)
-    clock, first = replace(Clock.regular(10, 1), calendar=start), 1_792_713_600
-    for scale in (1, 1000):
-        rows = {"t": [first * scale, (first + 7200) * scale], "y0": 1.0, "y1": 2.0}
-        path = _written(tmp_path / f"ship{scale}.csv", rows)
-        if scale == 1:
-            assert read_measurements(path, ship, clock).t == (0, 2)
-            continue
-        with pytest.raises(MeasurementsError, match="in milliseconds: divide t by 1,000"):
-            read_measurements(path, ship, clock)
+HOURLY = replace(Clock.regular(24, 1, "h"), calendar=Calendar.starting("2026-04-13", "h"))
+CHICAGO = Calendar.starting("2026-04-13", "h", "America/Chicago")
+FIRST = 1_776_038_400  # seconds from 1970 to the start, in UTC
+
+
+@in_turn(
+    ("cells", "said"),
+    [
+        (["0", "2026-04-13 02:00"], ""),
+        ([FIRST, FIRST + 7200], "seconds since 1970"),
+        ([FIRST * 1000, (FIRST + 7200) * 1000], "milliseconds since 1970"),
+        ([FIRST * 10**6, (FIRST + 7200) * 10**6], "microseconds since 1970"),
+        ([FIRST * 10**9, (FIRST + 7200) * 10**9], "nanoseconds since 1970"),
+        ([2461143.5, 2461143.5 + 1 / 12], "Julian dates"),
+        ([61143, 61143 + 1 / 12], "modified Julian dates"),
+        (["20260413", "2026041302"], "year month day"),
+        (["20260413", "20260413T020000"], "year month day"),
+        (["13.04.2026", "13.04.2026 02:00"], "day.month.year"),
+        (["13/4/2026 0:00", "13/4/2026 2:00"], "day/month/year"),
+        (["04/13/2026", "04/13/2026 02:00:00"], "month/day/year"),
+        (["2026/04/13", "2026/04/13 02:00"], "year/month/day"),
+        ([103, 103 + 1 / 12], "days of the year"),
+    ],
+)
+@in_turn("suffix", ["csv", "parquet"])
+def test_times_are_read_in_the_one_way_in_which_they_lie_in_the_horizon(
+    tmp_path: Path, ship: StateSpaceModel, cells: list[Any], said: str, suffix: str
+) -> None:
+    """The instants by hand: midnight, and two hours later; a line says how t was read."""
+    path, notes = tmp_path / f"ship.{suffix}", list[str]()
+    _written(path, {"t": cells, "y0": 1.0, "y1": 2.0})
+    assert read_measurements(path, ship, HOURLY, reading=Reading(note=notes.append)).t == (0, 2)
+    notes = [note for note in notes if "nearest instants" not in note]
+    assert [f"read as {said}: " in note for note in notes] == [True] * bool(said)
+
+
+def test_numbers_since_an_epoch_are_in_utc(tmp_path: Path, ship: StateSpaceModel) -> None:
+    """In April, midnight in Chicago is 5:00 in UTC; dates without an offset are local."""
+    clock = replace(HOURLY, calendar=CHICAGO)
+    for cell in (FIRST + 5 * 3600, 2461143.5 + 5 / 24, 61143 + 5 / 24, "13.04.2026", 103):
+        path = _written(tmp_path / "ship.csv", {"t": [cell], "y0": 1.0, "y1": 2.0})
+        assert read_measurements(path, ship, clock).t == (0,)
+
+
+@in_turn(
+    ("start", "cells", "words"),
+    [
+        ("2026-01-02", ["01/02/2026"], "got '01/02/2026', which is 2026-02-01T00:00 (day/month"),
+        ("2026-04-13", ["2461200.5"], "got '2461200.5' (row 1); the nearest are Julian dates: 2"),
+        ("2026-04-13", ["13.04.2026", "31.04.2026"], "exist, got 2026-04-31T00:00:00: day"),
+        ("2026-04-13", ["13.04.2026", "soon"], "t must be written as in the other rows, got 'so"),
+        ("2026-04-13", ["2025-04-13", "2025-04-14"], "of another year: write t in h since the st"),
+        ("2026-04-13", ["2025-04-13", "2025-07-14"], "t must lie in 2026-04-13T00:00..2026-05-"),
+        ("2026-04-13", ["noon"], "t must be a date, as 2026-04-01 or 2026-04-01T08:00, got 'noon'"),
+    ],
+)  # fmt: skip
+def test_times_with_two_readings_or_none_are_explained(
+    tmp_path: Path, ship: StateSpaceModel, start: str, cells: list[str], words: str
+) -> None:
+    clock = replace(Clock.regular(1000, 1, "h"), calendar=Calendar.starting(start, "h"))
+    path = _written(tmp_path / "ship.csv", {"t": cells, "y0": 1.0, "y1": 2.0})
+    with pytest.raises(MeasurementsError, match=re.escape(words)):
+        read_measurements(path, ship, clock)
 
 
 def test_a_file_of_too_many_rows_is_not_counted(tmp_path: Path, ship: StateSpaceModel) -> None:

@@ -1,0 +1,59 @@
+"""The JSON schema of job files: what is a job validates, what is not does not."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from oracles.in_turn import in_turn
+from pfdist.cli.init import JOB
+from pfdist.common.parsing import parse_toml
+from pfdist.problem.job_schema import job_schema
+
+ROOT = Path(__file__).parents[2]
+VALIDATOR = jsonschema.Draft202012Validator(job_schema())
+OF_JOB = jsonschema.Draft202012Validator(job_schema() | {"$ref": "#/$defs/Job", "anyOf": [True]})
+
+
+def test_it_is_a_schema() -> None:
+    jsonschema.Draft202012Validator.check_schema(job_schema())
+
+
+def test_every_job_and_every_sweep_validates() -> None:
+    texts = [file.read_text() for file in (ROOT / "jobs").glob("*.toml")]
+    for text in [*texts, JOB, JOB.replace("\n# clock", "\nclock")]:
+        VALIDATOR.validate(parse_toml(text))
+
+
+@pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in ROOT.glob("docs/*.md"))])
+def test_every_job_of_the_manual_validates_and_so_do_parts_of_jobs(page: str) -> None:
+    for text in re.findall(r"^```toml\n(.*?)^```", (ROOT / page).read_text(), re.M | re.S):
+        data = parse_toml(text)
+        if "project" not in data:  # of a package
+            whole = {"seed": 1, "problem": {"horizon": 9}, **data}
+            (VALIDATOR if "job" in data else OF_JOB).validate(data if "job" in data else whole)
+
+
+@in_turn(
+    ("key", "value"),
+    [
+        ("horizont", 9),
+        ("measurement_budget", "six"),
+        ("measurement_budget", 0),
+        ("forbidden", "20:30"),
+        ("horizon", [1]),
+        ("sensors", [1, 2]),
+        ("estimate", "smooth"),
+    ],
+)
+def test_a_wrong_key_or_value_does_not_validate(key: str, value: Any) -> None:
+    problem = {"horizon": 9, "measurement_budget": 3} | {key: value}
+    assert not VALIDATOR.is_valid({"seed": 1, "problem": problem})
+
+
+def test_keys_have_the_descriptions_of_their_sections() -> None:
+    keys = job_schema()["$defs"]["ProblemSection"]["properties"]
+    assert keys["total_price"]["description"].startswith("Largest sum of the prices of a set")
+    assert all("description" in key for key in keys.values())
