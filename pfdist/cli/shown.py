@@ -94,13 +94,7 @@ def _show_text(answer: Any, line: Line) -> None:
         case Path():
             print(one_line(str(answer)))
         case Run():
-            _print_page(answer_of(answer, line.options.get("target"), details=line.verbose), line)
-            if line.name == "status" and (done := steps_by_part(answer)):
-                parts = ", ".join(f"{part} {steps:.3g}" for part, steps in done.items())
-                text = f"{sum(done.values()):.3g} ({parts})"
-                print("\n".join(wrapped(text, "particle-steps: ")))
-            for name, at in _places(answer).items():
-                print(one_line(f"{name}: {at}"))
+            _show_run(answer, line)
         case pd.DataFrame() if (out := line.options.get("out")) is not None:
             print(one_line(out))
         case pd.DataFrame():
@@ -112,6 +106,23 @@ def _show_text(answer: Any, line: Line) -> None:
             if figures := getattr(answer, "figures", ()):
                 names = ", ".join(dict.fromkeys(file.stem for file in figures))
                 print("\n".join(wrapped(f"({names})", f"figures: {figures[0].parent} ")))
+
+
+def _show_run(run: Run, line: Line) -> None:
+    """Print the answer of a run; what only `status` and --verbose say is left out if it ended."""
+    page = answer_of(run, line.options.get("target"), details=line.verbose)
+    is_status, places = line.name == "status", _places(run)
+    if run.state == "finished" and not (is_status or line.verbose):
+        places = dict([*places.items()][-1:])  # the report, if there is one
+        page = dataclasses.replace(page, place="")
+    _print_page(page, line)
+    if is_status and (done := steps_by_part(run)):
+        parts = ", ".join(f"{part} {steps:.3g}" for part, steps in done.items())
+        text = f"{sum(done.values()):.3g} ({parts})"
+        print("\n".join(wrapped(text, "particle-steps: ")))
+    print("\n" * (not page.place), end="")
+    for name, at in places.items():
+        print(one_line(f"{name}: {at}"))
 
 
 def _page_of(frame: pd.DataFrame, line: Line) -> Page:

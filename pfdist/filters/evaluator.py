@@ -617,7 +617,7 @@ def recorded_evaluator(
     times : tuple of float, (T+1,), optional
         The time of each instant, which formulas read.
     dates : mapping of str to tuple of float, optional
-        What formulas read of the date of each instant; see `StateSpaceModel.on_clock`.
+        The dates that formulas read at each instant; see `StateSpaceModel.on_clock`.
     others : iterable of mapping
         Further values of the truth's parameters: those of scenarios.
     knows_scenario : bool

@@ -250,7 +250,7 @@ REAL_DATA = Capability(
     "`pfdist filter`, `next`, `backtest`", {NOT_TOLD: "nobody knows the scenario of a real system"}
 )
 PLAN_EACH = Capability(
-    "`pfdist backtest --plan-each`",
+    "`plan_each` of `pfdist backtest`",
     {A_NUMBER: "without plan_each, the plan of the run is judged", LEARNED: ""},
 )
 CAPABILITIES = (

@@ -66,6 +66,7 @@ _LOOKS_BETTER = (
     "on the same draws. Picking the best of several makes it look slightly better than it is."
 )
 _BY_EXACT_ERRORS = "by their expected MSEs, which are exact."
+_CLEAR = 2.0  # standard errors of a difference, for a sentence without an interval
 _GAINS_SHOWN = (
     "label", "expected_mse", "gain_of_means", "smoothed_mse", "filtered_mse", *CRITERIA_SHOWN,
 )  # fmt: skip
@@ -228,12 +229,17 @@ def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
     own, of_reference = (getattr(each, mse.name) for each in (row, reference))
     if not all(each is not None and math.isfinite(each) for each in (own, of_reference)):
         return
-    hint = ' If you analyse afterwards, `problem.estimate = "smoothed"` finds other times.'
-    is_hint = other == SMOOTHED and subject.criterion.sign > 0
     limit, label = "at most " * subject.other_is_limit, subject.criterion.mse_criterion.label
+    numbers = f"{limit}{mse.cell(row).text} ({reference.label}: {mse.cell(reference).text})"
+    if other != SMOOTHED or subject.criterion.sign < 0:
+        yield Text(f"{WHEN[other]}, the {label} is {numbers}.")
+        return
+    error = math.hypot(*(getattr(each, mse.error) for each in (row, reference)))
+    is_gain = of_reference - own > _CLEAR * error
+    nothing = f"these times gain nothing clear over {phrase_of(reference.label)}: "
     yield Text(
-        f"{WHEN[other]}, the {label} is {limit}{mse.cell(row).text} "
-        f"({reference.label}: {mse.cell(reference).text}).{hint * is_hint}"
+        f"If you analyse only afterwards, {nothing * (not is_gain)}the {label} is {numbers}. "
+        '`problem.estimate = "smoothed"` plans for that.'
     )
 
 
@@ -274,7 +280,9 @@ def gains(subject: Subject) -> Section | None:
     draws = number_of(subject.run.draws_compared, "draw")
     fresh = " that took no part in the search" if found_sets(subject.run) else ""
     caption = f"Expected MSE{subject.of_the_estimate} on {draws}{fresh}"
-    table = sets_table(caption, subject.distinct.values(), _GAINS_SHOWN, heads=subject.heads)
+    sets = subject.distinct.values()
+    is_said = len(sets) <= 2 and len(subject.found_rows) == 1  # the answer says the table
+    table = sets_table(caption, sets, _GAINS_SHOWN, heads=subject.heads, detail=is_said)
     said: list[Block] = [table, *_papers_gains(subject), Text(_GAINS, detail=True)]
     blocks: list[Block] = [
         *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it

@@ -267,7 +267,7 @@ def settings_of(built: Built) -> Settings:
 def most_steps(built: Built) -> float:
     """The most particle-steps of all opponents: their share, or so many as a small job may take.
 
-    What a run computes does not depend on whether a proof follows: its work does not count here. A
+    Results of a run do not depend on whether a proof follows: its work does not count here. A
     batched model may be slow, and keeps to the share.
     """
     planned = sum(search_steps(built, search) for search in built.searches)

@@ -74,7 +74,7 @@ def test_a_summary_is_written_in_any_encoding(
     out, error = io.BytesIO(), io.BytesIO()
     for name, stream in (("stdout", out), ("stderr", error)):
         monkeypatch.setattr(sys, name, io.TextIOWrapper(stream, encoding, errors="strict"))
-    assert main(["status", str(ASSET)]) == 0
+    assert main(["status", str(ASSET), "--verbose"]) == 0
     sys.stdout.flush()
     plus_minus = b"+-" if encoding == "ascii" else "±".encode(encoding)
     assert re.search(rb"regular +[\d.]+ " + re.escape(plus_minus) + rb" [\d.]+", out.getvalue())

@@ -83,7 +83,7 @@ def test_nothing_moves_with_a_model(start: Path, call: Callable[..., Any]) -> No
         assert not any((start.parent / "away").iterdir())
         return str(called.out + called.err)
 
-    assert "tables: results/a/tables" in said(f"run jobs/a.toml --set {SMALL}")
+    assert "report: results/a/report.html" in said(f"run jobs/a.toml --set {SMALL}")
     assert (start / "results/a/report.html").exists()
     assert str(start) not in (start / "results/a/report.html").read_text()
     (start / "rows.csv").write_text("t,y0\n0,1\n3,0.5\n")

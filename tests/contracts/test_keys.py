@@ -46,7 +46,7 @@ UNITS = {
     "questions/next_time.py _followed": "nothing, it is one system:",
     "questions/planned_run.py filter_of": "system: draw",
     "questions/planner.py Planner.__init__": "system: draw",  # `plan` gives it to the Replanner
-    "questions/simulate.py simulate": "draws:",
+    "questions/simulate.py _simulated": "draws:",
     "questions/thinned.py plans_of": "replicate: each.name",
     "questions/thinned.py judged_errors": "replicate: each.replicate.name",
     "questions/worth.py _work": "draws: name",
@@ -55,7 +55,7 @@ UNITS = {
     "runner/block_sums.py grown": "draws:",
     "runner/build.py _with_long_gap": "nothing, it is one choice:",
     "runner/comparison_phase.py _work": "draws: first times",
-    "runner/comparison_phase.py _of_draws": "draws: table",
+    "runner/comparison_phase.py of_aspect": "draws: aspect.table",
     "runner/door.py _cuts": "hash:",
     "runner/driver.py online_work": "draws: name",
     "runner/evenly_spaced.py _Scan._judged": "draws: times",

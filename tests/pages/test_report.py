@@ -17,13 +17,14 @@ from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common import stopping
+from pfdist.common.changes import effect
 from pfdist.common.parts import Page
 from pfdist.common.percent import gap_sentence, percent
 from pfdist.errors import StoreError
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.about_run import _LOAD
 from pfdist.questions.run_page import page_of, searches_section
-from pfdist.questions.subject import Subject, effect
+from pfdist.questions.subject import Subject
 from pfdist.results.sampling_windows import windows_of
 from pfdist.results.stored_run import problem_of
 from pfdist.store.verify import verify_run

@@ -376,7 +376,7 @@ def test_pages_are_added_up_before_a_file_with_forged_metadata_is_unpacked(
 def test_the_sizes_of_pages_are_those_that_the_writer_has_added_up(
     version: str, tmp_path: Path
 ) -> None:
-    """Of many pages, compressed in several ways, with texts in their statistics."""
+    """There are many pages, compressed in several ways, with texts in their statistics."""
     texts = [f"{row:050}" for row in range(3000)]
     table = pa.table({"t": texts, "y": [*range(2999), None], "z": [[True], []] * 1500})
     for compression in ("zstd", "snappy", "none"):
