@@ -126,12 +126,16 @@ class EvenSearch:
             instants = len(sets) * (self.feasible.horizon + 1)
             session.count_exact(self.phase.name, "opponent", instants)
             return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
-        scale = min(1.0, max(0.0, self.steps / self._a_draw - spent) / _WHOLE_RACE)
-        draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
-        most = given + max(2, min(_RACING, int(scale * _RACING * _FIRST / draws)))
-        race = Race(tuple(sets[:most]), draws, _KEPT, math.ceil(scale * _UNTIL))
+        scale, draws, most = self._racing(spent)
+        race = Race(tuple(sets[: given + most]), draws, _KEPT, math.ceil(scale * _UNTIL))
         raced = yield from run_phase(self._with(race, draws), session)
         return [each.measurement_times for each in raced]
+
+    def _racing(self, spent: float) -> tuple[float, int, int]:
+        """The share of a whole race that is left, draws of its first round, and most sets."""
+        scale = min(1.0, max(0.0, self.steps / self._a_draw - spent) / _WHOLE_RACE)
+        draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
+        return scale, draws, max(2, min(_RACING, int(scale * _RACING * _FIRST / draws)))
 
     def _candidates(
         self, session: RunSession
@@ -162,6 +166,12 @@ class EvenSearch:
         spread = int(_OF_REFINING * self.steps / (_COARSE_DRAWS * self._a_draw * 2.5))
         if ranked and (self._is_exact or spread < _LEAST_SPREAD):
             return ranked, tried, spent
+        if spread < _LEAST_SPREAD and not self._is_exact:  # a few sets race
+            most = max(2, self._racing(spent)[-1] // 2)
+            sets = [*self.even.sets_of(self.even.lines(_RACING))]
+            spread_sets = [self.feasible.regular(), *sets[:: max(1, len(sets) // most)]]
+            few = [*dict.fromkeys(spread_sets)][:most]
+            return few, len(few), spent
         refine = Refine(self.even, max(_LEAST_SPREAD, min(spread, _MOST_SPREAD)))
         draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
         coarse = replace(self._with(refine, draws), name=coarse_of(self.name))
