@@ -46,7 +46,6 @@ from pfdist.runner.searches import (
     RANKING,
     NamedSearch,
     Settings,
-    beside_of,
     coarse_of,
     comparing_of,
     named_search,
@@ -72,9 +71,7 @@ class Built:
     @property
     def phases(self) -> list[str]:
         """Names of all phases that choose sets."""
-        references = (
-            name(each) for each in self.study.even for name in (coarse_of, shortlist_of, beside_of)
-        )
+        references = (name(each) for each in self.study.even for name in (coarse_of, shortlist_of))
         return [
             RANKING,
             *references,

@@ -4,9 +4,9 @@ The first programme of the relaxation ranks all evenly spaced sets by the sums o
 the work of some eighty evaluations. Its windows are short, so an evaluation from coarse to fine
 adds other sets; it is alone where no relaxation adds up the errors of instants. A race on fresh
 draws decides between the best of both: neither knows more than the best hundred, so it begins with
-many sets and few draws. Its winner races again, with the sets that are most similar to it. With
-exact errors there is no race. The particle-steps of all this are at most a twentieth of those of
-search and comparison, at any horizon and number; small jobs may take `_LEAST_STEPS`.
+many sets and few draws. With exact errors there is no race. The particle-steps of all this are at
+most a twentieth of those of search and comparison, at any horizon and number; small jobs may take
+`_LEAST_STEPS`.
 """
 
 import math
@@ -31,7 +31,7 @@ from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.search_phase import search_steps
-from pfdist.runner.searches import RANKING, Settings, beside_of, coarse_of, shortlist_of
+from pfdist.runner.searches import RANKING, Settings, coarse_of, shortlist_of
 from pfdist.search import Candidate, Race, Refine
 from pfdist.search.programme import Programme
 from pfdist.search.state_space_relaxation import first_relaxation
@@ -46,8 +46,7 @@ _NEAR, _LEVELS = 16, 3  # lines near which others are ranked, and how often, if 
 _RANKING_DRAWS = 2 * BLOCK
 _RACING, _FIRST = 96, 96  # sets of a race, and draws of its first round
 _KEPT, _UNTIL = 12, 600  # sets that are kept until so many draws
-_AGAIN, _BESIDE = 3, 21  # the best of a race, and sets beside the winner that race with them
-_WHOLE_RACE = 30_000  # draws of all sets of both races, about; they share much
+_WHOLE_RACE = 23_000  # draws of all sets of such a race, about; they share much
 _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
 _OF_RANKING, _OF_REFINING = 0.35, 0.4  # of the work, at most; the race takes what is left
 _LEAST_SPREAD, _MOST_SPREAD = 16, 400  # sets with which an evaluation from coarse to fine begins
@@ -127,17 +126,16 @@ class EvenSearch:
             instants = len(sets) * (self.feasible.horizon + 1)
             session.count_exact(self.phase.name, "opponent", instants)
             return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
+        scale, draws, most = self._racing(spent)
+        race = Race(tuple(sets[: given + most]), draws, _KEPT, math.ceil(scale * _UNTIL))
+        raced = yield from run_phase(self._with(race, draws), session)
+        return [each.measurement_times for each in raced]
+
+    def _racing(self, spent: float) -> tuple[float, int, int]:
+        """The share of a whole race that is left, draws of its first round, and most sets."""
         scale = min(1.0, max(0.0, self.steps / self._a_draw - spent) / _WHOLE_RACE)
         draws = max(BLOCK, self.phase.criterion.fewest, math.ceil(scale * _FIRST))
-        most = given + max(2, min(_RACING, int(scale * _RACING * _FIRST / draws)))
-        race = Race(tuple(sets[:most]), draws, _KEPT, math.ceil(scale * _UNTIL))
-        raced = yield from run_phase(self._with(race, draws), session)
-        order = [each.measurement_times for each in raced]
-        race = replace(race, sets=(*order[:_AGAIN], *_beside(order[0], sets[most:])))
-        again = yield from run_phase(
-            replace(self._with(race, draws), name=beside_of(self.name)), session
-        )
-        return [*(each.measurement_times for each in again), *order]
+        return scale, draws, max(2, min(_RACING, int(scale * _RACING * _FIRST / draws)))
 
     def _candidates(
         self, session: RunSession
@@ -168,6 +166,12 @@ class EvenSearch:
         spread = int(_OF_REFINING * self.steps / (_COARSE_DRAWS * self._a_draw * 2.5))
         if ranked and (self._is_exact or spread < _LEAST_SPREAD):
             return ranked, tried, spent
+        if spread < _LEAST_SPREAD and not self._is_exact:  # a few sets race
+            most = max(2, self._racing(spent)[-1] // 2)
+            sets = [*self.even.sets_of(self.even.lines(_RACING))]
+            spread_sets = [self.feasible.regular(), *sets[:: max(1, len(sets) // most)]]
+            few = [*dict.fromkeys(spread_sets)][:most]
+            return few, len(few), spent
         refine = Refine(self.even, max(_LEAST_SPREAD, min(spread, _MOST_SPREAD)))
         draws = max(_COARSE_DRAWS, self.phase.criterion.fewest)
         coarse = replace(self._with(refine, draws), name=coarse_of(self.name))
@@ -217,13 +221,6 @@ class EvenSearch:
         return replace(
             self.phase, optimiser=optimiser, settings=replace(self.phase.settings, draws=draws)
         )
-
-
-def _beside(best: Times, sets: list[Times]) -> list[Times]:
-    """The sets that are most similar to the best one, with as many measurements."""
-    alike = [times for times in sets if len(times) == len(best)]
-    apart = np.abs(np.reshape(alike, (len(alike), len(best))) - best).sum(axis=1)
-    return [alike[place] for place in np.argsort(apart, kind="stable")[:_BESIDE].tolist()]
 
 
 def most_if_exact(feasible: Feasible) -> int:

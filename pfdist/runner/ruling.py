@@ -343,7 +343,9 @@ class _Search:
     ) -> Generator[WorkBatch, None, tuple[float, bool]]:
         """The error on the first common draws, and whether a rule keeps the budget."""
         works = [work_of(self._built, rule, number, "rule")]
-        (found,) = yield from self._values(works, f"tuning{number}")
+        # One phase for all numbers of draws, because its rows are unique: whether those of fewer
+        # draws are found or computed again depends on when they were committed.
+        (found,) = yield from self._values(works, "tuning")
         mean = Moments.of_values(found.spent)
         most = mean.mean + ONE_SIDED * mean.standard_error
         error = self._built.job.criterion.value(Evaluation((), found.mse)).value

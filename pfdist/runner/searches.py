@@ -82,11 +82,6 @@ def coarse_of(name: str) -> str:
     return f"{name}.coarse"
 
 
-def beside_of(name: str) -> str:
-    """Name of the phase that decides between the winner of a race and sets beside it."""
-    return f"{name}.beside"
-
-
 @dataclass(frozen=True)
 class NamedSearch:
     """An optimiser with its name in the tables and the settings of its evaluations."""

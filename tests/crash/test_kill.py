@@ -151,7 +151,7 @@ reference = "evenly spaced"
 # evaluation from coarse to fine is at work, before the third the race.
 KILLS = {
     "plan": ["evenly_spaced.ranking", "evenly_spaced.coarse", "relaxation", "bound.proof."],
-    "rule": ["rule.draws.tuning1000", "rule.draws.sweep"],
+    "rule": ["rule.draws.tuning", "rule.draws.sweep"],
 }
 
 

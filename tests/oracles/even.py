@@ -27,7 +27,8 @@ def spaced_around(
     times: Sequence[float], number: int, allowed: set[int], required: Sequence[int] = ()
 ) -> Iterator[tuple[int, ...]]:
     """Sets of a number with the required ones: others in gaps are left out, or gaps are cut out."""
-    for targets in range(number - len(required), len(times) + 1):
+    most = min(len(times), number + len(times) - len(allowed))  # others would measure more
+    for targets in range(number - len(required), most + 1):
         for each in even_instants(times, targets):
             kept = {*required} | {t for t in each if t in allowed}
             if len(kept) == number:

@@ -15,6 +15,7 @@ import pytest
 
 import pfdist
 from oracles import beliefs, watched
+from oracles.bytes_of import hashes
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
@@ -32,7 +33,7 @@ from pfdist.questions.rule import (
     unit_of,
 )
 from pfdist.questions.rule_file import keep_rule, rule_from, rule_json, rule_of
-from pfdist.runner import every_strategy, ruling
+from pfdist.runner import door, every_strategy, ruling
 from pfdist.runner.build import build
 from pfdist.store import listing
 from pfdist.store.verify import verify_run
@@ -101,9 +102,14 @@ def test_with_a_hard_limit_no_draw_is_measured_more_often(run: Run) -> None:
     assert len(found.table) == 200
 
 
-def test_it_resumes_and_does_not_depend_on_the_workers(run: Run, tmp_path: Path) -> None:
+def test_it_resumes_and_depends_neither_on_the_workers_nor_on_when_rows_are_committed(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rule that is tried with few draws, and then with more, may find its rows or not."""
     other = pfdist.open_run(shutil.copytree(run.path, tmp_path / "other"))
+    monkeypatch.setattr(door, "COMMIT_SECONDS", 0.0)
     whole = asked(run, pool="threads", workers=2)
+    monkeypatch.setattr(door, "COMMIT_SECONDS", 1e9)
 
     class EndedError(Exception):
         pass
@@ -122,6 +128,7 @@ def test_it_resumes_and_does_not_depend_on_the_workers(run: Run, tmp_path: Path)
     again = asked(other, pool="serial")
     pd.testing.assert_frame_equal(again.table, whole.table)
     assert again.rule == whole.rule
+    assert hashes(other.path) == hashes(run.path)
 
 
 def test_it_computes_nothing_twice(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

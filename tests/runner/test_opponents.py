@@ -4,6 +4,7 @@ Errors are exact (Kalman filter), systems are random, and the candidates are enu
 of real first and last targets (`oracles.even`).
 """
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,8 @@ from pfdist.common.streams import stream_of
 from pfdist.problem.job import Job
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.run_of_job import searched_by
+from pfdist.questions.run_page import answer_of
+from pfdist.results.stored_run import steps_by_part
 from pfdist.runner import search_phase
 from pfdist.runner.build import Built, build
 from pfdist.runner.opponent import best_evenly_spaced
@@ -166,6 +169,21 @@ def test_with_more_sets_than_are_filtered_it_is_as_good_as_all_pairs_of_ends() -
     least = min(built.evaluator.expected_mse([*own]))
     (found,) = built.evaluator.expected_mse([_opponent(built)])
     assert found <= least * (1 + 1e-9)
+
+
+def test_on_a_long_horizon_few_sets_are_tried_for_a_twentieth_of_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pfdist.runner.opponent._LEAST_STEPS", 0.0)
+    problem = pfdist.Problem("random_walk", horizon=500, measurement_budget=30, particles=20)
+    job = problem.job(seed=1).with_changes(
+        ["comparison.draws=200", "evaluation.draws=500"],
+        sections={"search": [{"method": "random", "evaluations": 20}]},
+    )
+    run = pfdist.run(job, tmp_path, figures=False, pool="serial")
+    done = steps_by_part(run)
+    assert 0 < done["opponent"] <= 0.05 * (done["search"] + done["comparison"])
+    assert re.search(r"best of \d evenly spaced sets\s+that were tried", str(answer_of(run)))
 
 
 def test_no_plan_is_clearly_worse_than_its_opponent(
