@@ -110,7 +110,10 @@ def _reason(error: CycloptsError) -> str:
             return gone(word) or f"unknown command {shown_text(word)}{meant}"
         case UnknownOptionError(token=token, argument_collection=arguments):
             word = token.keyword or token.value
-            has_keys = any("--set" in each.names for each in arguments)
+            known = {name for each in arguments for name in each.names}
+            if word == "--out" and "--results" in known:
+                return "unknown option --out: --results FOLDER is where the run is written"
+            has_keys = "--set" in known
             keys = " (--set KEY=VALUE changes a key of the job)" * has_keys
             return gone(word) or f"{shown_text(str(error)).rstrip('.')}{keys}"
         case UnusedCliTokensError(unused_tokens=[word, *_]):
