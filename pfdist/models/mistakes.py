@@ -114,8 +114,7 @@ NO_CLOCK = (
 )
 """The advice where a formula reads the clock of a job that has none."""
 NO_DATES = (
-    "p.day_of_year[t], p.hour[t] and p.weekday[t] need a job with dates: give it a problem.clock "
-    "with a start"
+    "p.day_of_year[t], p.hour[t] and p.weekday[t] need a job with dates: give its clock a start"
 )
 _REMEDIES = {
     "inhomogeneous": _MATRIX,

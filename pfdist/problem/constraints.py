@@ -256,10 +256,11 @@ class Constraints:
         changed = tuple(sorted(others | {to}))
         return changed if self.allows(changed) else None
 
-    def broken(self, times: Iterable[int]) -> list[str]:
+    def broken(self, times: Iterable[int], *, fewer: bool = False) -> list[str]:
         """The constraints that a set of times in 0..T breaks, one sentence each.
 
-        Each sentence begins with the name of the constraint. A set need not spend all of the money.
+        Each sentence begins with the name of the constraint. A set need not spend all of the money,
+        and with `fewer` not all of the number of measurements.
 
         >>> Constraints(horizon=9, measurement_budget=2, forbidden=(4,)).broken([1, 4, 9])
         ['measurement_budget is 2, got 3 times', 'forbidden: 4 is measured']
@@ -267,7 +268,8 @@ class Constraints:
         chosen = sorted({*times})
         sentences, price = list[str](), self.price_of(chosen)
         budget = self.measurement_budget
-        if budget not in (None, len(chosen)) and (self.counted or len(chosen) > budget):
+        exactly = self.counted and not fewer
+        if budget not in (None, len(chosen)) and (exactly or len(chosen) > budget):
             sentences.append(f"measurement_budget is {budget}, got {len(chosen)} times")
         if self.total_price is not None and price > self.total_price:
             sentences.append(f"total_price is {self.total_price}, got times with the price {price}")

@@ -4,7 +4,7 @@ Tables of events are read alike. The job then holds the values, and so does its 
 longer needs the table.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ import numpy as np
 from pfdist.common.arguments import address_fault
 from pfdist.common.nearest import did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_NUMBERS
-from pfdist.errors import JobError, shown
+from pfdist.errors import JobError, MeasurementTimesError, shown
+from pfdist.problem.points import Points
 
 _KEYS = {"file", "column"}
 _EVENT = ("time", "amount", "state")
@@ -45,6 +46,57 @@ def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
     if "filter" in read:
         read["filter"] = with_columns(read["filter"], folder, f"{key}.filter")
     return read
+
+
+def times_of_file(
+    text: str, points: Points, folder: Path, note: Callable[[str], Any], key: str
+) -> list[Any]:
+    """The times of a table as a job writes them, given a text such as ``@last.csv``.
+
+    They are those of the column t, or of another as in ``@last.csv:date``, with their sensors. Each
+    counts at the nearest instant, two at one instant once; `note` receives a line if one moves.
+    Raises `JobError`, which begins with `key`.
+    """
+    from pfdist.store.user_tables import read_user_table  # noqa: PLC0415  as below
+
+    clock, names = points.clock, ["t", *["sensor"] * bool(points.sensors)]
+    file, _, column = text.removeprefix("@").partition(":")
+    if fault := address_fault(file):
+        raise JobError(f"{key} {fault}")
+    path, renamed = folder / file, {"t": column} if column else {}
+
+    def check_header(header: list[str]) -> None:
+        for name in names:
+            if name not in header:
+                other = f"; another is named {text}:COLUMN" * (name == "t")
+                got = ", ".join(header)
+                raise ValueError(f"a table of times needs a column {name}, got {got}{other}")
+
+    try:
+        table = read_user_table(
+            path, check_header, names, {"sensor": points.sensors}, clock.readers(between=True),
+            renamed=renamed,
+        )  # fmt: skip
+        times = clock.of_table(table["t"].tolist(), note)
+        for time in times:
+            clock.check_is_within(time, "t")
+    except OSError as error:
+        raise JobError(f"{key}: cannot read {path}: {error.strerror}") from error
+    except (ValueError, MeasurementTimesError) as error:
+        raise JobError(f"{key}: {error} ({path})") from error
+    instants = clock.nearest(times)
+    apart = [abs(clock.times[t] - time) for t, time in zip(instants, times, strict=True)]
+    if (most := max(apart, default=0.0)) > clock.slack:
+        note(f"times of {path} count at the nearest instants, at most {clock.duration(most)} away")
+    if not points.sensors:
+        return [*dict.fromkeys(map(clock.time, instants))]
+    ways = table["sensor"].astype(int).tolist()
+    texts = [clock.text(clock.times[t]) for t in instants]
+    return [
+        *dict.fromkeys(
+            f"{text} {points.sensors[way]}" for text, way in zip(texts, ways, strict=True)
+        )
+    ]
 
 
 def _events(given: dict[str, Any], folder: Path, key: str) -> list[list[Any]]:

@@ -1,9 +1,10 @@
 """The job: all sections of a job file, checked together, and the functions that read it."""
 
+import warnings
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
@@ -17,7 +18,7 @@ from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text, with_texts
 from pfdist.common.section import JobSection, checked, explained
-from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
+from pfdist.errors import JobError, MeasurementTimesError, PfdistWarning, shown, shown_text
 from pfdist.filters.criterion import (
     MEAN,
     Criterion,
@@ -26,7 +27,7 @@ from pfdist.filters.criterion import (
     other_criteria_of,
 )
 from pfdist.filters.engines import is_exact
-from pfdist.problem.covariates import with_columns
+from pfdist.problem.covariates import times_of_file, with_columns
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
 from pfdist.problem.needs import CONTROL, fault_of
@@ -166,6 +167,20 @@ _NO_FILE = Origin()
 _EXACT_DRAWS = 2000  # by default beside exact errors, for shares of draws and for pictures
 
 
+def _with_times(value: Any, key: str, data: Mapping[str, Any], folder: Path) -> Any:
+    """A value of [comparison] with the times of a table instead of the name of its file."""
+    if isinstance(value, dict) and key in ("comparison", "comparison.sets"):
+        keys = {name: f"{key}.{name}" for name in value}
+        return {name: _with_times(value[name], keys[name], data, folder) for name in value}
+    if not (isinstance(value, str) and value.startswith("@")):
+        return value
+    try:
+        points = ProblemSection.model_validate(data.get("problem")).points
+    except (ValidationError, MeasurementTimesError):
+        return value  # the check of the job says what is wrong
+    return times_of_file(value, points, folder, partial(warnings.warn, category=PfdistWarning), key)
+
+
 class Job(JobSection):
     """A validated job: everything that identifies a run, and where it is computed.
 
@@ -207,6 +222,9 @@ class Job(JobSection):
         data = with_texts(data)
         if "model" in data:
             data["model"] = with_columns(data["model"], origin.path.parent)
+        if "comparison" in data:
+            given = _with_times(data["comparison"], "comparison", data, origin.path.parent)
+            data["comparison"] = given
         try:
             super().__init__(**data)
         except ValidationError as error:

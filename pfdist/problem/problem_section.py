@@ -510,10 +510,10 @@ class ProblemSection(JobSection):
         """The constraints that a set of times breaks, one sentence each.
 
         The times are instants, or times on the clock. Each sentence begins with the key, for
-        instance ``problem.forbidden: 4 is measured``.
+        instance ``problem.forbidden: 4 is measured``. Fewer measurements break none.
         """
-        measured = self.points.read(times)
-        return [self._said(sentence) for sentence in self.feasible.broken(measured)]
+        broken = self.feasible.broken(self.points.read(times), fewer=True)
+        return [self._said(sentence) for sentence in broken]
 
     def _said(self, sentence: str) -> str:
         """A sentence that begins with a key, with its section and, for times, both keys."""

@@ -246,8 +246,9 @@ def compare(
         name of the run's folder before it.
     times : mapping of str to iterable or str, or list of str, optional
         Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``: times on the clock
-        of the problem, or its regular times. They may break constraints. Give the option once for
-        each set.
+        of the problem, or its regular times. ``last=@last.csv`` takes those of the column t of a
+        table, ``last=@last.csv:date`` of another column. They may break constraints. Give the
+        option once for each set.
     results : str or Path, optional
         Folder of the comparison; by default ``results/NAME-compare`` of a job ``NAME.toml``.
     draws : int, optional

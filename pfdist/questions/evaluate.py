@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial, reduce
 from itertools import repeat
 from operator import or_
+from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
@@ -27,6 +28,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, Result, joined
 from pfdist.models import squared_error
 from pfdist.problem.clock import Time
+from pfdist.problem.covariates import times_of_file
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
@@ -42,7 +44,7 @@ from pfdist.runner.build import Built, build
 from pfdist.runner.comparison_phase import LOSS_DRAWS, OTHERS
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import fewest_lines
-from pfdist.runner.progress import Progress, silent
+from pfdist.runner.progress import Progress, heard, silent
 from pfdist.runner.searches import comparing_of
 
 UNNAMED = ""
@@ -177,8 +179,11 @@ def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str)
     if isinstance(written, str) and written == REGULAR:
         return job.problem.feasible.regular()
     place = f"times of {name}" if name else "measurement_times"
+    points = job.problem.points
+    if isinstance(written, str) and written.startswith("@"):
+        written = times_of_file(written, points, Path(), partial(heard, silent), place)
     try:
-        return job.problem.points.checked(written, place, where=name and place)
+        return points.checked(written, place, where=name and place)
     except MeasurementTimesError as error:
         error.argument = "times"
         raise

@@ -322,8 +322,18 @@ def _degenerate(subject: Subject) -> list[Text]:
 
 
 def _broken(subject: Subject) -> Iterator[Text]:
+    problem = problem_of(subject.run)
+    is_exact = problem.feasible.counted and "budget" not in subject.run.job
+    budget = (problem.measurement_budget or 0) * is_exact
     for name, row in subject.rows.items():
         times = f"The set {row.label}" if name in subject.others else "The reference"
+        if row.measurements < budget:
+            number = row.measurements
+            yield Text(
+                f"{times} has {number} of {budget} measurements. `pfdist plan` with --set "
+                f"problem.measurement_budget={number} finds the best {number}, and the best "
+                "evenly spaced ones."
+            )
         for constraint in row.broken_constraints:
             yield Text(f"{times} breaks a constraint, and is compared all the same: {constraint}.")
 

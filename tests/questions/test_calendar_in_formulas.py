@@ -75,7 +75,9 @@ def test_a_plan_is_made_resumed_and_filters_at_other_times_by_its_calendar(tmp_p
 @pytest.mark.parametrize("clock", [{}, {"time_step": 1, "time_unit": "h"}])
 def test_a_model_that_reads_dates_needs_them(clock: dict[str, object]) -> None:
     problem = pfdist.Problem(_model(), **{**JOB, "clock": None}, **clock)
-    with pytest.raises(ModelError, match=r"p\.hour\[t\] .* need a job with dates: .* with a start"):
+    with pytest.raises(
+        ModelError, match=r"p\.hour\[t\] .* need a job with dates: give its clock a start"
+    ):
         pfdist.simulate(problem)
 
 

@@ -14,12 +14,13 @@ import pytest
 import pfdist
 from oracles.in_turn import in_turn
 from oracles.results_of import results_of
-from pfdist import Job
+from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.common.parts import Table, Text
-from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
+from pfdist.errors import JobError, PfdistError, PfdistWarning, RunMismatchError, StoreError
 from pfdist.pages.figure import FIGURES
 from pfdist.pages.terminal import lines_of
+from pfdist.problem.job import Origin, job_toml
 from pfdist.questions.compared_page import compared as compared_section
 from pfdist.questions.run_page import answer_of, page_of
 from pfdist.questions.subject import Subject
@@ -105,7 +106,7 @@ def test_one_command_gives_the_numbers_of_three_lines_of_python(
     assert answer["ranks"] == compared.table("ranks").to_dict("records")
     assert _bytes(folder / "command") == _bytes(compared.path)
     sets = {row["name"]: row for row in answer["sets"]}
-    assert sets["few"]["broken_constraints"] == ["problem.measurement_budget is 4, got 2 times"]
+    assert sets["few"]["broken_constraints"] == []  # fewer measurements are no fault
     assert sets["clinic"]["broken_constraints"] == []
 
 
@@ -133,6 +134,37 @@ def test_the_answer_names_the_best_set_and_how_far_it_is_below_the_others(
         assert ("(" in cells[place].text) is (kind != "exact")
 
 
+def test_last_years_samples_are_compared_from_their_table(few: Job, tmp_path: Path) -> None:
+    """Times between instants count at the nearest; the job then holds the times, not the file."""
+    table = tmp_path / "last.csv"
+    table.write_text("when;y0\n0;1,5\n5.2;0,1\n4.8;\n12;0,2\n")
+    with pytest.warns(PfdistWarning, match="last.csv count at the nearest instants, at most 0.2 a"):
+        run = compare(few, times=[f"last=@{table}:when", "regular"], results=tmp_path / "run")
+    assert run.sets["last"] == (0, 5, 12)
+    (tmp_path / "job.toml").write_text(job_toml(few.identity()))
+    change = "comparison.sets={last='@last.csv:when'}"
+    with pytest.warns(PfdistWarning, match="at the nearest instants"):
+        job = load_job(tmp_path / "job.toml", [change])
+    table.unlink()
+    assert job.with_changes(["seed=2"]).identity()["comparison"]["sets"] == {"last": [0, 5, 12]}
+    with pytest.raises(JobError, match=r"^comparison.sets.last: cannot read .*last.csv: No such"):
+        load_job(tmp_path / "job.toml", [change])
+
+
+def test_sensors_and_dates_of_a_table_become_those_of_a_set(tmp_path: Path) -> None:
+    (tmp_path / "last.csv").write_text("t,sensor\n13.04.2026,ct\n15.04.2026,x-ray\n")
+    sensors = {"x-ray": {}, "ct": {}}
+    problem = {"horizon": 9, "measurement_budget": 2, "sensors": sensors,
+               "clock": {"start": "2026-04-10", "step": "1 d"}}  # fmt: skip
+    sets = {"sets": {"last": "@last.csv"}}
+    with pytest.warns(PfdistWarning, match=r"t of the table is read as day\.month\.year"):
+        job = Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
+    assert job.comparison.sets == {"last": ("2026-04-13 ct", "2026-04-15 x-ray")}
+    (tmp_path / "last.csv").write_text("t,sensor\n2027-05-01,ct\n")
+    with pytest.raises(JobError, match=r"^comparison.sets.last: t must lie in 2026-04-10..2026-04"):
+        Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
+
+
 def test_sets_that_do_not_differ_clearly_are_all_named(few: Job, tmp_path: Path) -> None:
     times = {"one": [0, 3, 6, 12], "two": [0, 3, 7, 12]}
     (sentence, *_) = lines_of(answer_of(compare(few, times=times, results=tmp_path / "run")))[1:]
@@ -151,7 +183,7 @@ def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     assert [line for line in lines if len(line) > 80] == []
     text = " ".join(" ".join(lines).split())
     assert text.startswith("Best of 3 sets (95 % confidence, all pairs together): ")
-    assert "is compared all the same: problem.measurement_budget is 4, got 2 times." in text
+    assert "has 2 of 4 measurements. `pfdist plan` with --set problem.measurement_budget=2" in text
     assert "Best first, on 500 draws" in text
     assert "Pairs of sets" not in text
     assert "Pairs of sets first second" in " ".join(
@@ -159,7 +191,7 @@ def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     )
     page = str(page_of(compared))
     assert "How the sets compare" in page
-    assert "problem.measurement_budget is 4, got 2 times" in page
+    assert "has 2 of 4 measurements" in page.replace("\N{NO-BREAK SPACE}", " ")
     for words in ("took no part in the search", "found times", "The answer", "How the times were"):
         assert words not in page
 
@@ -287,11 +319,11 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     assert (named_sets(run), found_sets(run)) == (["mine", "every"], ["random"])
     results = results_of(run)
     assert results["random"].search_cause
-    assert results["mine"].broken_constraints == ["problem.measurement_budget is 4, got 3 times"]
+    assert results["every"].broken_constraints == ["problem.measurement_budget is 4, got 13 times"]
     assert FIGURES["compared"].files(run)
     page = str(page_of(run))
     assert "How the sets compare" in page
-    assert "The set mine breaks a constraint" in page
+    assert "The set every breaks a constraint" in page
     assert results["every"].expected_mse < results["random"].expected_mse
 
 
@@ -346,7 +378,7 @@ def test_evaluate_prints_a_line_for_each_set(
     out, err = capsys.readouterr()
     rows = [line.split()[0] for line in out.splitlines() if re.search(r"± \d", line)]
     assert rows == ["clinic", "late", "few"]
-    assert "Note: the times of few break a constraint: problem.measurement_budget" in out
+    assert "Note" not in out  # fewer measurements break no constraint
     assert not err
     assert main([*words, "--json"]) == 0
     assert [*json.loads(capsys.readouterr().out)["sets"]] == ["clinic", "late", "few"]

@@ -25,7 +25,7 @@ BACKWARD = re.compile(r"(?:\A|\n\s*\n|(?<=[.:?!])\s+|\n    )(?:Of|What|By(?! def
 SETS_OF_TIMES = "affordable constraints feasible spacing written"
 BELOW_PROBLEM = re.compile("pfdist/(filters|kernels|store|pools|densities|common)/")
 CALENDAR = {"clock", "calendar", "date", "dates", "timezone", "zoneinfo"}
-OF_MODELS = {"CLOCK", "on_clock", "reads_clock"}  # arrays of numbers that formulas read
+OF_MODELS = {"CLOCK", "on_clock", "reads_clock", "DATES"}  # arrays of numbers that formulas read
 OF_TABLES = {"_DATE", "dates"}  # the texts of a column for people
 LOW_ROOMS = (
     *("pfdist/common/", "pfdist/models/", "pfdist/search/"),
