@@ -4,7 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, pairwise
 from pathlib import Path
@@ -53,6 +53,8 @@ class Reading(NamedTuple):
         For each sensor of the model, that of the job, of which it may be one of the repeats.
     all_count : bool
         Whether a value that arrives after the horizon is an error.
+    given : mapping of str to str
+        Columns of the parameters that come with each reading.
     """
 
     columns: Mapping[str, str] = {}
@@ -62,6 +64,13 @@ class Reading(NamedTuple):
     sensings: tuple[Sensing, ...] = ()
     sensors: tuple[str, ...] = ()
     all_count: bool = False
+    given: Mapping[str, str] = {}
+
+    @property
+    def renamed(self) -> dict[str, str]:
+        """The names in the table of all columns that have another name there."""
+        given = {name: column for name, column in self.given.items() if name != column}
+        return {**given, **self.columns}
 
     def readers(self, names: Iterable[str]) -> dict[str, Callable[[str], float]]:
         """A reader of the cells of each measured column: numbers, and readings beyond a limit."""
@@ -152,6 +161,8 @@ class Measurements:
     repeats: int = 1  # R
     failed: Times = ()  # possible measurements without a value, of sensors that may fail
     in_flight: Times = ()  # possible measurements whose values arrive after the last row
+    # Parameters that came with readings, (T+1,); those of the model at other instants.
+    given: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def made_with(self, model: StateSpaceModel) -> Times:
         """The possible measurements that were made; without sensors, these are instants."""
@@ -188,15 +199,18 @@ def read_measurements(
         most = _FURTHER + _MOST_REPEATS * model.points.first(len(clock.times))
         readers = clock.readers(between=True) | reading.readers(chain(*allowed))
         columns = read_user_table(path, check, known, {"sensor": sensors}, readers, most,
-                                  reading.columns)  # fmt: skip
+                                  reading.renamed)  # fmt: skip
         times = clock.of_table(columns["t"].tolist(), reading.note)
         of_rows, instants, moved = instants_of_table(times, clock, reading, start)
         reading.moved(moved, clock)
-        if of_rows is not clock and (varied := [k for k, v in own.items() if isinstance(v, tuple)]):
+        kept = {name: value for name, value in own.items() if name not in reading.given}
+        if of_rows is not clock and (
+            varied := [k for k, v in kept.items() if isinstance(v, tuple)]
+        ):
             reading.note(
                 f"{', '.join(varied)} of the model: constant from an instant of the job to the next"
             )
-        for name, value in own.items():
+        for name, value in kept.items():
             _check_parameter(name, columns.get(name), value, times, clock)
         wanted = next(names for names in allowed if names[-1] in columns)
         wanted = [each for each in wanted if each not in ("t", "sensor")]
@@ -205,8 +219,13 @@ def read_measurements(
             if censored.any():
                 columns[below[name]][censored] = reading.low
         table = np.stack([columns[name] for name in wanted], axis=1)
-        given = columns.get("sensor", np.zeros(len(times))).astype(int)
-        names = [sensors[k] if "sensor" in columns else "" for k in given]
+        own_values = parameters_at(own, clock, of_rows.times)
+        given_values = {
+            name: given_at(name, columns[name], instants, of_rows, own_values)
+            for name in reading.given
+        }
+        of_sensors = columns.get("sensor", np.zeros(len(times))).astype(int)
+        names = [sensors[k] if "sensor" in columns else "" for k in of_sensors]
         ways = [*sensors_of_rows(zip(instants, names, strict=True), model, reading)]
         arrivals = [t + reading.sensing(way).delay for t, way in zip(instants, ways, strict=True)]
         rows = zip(instants, arrivals, ways, table, strict=True)
@@ -239,6 +258,7 @@ def read_measurements(
         repeats,
         failed,
         in_flight=tuple(sorted({point for t, _, point in empty if t > now})),
+        given=given_values,
     )
 
 
@@ -333,6 +353,26 @@ def parameters_at(
         name: covariate_at(value, clock, times) if isinstance(value, tuple) else value
         for name, value in parameters.items()
     }
+
+
+def given_at(
+    name: str, values: Array, at: Sequence[int], clock: Clock, own: Mapping[str, Parameter]
+) -> tuple[float, ...]:
+    """A parameter that comes with readings, (T+1,): the model's where no row has a value."""
+    series = series_at(name, values, at, clock)
+    return tuple(np.where(np.isnan(series), np.array(own[name]), series).tolist())
+
+
+def series_at(name: str, values: Array, at: Sequence[int], clock: Clock) -> Array:
+    """The value at each instant, (T+1,), given those of some rows; NaN elsewhere."""
+    series = np.full(len(clock.times), np.nan)
+    for t, value in zip(at, values.tolist(), strict=True):
+        if np.isinf(value) or (value != series[t] and not np.isnan([value, series[t]]).any()):
+            rule = "must have one finite value at each time"
+            got = f"{value}" if np.isinf(value) else f"{series[t]} and {value}"
+            raise MeasurementsError(f"{name} {rule}, got {got} at t = {clock.formatted(t)}")
+        series[t] = series[t] if np.isnan(value) else value
+    return series
 
 
 def instants_of_table(

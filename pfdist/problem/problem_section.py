@@ -106,6 +106,9 @@ class ProblemSection(JobSection):
         Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
     sensor : section
         The only sensor, of a model without sensors.
+    given : dict of str to str
+        Parameters that come with each reading, such as its standard error: for each the column of
+        measured tables. Plans have the job's values.
     visits : section
         Measurements that share a visit; see ``[problem.visits]``.
     """
@@ -136,6 +139,7 @@ class ProblemSection(JobSection):
         Annotated[dict[str, SensorSection], Field(min_length=2, json_schema_extra=_OR_NAMES)] | None
     ) = None
     sensor: SensingSection | None = None
+    given: dict[str, str] | None = None
     visits: VisitsSection | None = None
 
     @field_validator("horizon", "times", mode="before")

@@ -22,9 +22,12 @@ from pfdist.problem.measurements import (
     PLAIN_READING,
     RENAME,
     Reading,
+    given_at,
     instants_of_table,
     note_unread,
+    parameters_at,
     read_measurements,
+    series_at,
 )
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
@@ -208,7 +211,7 @@ def _table(
     most = max(part.model.components[1] for part in model.parts)
     measured = {*(f"y{k}" for k in range(most)), *chain(*user_columns("y", model))}
     readers = clock.readers(between=True) | reading.readers(measured)
-    columns = read_user_table(source, check, read, names, readers, renamed=reading.columns)
+    columns = read_user_table(source, check, read, names, readers, renamed=reading.renamed)
     if not columns["t"].size:
         raise MeasurementsError("the table must have rows, got none")
     columns["t"] = np.array(clock.of_table(columns["t"].tolist(), reading.note))
@@ -240,14 +243,20 @@ def _checked_replicate(
     if "sensor" in table:
         named = reading.named(model)
         table["sensor"] = [named[int(number)] for number in table["sensor"]]
-    measurements = read_measurements(table, model, on, reading=reading)
+    measurements = read_measurements(table, model, on, reading=reading._replace(given={}))
     y = np.full((len(on.times), measurements.y.shape[1]), np.nan)
     y[[*measurements.t]] = measurements.y
     known = next((names for names in user_columns("z", model) if names[0] in rows), [])
-    series = [_series(each, rows[each].to_numpy(), at, on) for each in known]
+    series = [series_at(each, rows[each].to_numpy(), at, on) for each in known]
     z = np.stack(series, axis=1) if known else None
     others = [each for each in rows.columns if each not in (*given, *known, column, TRAIN)]
-    parameters = {each: _parameter(each, rows[each].to_numpy(), at, on) for each in others}
+    own_values = parameters_at(model.parameters, clock, on.times)
+    parameters = {
+        each: given_at(each, rows[each].to_numpy(), at, on, own_values)
+        if each in reading.given
+        else _parameter(each, rows[each].to_numpy(), at, on)
+        for each in others
+    }
     train = rows[TRAIN].to_numpy(np.float64) if TRAIN in rows else np.zeros(1)
     if len({*train}) > 1 or train[0] not in (0.0, 1.0):
         raise MeasurementsError(f"{TRAIN} must be 0 or 1 in all rows, got {shown(train.tolist())}")
@@ -261,7 +270,7 @@ def _parameter(name: str, values: Array, at: list[int], clock: Clock) -> Paramet
         raise MeasurementsError(f"{name} must be a finite number in all rows, got {value}")
     if (values == values[0]).all():
         return float(values[0])
-    series = _series(name, values, at, clock)
+    series = series_at(name, values, at, clock)
     series[: min(at)] = series[min(at)]  # the first instant may have no row
     for t in np.flatnonzero(np.isnan(series))[:1]:
         raise MeasurementsError(
@@ -269,15 +278,3 @@ def _parameter(name: str, values: Array, at: list[int], clock: Clock) -> Paramet
             f"{clock.formatted(int(t))}"
         )
     return tuple(series.tolist())
-
-
-def _series(name: str, values: Array, at: list[int], clock: Clock) -> Array:
-    """The value at each instant, (T+1,), given those of some rows; NaN elsewhere."""
-    series = np.full(len(clock.times), np.nan)
-    for t, value in zip(at, values.tolist(), strict=True):
-        if np.isinf(value) or (value != series[t] and not np.isnan([value, series[t]]).any()):
-            rule = "must have one finite value at each time"
-            got = f"{value}" if np.isinf(value) else f"{series[t]} and {value}"
-            raise MeasurementsError(f"{name} {rule}, got {got} at t = {clock.formatted(t)}")
-        series[t] = series[t] if np.isnan(value) else value
-    return series

@@ -269,7 +269,7 @@ def filter_measurements(
     filtering = filter_of(plan.built, plan.prior)
     reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, of_job.clock, filtering.now.t, reading)
-    if rows.clock is not of_job.clock or rows.repeats > 1:
+    if rows.clock is not of_job.clock or rows.repeats > 1 or rows.given:
         plan = on_clock_of(plan, rows)
         filtering = filter_of(plan.built, plan.prior, repeats=rows.repeats)
     clock, points = rows.clock, replace(of_job, clock=rows.clock)

@@ -281,6 +281,7 @@ def next_time(
     reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, clock, start, reading)
     made, is_own = rows.made_with(believed), rows.clock is clock and rows.repeats == 1
+    is_own = is_own and not rows.given
     late = (point for point in made if points.made_at(point) < points.instant(point))
     planner._in_flight = tuple(sorted({*planner._in_flight, *rows.in_flight, *late}))
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it

@@ -153,16 +153,26 @@ def reading_of(built: Built, columns: Columns | None, within: float | None, say:
     problem, note = built.job.problem, partial(heard, say)
     sensors, sensings = zip(*problem.each_sensing, strict=True) if problem.sensings else ((), ())
     return Reading(
-        columns_argument(columns), within, any_time, note, sensings=sensings, sensors=sensors
+        columns_argument(columns),
+        within,
+        any_time,
+        note,
+        sensings=sensings,
+        sensors=sensors,
+        given=problem.given or {},
     )
 
 
 def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:
-    """The planned run, whose evaluator and prior are on the clock of a table; the job stays."""
+    """The planned run, whose evaluator and prior are on the clock of a table; the job stays.
+
+    The evaluator's models have the parameters that came with the table's readings.
+    """
     own = plan.built.job.problem.clock
-    if rows.clock is own:
+    if rows.clock is own and not rows.given:
         return plan
-    built, prior = replace(plan.built, evaluator=evaluator_on(plan.built, rows.clock)), plan.prior
+    evaluator = evaluator_on(plan.built, None if rows.clock is own else rows.clock, rows.given)
+    built, prior = replace(plan.built, evaluator=evaluator), plan.prior
     at = None if prior is None else replace(prior, t=rows.clock.instant(own.times[prior.t]))
     return plan._replace(built=built, prior=at)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
+from pfdist.common.nearest import must_be
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
 from pfdist.filters.engines import (
     AUTO,
@@ -351,6 +352,8 @@ def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
     models = _given_models(job, kept)
     if not kept:
         models = _with_events(job.model.events or {}, *models)
+    if not kept and job.problem.given:
+        models = _with_given(job, *models)
     if not kept and job.problem.sensings:
         models = _sensed(job, *models)
     if kept or job.scenarios is None or not job.scenarios.is_learned:
@@ -367,6 +370,26 @@ def _with_events(
         return given[0], given[-1]
     except ModelError as error:
         raise ModelError(f"model.events: {error}") from error
+
+
+def _with_given(
+    job: Job, model: StateSpaceModel, believed: StateSpaceModel
+) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """The models whose parameters that come with each reading have a value for each instant."""
+    instants = job.problem.feasible.horizon + 1
+
+    def changed(each: StateSpaceModel) -> StateSpaceModel:
+        values = dict[str, Any]()
+        for name in job.problem.given or {}:
+            if name not in each.parameters:
+                rule = f"parameters of the model, {', '.join(each.parameters)}"
+                raise ModelError(must_be("problem.given", rule, name, each.parameters))
+            value = each.parameters[name]
+            one = value[0] if isinstance(value, tuple) and len(value) == 1 else value
+            values[name] = one if isinstance(one, tuple) else (one,) * instants
+        return each.with_parameters(values)
+
+    return (truth := changed(model)), truth if believed == model else changed(believed)
 
 
 def _sensed(

@@ -1,0 +1,111 @@
+"""A standard error that comes with each reading, in a column of the table: [problem.given]."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import multivariate_normal
+
+import pfdist
+from pfdist import StateSpaceModel
+from pfdist.densities import normal_logpdf
+from pfdist.errors import MeasurementsError, ModelError
+
+U = [0.3, 0.5, 0.1]
+Y = [1.1, 0.4, 0.9]
+
+
+def _problem(u: Any = (0.2,), sd: float = 1.0, **more: Any) -> pfdist.Problem:
+    """A constant, N(0, 1), read with the error u: conjugate, so that its posterior is known."""
+    model = StateSpaceModel(
+        name="constant",
+        initial=lambda w, p: (p.sd * w[0],),
+        transition=lambda x, t, w, p: x,
+        measurement=lambda x, t, v, p: (x[0] + p.u[t] * v[0],),
+        log_likelihood=lambda y, x, t, p: normal_logpdf(y[0], x[0], p.u[t]),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=(),
+        measurement_noise=("normal",),
+        parameters={"u": (0.2,), "sd": 1.0},
+        normalised=True,
+        linear_gaussian=True,
+    )
+    job = {"horizon": 6, "measurement_budget": 2, "engine": "kalman", "given": {"u": "error"}}
+    return pfdist.Problem(model.with_parameters({"u": u, "sd": sd}), **{**job, **more})
+
+
+def _posterior(u: list[float]) -> tuple[float, float]:
+    precision = 1 + sum(1 / each**2 for each in u)
+    mean = sum(y / each**2 for y, each in zip(Y, u, strict=True)) / precision
+    return mean, 1 / math.sqrt(precision)
+
+
+@pytest.mark.parametrize("u", [(0.2,), [0.2] * 7])
+def test_each_reading_is_weighed_by_its_own_error(u: Any, tmp_path: Path) -> None:
+    """Gelman et al., Bayesian Data Analysis, section 2.5: precisions add up."""
+    table = pd.DataFrame({"t": [0, 2, 5], "y0": Y, "error": U})
+    table.to_csv(tmp_path / "rows.csv", index=False)
+    for source in (table, tmp_path / "rows.csv"):
+        found = pfdist.filter_measurements(_problem(u), source, report=False)
+        last = found.table.iloc[-1]
+        assert [last["mean_0"], last["sd_0"]] == pytest.approx(_posterior(U), rel=1e-12)
+    plain = pfdist.filter_measurements(_problem([0.2] * 7, given=None), table.drop(columns="error"))
+    assert plain.table["mean_0"].iloc[-1] == pytest.approx(_posterior([0.2] * 3)[0], rel=1e-12)
+
+
+def test_a_plan_has_the_errors_of_the_job() -> None:
+    """Exact readings are worth more: the plan measures where the job foresees small errors."""
+    expected = pfdist.evaluate(_problem((0.2,)), [0, 1]).expected_mse
+    early = pfdist.evaluate(_problem([0.2, 0.1, *[0.2] * 5]), [0, 1]).expected_mse
+    of_all = [1 / (1 + n / 0.04) for n in (1, *[2] * 6)]
+    assert expected == pytest.approx(np.mean(of_all), rel=1e-9)
+    assert early < expected
+
+
+def test_next_fit_and_backtest_read_the_column(tmp_path: Path) -> None:
+    table = pd.DataFrame({"t": [0, 2, 5], "y0": Y, "error": U})
+    assert pfdist.next_time(_problem(measurement_budget=4), table).measured == (0, 2, 5)
+    rng = np.random.default_rng(1)
+    rows = [
+        {"who": k, "t": t, "y0": 2 * x + u * rng.normal(), "error": u}
+        for k, x in enumerate(rng.normal(size=20))
+        for t, u in enumerate(rng.choice([0.1, 3.0], 7))
+    ]
+    fitted = pfdist.fit(_problem(), pd.DataFrame(rows), ["sd"], replicate="who", pool="serial")
+    assert fitted.log_likelihood == pytest.approx(_log_likelihood(rows, fitted.parameters["sd"]))
+    near = [_log_likelihood(rows, fitted.parameters["sd"] * each) for each in (0.95, 1.05)]
+    assert max(near) < fitted.log_likelihood
+    run = pfdist.plan(_problem(sd=2.0), tmp_path / "run", bound_draws=0, figures=False)
+    judged = pfdist.backtest(run, pd.DataFrame(rows), replicate="who", within=3, pool="serial")
+    assert "wrong" not in judged._page().sections[0].blocks[0].text  # errors of 0.2 would be wrong
+
+
+def _log_likelihood(rows: list[dict[str, Any]], sd: float) -> float:
+    """The density of each system's readings: normal, with the covariance sd^2 + diag(error^2)."""
+    total = 0.0
+    for _, each in pd.DataFrame(rows).groupby("who"):
+        covariance = sd**2 + np.diag(each["error"] ** 2)
+        total += multivariate_normal(np.zeros(len(each)), covariance).logpdf(each["y0"])
+    return total
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ({"t": [0], "y0": [1.0]}, "columns must be columns of the table, t, y0, got 'error'"),
+        ({"t": [0, 0], "y0": [1.0, 2.0], "error": [0.1, 0.2]}, "u must have one finite value at"),
+    ],
+)
+def test_a_wrong_column_is_explained(rows: dict[str, Any], words: str) -> None:
+    with pytest.raises(MeasurementsError, match=words):
+        pfdist.filter_measurements(_problem(), pd.DataFrame(rows))
+
+
+def test_it_names_a_parameter_of_the_model() -> None:
+    with pytest.raises(ModelError, match="given must be parameters of the model, u, sd, got"):
+        pfdist.simulate(_problem(given={"v": "error"}))
+    assert "wrong" not in {*pfdist.check_model(_problem())["state"]}
