@@ -385,8 +385,8 @@ def _with_given(
                 rule = f"parameters of the model, {', '.join(each.parameters)}"
                 raise ModelError(must_be("problem.given", rule, name, each.parameters))
             value = each.parameters[name]
-            one = value[0] if isinstance(value, tuple) and len(value) == 1 else value
-            values[name] = one if isinstance(one, tuple) else (one,) * instants
+            single = value[0] if isinstance(value, tuple) and len(value) == 1 else value
+            values[name] = single if isinstance(single, tuple) else (single,) * instants
         return each.with_parameters(values)
 
     return (truth := changed(model)), truth if believed == model else changed(believed)

@@ -32,7 +32,7 @@ from pfdist.runner.driver import foreseen_steps
 
 SMOOTHED = "problem.estimate=smoothed"
 CHANGES = ["comparison.draws=500", "search.relaxation.polish=false"]
-HINT = 'If you analyse afterwards, `problem.estimate = "smoothed"` finds other times.'
+HINT = '`problem.estimate = "smoothed"` plans for that.'
 
 
 @pytest.fixture(scope="module")
