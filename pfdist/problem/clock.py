@@ -284,7 +284,8 @@ class Clock:
             raise ValueError(f"t must be one date, as 2026-04-01, got {got}")
         if not read:
             raise ValueError(why)
-        nearest = min(away, key=lambda name: away[name])
+        outside = {name: sum(self._away([t]) > self.slack for t in read[name]) for name in read}
+        nearest = min(read, key=lambda name: (outside[name], away[name]))
         if not fits:
             self._check_has_other_reading(nearest, read[nearest], texts)
         elif nearest != OWN_DATES:

@@ -242,11 +242,12 @@ def test_seconds_since_1970_are_read_if_they_can_be_nothing_else(jobs: Path) -> 
         [0, 3607 / 3600],
         pd.to_datetime(["2026-10-23T22:00:00Z", "2026-10-23T23:00:07Z"]).tz_convert("US/Pacific"),
     ):
-        table = pd.DataFrame({"t": t, "y0": [1.0, 2.0]})
-        found = pfdist.filter_measurements("well.toml", table, report=False)
+        table, lines = pd.DataFrame({"t": t, "y0": [1.0, 2.0]}), list[str]()
+        found = pfdist.filter_measurements("well.toml", table, report=False, say=lines.append)
         assert found.measured == ("2026-10-24T00:00", "2026-10-24T01:00:07")
+        assert any("read as seconds since 1970" in line for line in lines) is (t[0] == 1792792800)
     far = pd.DataFrame({"t": [1792792800.0, 5e12], "y0": [1.0, 2.0]})
-    with pytest.raises(MeasurementsError, match=r"t must lie in .* got 1792792800 \(row 1\)"):
+    with pytest.raises(MeasurementsError, match=r"got '5000000000000' \(row 2\); .* are sec"):
         pfdist.filter_measurements("well.toml", far)
 
 
