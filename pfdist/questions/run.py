@@ -21,7 +21,7 @@ from pfdist.questions.run_of_job import folder_of
 from pfdist.questions.subject import Subject
 from pfdist.results import Run, open_run
 from pfdist.results.sets import publish_sets
-from pfdist.results.stored_run import measured_of, provenance_of
+from pfdist.results.stored_run import measured_of, problem_of, provenance_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.door import RunSession, WorkBatch, complete
@@ -233,7 +233,7 @@ def compute(
             else:
                 subject = Subject(run)
                 times = subject.rows[subject.by_error[0]].measurement_times
-                found = f"Measure at t = {subject.clock.listed(times)}"
+                found = f"Measure at t = {problem_of(run).listed(times)}"
                 compared()
             say(f"{found}. The proof takes longer.")
             try:

@@ -179,8 +179,9 @@ def answer(subject: Subject) -> Section | None:
 
 def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     times = row.measurement_times
-    at = f"at {'t = ' if times else 'no time'}{subject.clock.listed(times)}."
-    if visits := problem_of(subject.run).by_visit(times):
+    problem = problem_of(subject.run)
+    at = f"at {'t = ' if times else 'no time'}{problem.listed(times)}."
+    if visits := problem.by_visit(times):
         each = " ".join(f"Visit {number}, {text}." for number, text in enumerate(visits, start=1))
         at = f"in {len(visits)} visit{'s' * (len(visits) != 1)}. {each}"
     if not subject.is_compared:

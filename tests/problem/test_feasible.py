@@ -18,6 +18,7 @@ from pfdist.common.measurement_times import Times, regular
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.problem_section import ProblemSection
 from pfdist.search.exchange import shifts
 
 NAMES = "|".join(field.name for field in fields(Constraints))
@@ -394,3 +395,20 @@ def test_every_broken_constraint_is_named_with_what_breaks_it(
     feasible: Feasible, times: Times, sentences: list[str]
 ) -> None:
     assert feasible.broken(times) == sentences
+
+
+def test_times_of_a_sensor_that_is_always_on_are_a_range() -> None:
+    """Published case: 41 times of a sonde hid those of three grab samples."""
+    job = {"horizon": 8, "measurement_budget": 12, "sensors": ["sonde", "grab"]}
+    problem = ProblemSection(**job, required=["0:8 sonde"])
+    times = [
+        *(f"{t} sonde" for t in range(4)),
+        "3 grab",
+        *(f"{t} sonde" for t in range(4, 9)),
+        "7 grab",
+    ]
+    assert problem.listed(times) == "0 to 8 sonde, 3 grab, 7 grab"
+    assert problem.listed(["1 grab", "2 sonde"]) == "1 grab, 2 sonde"
+    clock = {"horizon": 3, "time_step": 0.5, "time_unit": "h", "measurement_budget": 6}
+    assert ProblemSection(**clock, required=["0:2"]).listed([0, 0.5, 1, 1.5, 2, 3]) == "0 to 2, 3 h"
+    assert ProblemSection(**clock).listed([0, 0.5, 1, 1.5, 2, 3]) == "0, 0.5, 1, 1.5, 2, 3 h"
