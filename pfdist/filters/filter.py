@@ -1,7 +1,7 @@
 """A filter for real measurements, one after another."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, cast
 
@@ -197,7 +197,7 @@ class Filter:
         )
 
     def update(
-        self, t: int, y: float | Sequence[float] | Array, *, warn: bool = True
+        self, t: int, y: float | Sequence[float] | Array, *, warn: bool = True, **given: float
     ) -> FilterEstimate:
         """Move the filter to t and give it the measurement there.
 
@@ -211,6 +211,9 @@ class Filter:
         warn : bool
             Whether to warn if the effective sample size falls below 5 for the first time. The
             estimate says so, too.
+        given
+            Values of parameters at this instant that come with the reading, such as its standard
+            error: ``sd=0.2``. The model reads them as ``p.sd[t]``.
 
         Returns
         -------
@@ -230,6 +233,8 @@ class Filter:
                 f"{after} {self._formatted(self._filter.t)}, got {self._formatted(t)}"
             )
         measurement = checked_measurement(y, self.model, self._formatted(t))
+        if given:
+            self._give(t, given)
         predicted, mean, variance = self._moved(t)
         if measurement is None:
             self._filter = self._ahead = predicted
@@ -251,6 +256,22 @@ class Filter:
         self._evidence += log_density
         self._now, self._collapsed = now, now.collapsed
         return now
+
+    def _give(self, t: int, given: Mapping[str, float]) -> None:
+        """Set parameters at an instant, of the filter and of those that follow its measurements."""
+        values = dict[str, Any]()
+        for name, value in given.items():
+            own = self.model.parameters.get(name)
+            if not (isinstance(own, tuple) and t < len(own)):
+                raise MeasurementsError(
+                    f"{name} must be a parameter of the model with a value for each instant, to be "
+                    f"given with a measurement at t = {self._formatted(t)}"
+                )
+            values[name] = (*own[:t], float(value), *own[t + 1 :])
+        self.model = model = self.model.with_parameters(values)
+        self.unmeasured = replace(self.unmeasured, model=model)
+        self._filter = self._ahead = replace(self._filter, model=model)
+        self._many = replace(self._many, model=model)
 
     def predict(self, t: int) -> FilterEstimate:
         """The estimate of z(t); the filter does not move.

@@ -19,7 +19,13 @@ Y = [1.1, 0.4, 0.9]
 
 
 def _problem(u: Any = (0.2,), sd: float = 1.0, **more: Any) -> pfdist.Problem:
-    """A constant, N(0, 1), read with the error u: conjugate, so that its posterior is known."""
+    """The problem of a plan for the constant."""
+    job = {"horizon": 6, "measurement_budget": 2, "engine": "kalman", "given": {"u": "error"}}
+    return pfdist.Problem(_constant(u, sd), **{**job, **more})
+
+
+def _constant(u: Any, sd: float = 1.0) -> StateSpaceModel:
+    """A constant, N(0, sd^2), read with the error u: conjugate, so that its posterior is known."""
     model = StateSpaceModel(
         name="constant",
         initial=lambda w, p: (p.sd * w[0],),
@@ -34,8 +40,7 @@ def _problem(u: Any = (0.2,), sd: float = 1.0, **more: Any) -> pfdist.Problem:
         normalised=True,
         linear_gaussian=True,
     )
-    job = {"horizon": 6, "measurement_budget": 2, "engine": "kalman", "given": {"u": "error"}}
-    return pfdist.Problem(model.with_parameters({"u": u, "sd": sd}), **{**job, **more})
+    return model.with_parameters({"u": u, "sd": sd})
 
 
 def _posterior(u: list[float]) -> tuple[float, float]:
@@ -55,6 +60,21 @@ def test_each_reading_is_weighed_by_its_own_error(u: Any, tmp_path: Path) -> Non
         assert [last["mean_0"], last["sd_0"]] == pytest.approx(_posterior(U), rel=1e-12)
     plain = pfdist.filter_measurements(_problem([0.2] * 7, given=None), table.drop(columns="error"))
     assert plain.table["mean_0"].iloc[-1] == pytest.approx(_posterior([0.2] * 3)[0], rel=1e-12)
+
+
+def test_a_filter_of_one_system_takes_them_with_each_reading() -> None:
+    """The same posterior, measurement by measurement; the smoothed estimate agrees with it."""
+    model = _constant([0.2] * 7)
+    for engine, tolerance in (("kalman", 1e-12), ("compiled", 0.05)):
+        filtering = pfdist.Filter(model, particles=20_000, engine=engine, horizon=6)
+        for t, y, u in zip((0, 2, 5), Y, U, strict=True):
+            filtering.update(t, y, u=u)
+        mean, sd = _posterior(U)
+        assert filtering.now.mean[0] == pytest.approx(mean, abs=tolerance)
+        assert filtering.now.standard_deviation[0] == pytest.approx(sd, rel=2 * tolerance)
+        assert filtering.smoothed()[0].mean[0] == pytest.approx(mean, abs=tolerance)
+    with pytest.raises(MeasurementsError, match="sd must be a parameter of the model with a value"):
+        filtering.update(6, 1.0, sd=0.1)
 
 
 def test_a_plan_has_the_errors_of_the_job() -> None:
