@@ -81,6 +81,8 @@ class Problem(Shown):
     sensors : mapping of str to mapping, optional
         For each sensor of the model its price, forbidden times, the largest number of its
         measurements (most) and their minimum_spacing. By default, the prices of the model.
+    given : mapping of str to str, optional
+        Parameters that come with each reading, and the column of each in measured tables.
     visits : mapping, optional
         Measurements that share a price: ``{"price": 100, "within": 4}``.
     particles : int or "auto"

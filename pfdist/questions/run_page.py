@@ -235,8 +235,8 @@ def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
     if other != SMOOTHED or subject.criterion.sign < 0:
         yield Text(f"{WHEN[other]}, the {label} is {numbers}.")
         return
-    error = math.hypot(*(getattr(each, mse.error) for each in (row, reference)))
-    is_gain = of_reference - own > _CLEAR * error
+    both = [getattr(each, mse.error) for each in (row, reference)]
+    is_gain = None not in both and of_reference - own > _CLEAR * math.hypot(*both)
     nothing = f"these times gain nothing clear over {phrase_of(reference.label)}: "
     yield Text(
         f"If you analyse only afterwards, {nothing * (not is_gain)}the {label} is {numbers}. "

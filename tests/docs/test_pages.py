@@ -150,9 +150,8 @@ def test_the_scenarios_of_the_page_are_those_of_the_job() -> None:
 def test_the_page_about_jobs_shows_a_clock_and_sets_that_a_job_may_have(tmp_path: Path) -> None:
     _, (_, clock), (_, dates), (_, sets) = _blocks(DOCS / "job-file.md", "toml")
     file = tmp_path / "job.toml"
-    (tmp_path / "last.csv").write_text("t\n3\n9\n")
     file.write_text(f"seed = 1\n{sets}\n[problem]\nhorizon = 60\nmeasurement_budget = 4\n")
-    assert set(pfdist.load_job(file).comparison.sets) == {"clinic", "last", "paper", "regular"}
+    assert set(pfdist.load_job(file).comparison.sets) == {"clinic", "paper", "regular"}
     file.write_text(f"seed = 1\n{clock}")
     assert pfdist.load_job(file).problem.clock.unit == "h"
     file.write_text(f"seed = 1\n{dates}")

@@ -8,8 +8,7 @@ import pytest
 import oracles.kalman
 import oracles.modes
 from oracles.systems import SYSTEMS
-from pfdist import StateSpaceModel
-from pfdist.errors import ModelError
+from pfdist import Problem, StateSpaceModel
 from pfdist.filters import particle_filter
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.estimate import Evaluation
@@ -19,6 +18,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
+from pfdist.problem.needs import ON_THE_WAY
 from pfdist.problem.online_section import PLANNING
 from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.planning import Now, Planning, Replanner, _Outlook
@@ -200,5 +200,7 @@ def test_a_filter_with_other_states_cannot_be_planned_for(ungm: StateSpaceModel)
     filter_model = oracles.kalman.LinearGaussian(
         *(np.eye(2),) * 2, np.array([[1.0, 0.0]]), np.eye(1), np.array([[1.0, 0.0]]), np.eye(2)
     ).as_model()
-    with pytest.raises(ModelError, match="as many components of x as the model ungm, 1, got 2"):
-        Replanner(Evaluator(ungm, 12, filter_model), Feasible(12, 2), QUICK, 5)
+    job = Problem(ungm, horizon=12, measurement_budget=2).job()
+    lacking = ON_THE_WAY.lacks(job, Evaluator(ungm, 12, filter_model))
+    assert "as many components of x as the true model" in lacking
+    assert ON_THE_WAY.lacks(job, Evaluator(ungm, 12)) == ""

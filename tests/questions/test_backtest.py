@@ -342,7 +342,7 @@ def test_wrong_options_and_tables_are_one_line(planned: Path, problem: pfdist.Pr
     several = pfdist.Problem(
         lake.lake(), horizon=HORIZON, measurement_budget=4, scenarios=scenarios
     )
-    with pytest.raises(JobError, match="plan_each needs a job without scenarios, or"):
+    with pytest.raises(JobError, match="plan_each needs no scenarios, or"):
         judged(several, data, plan_each=True)
 
 

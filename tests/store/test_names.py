@@ -53,14 +53,14 @@ def say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Say:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say) -> None:
     job, printed = str(small_job.path), name.replace("\n", " ").replace("\x1b", "?")
-    assert say("run", job, f"--results={name}", "--set", *SMALL).find(f"\n{printed}: finished") > 0
+    assert say("run", job, f"--results={name}", "--set", *SMALL).find(f": {printed}/tables") > 0
     assert Path(name, "run.json").exists()
     for command in ("status", "verify"):
         assert f"\n{printed}: " in "\n" + say(command, "--", name)
     assert json.loads(say("status", "--json", "--", name))["run"] == name
     new = f"{name}.new"
     words = ["run", job, f"--results={new}", f"--reuse={name}", "--set", *SMALL]
-    assert "finished" in say(*words, "comparison.draws=30")
+    assert "tables: " in say(*words, "comparison.draws=30")
     assert "finished" in say("status", "--", new)
 
 
