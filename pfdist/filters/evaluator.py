@@ -262,8 +262,13 @@ class Evaluator:
 
     @property
     def exact(self) -> bool:
-        """Whether the engine computes the expected MSE without draws; see `expected_mse`."""
-        return self.computed_by.exact
+        """Whether the engine computes the expected MSE without draws; see `expected_mse`.
+
+        That of a smoothed estimate takes draws if the filter believes another model.
+        """
+        return self.computed_by.exact and not (
+            self.lag and any(e.believed != e.model for e in self.of_scenarios or (self,))
+        )
 
     @property
     def has_particles(self) -> bool:
@@ -287,7 +292,7 @@ class Evaluator:
 
         `ends` are the last instants whose errors count, by default T.
         """
-        if not self.exact or criterion.needs_draws or self._is_misled_smoother:
+        if not self.exact or criterion.needs_draws:
             return None
         if criterion.aspects and not self.gives_information:
             return self.of_information.expected_mse(sets, ends)
@@ -297,11 +302,6 @@ class Evaluator:
             return worst
         errors = self._exact_mse(sets, ends)
         return _mean(errors, criterion.shares(errors, self._shares))
-
-    @property
-    def _is_misled_smoother(self) -> bool:
-        """Whether the estimate uses later measurements, and the filter believes another model."""
-        return bool(self.lag) and any(e.believed != e.model for e in self.of_scenarios or (self,))
 
     def expected_errors(
         self, sets: Sequence[Times], *, weighted: bool = False

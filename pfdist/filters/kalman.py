@@ -188,8 +188,8 @@ def expected_mse(
     is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each set's errors
     count up to its end only, and are divided by the number of all instants. The weights of the
     instants have mean 1; by default all are 1. The filter has the model `believed`, by default the
-    true one. Raises MeasurementTimesError if a set lies outside these instants, and ModelError if
-    a model is not linear-Gaussian.
+    true one; if it is another, the lag must be 0. Raises MeasurementTimesError if a set lies
+    outside these instants, and ModelError if a model is not linear-Gaussian.
     """
     errors = expected_errors(
         model, horizon, sets, prior, lag, gives_information=gives_information, believed=believed

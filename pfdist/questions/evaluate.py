@@ -429,9 +429,9 @@ class Evaluated:
 
     def _row(self, name: str) -> list[Cell]:
         each, other = self.evaluations[name], self.others[name]
-        number, is_exact = len(each.measurement_times), not each.draws
-        texts = [e.estimate.text + " (exact)" * is_exact for e in (each, other)]
-        draws = Cell("" if is_exact else f"{each.draws:,}", each.draws)
+        number = len(each.measurement_times)
+        texts = [e.estimate.text + " (exact)" * (not e.draws) for e in (each, other)]
+        draws = Cell(f"{each.draws:,}" if each.draws else "", each.draws)
         also = ((each.also[key], COLUMNS[key].is_side) for key in self.criteria)
         judged = (interval_cell(*numbers, is_side=is_side) for numbers, is_side in also)
         about = Cell(name), Cell(str(number), number), Cell(texts[0])

@@ -24,6 +24,8 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.models import installed_models, tracing
+from pfdist.pages.terminal import lines_of
+from pfdist.questions.evaluate import evaluated
 from pfdist.runner.build import build
 
 DECLARED = sorted(
@@ -196,6 +198,26 @@ def test_the_error_of_a_filter_that_believes_another_model_is_that_of_its_draws(
     true = Evaluator(truth, 12, engine="kalman").expected_mse(sets)
     assert true is not None
     assert (exact > true).all()
+
+
+def test_the_smoothed_error_of_a_wrong_filter_takes_draws() -> None:
+    """It is no exact number, and not that of the filter: more measurements know more."""
+    truth = drifting(start=1.0, factor=0.9, drift=0.3, noise=0.5, offset=0.2)
+    believed = drifting(start=0.0, factor=0.97, drift=0.0, noise=0.8, offset=0.0)
+    misled, sets = Evaluator(truth, 12, filter_model=believed, engine="kalman"), [(2, 5, 9)]
+    smoothed = misled.other_estimate
+    assert not smoothed.exact
+    assert smoothed.expected_mse(sets) is None
+    assert smoothed.expected_errors(sets) is None
+    assert smoothed.truth.expected_mse(sets) is not None
+    both = [each(each.work(sets, 1, 2, (0, 500), Estimation(10))) for each in (misled, smoothed)]
+    filtered, later = (each.mse.mean() for each in both)
+    assert later < 0.9 * filtered
+    changes = ["model.name=random_walk", "filter.engine=kalman"]
+    changes += ["model.filter.parameters.step_sd=2.0"]
+    answer = evaluated(str(SMALL), times={"": "0,4,8"}, changes=changes)
+    said = " ".join(lines_of(answer._page()))
+    assert said.count("(exact)") == 1, said
 
 
 def test_a_wrong_filter_has_an_exact_plan_and_the_proof_tells_its_part(tmp_path: Path) -> None:
