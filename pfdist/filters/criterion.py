@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.changes import change_of, effect
+from pfdist.common.changes import change_of
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.percent import range_of
 from pfdist.common.registry import Registry
@@ -200,30 +200,12 @@ class Criterion:
         """The change from another set to this one, for a sentence."""
         return f"{change_of(change.value, change[1:])} than {other}"
 
-    def effect(
-        self,
-        value: CriterionValue,
-        change: CriterionValue,
-        reference: str,
-        texts: tuple[str, str],
-        of_the_estimate: str,
-    ) -> str:
-        """The effect of a set, in place of the reference, in a sentence.
+    def sentence(self, value: CriterionValue, change: CriterionValue, reference: str) -> str:
+        """A sentence about a set's number and its advantage over the reference.
 
-        Parameters
-        ----------
-        value, change : CriterionValue
-            The set's number, and its advantage.
-        reference : str
-            The reference, as a sentence calls it.
-        texts : tuple of str
-            Both numbers as text.
-        of_the_estimate : str
-            The estimate whose error it is, if that is not the filter's, as " of ...".
+        Empty if the sentence about errors says it.
         """
-        del value
-        said = effect(change.value, change[1:], reference, f"the {self.label}{of_the_estimate}")
-        return f"{said}: {texts[0]} instead of {texts[1]}."
+        return ""
 
     def exactly(self, value: float) -> "Exact":
         """The criterion of a set whose value is known."""

@@ -219,10 +219,9 @@ def criterion_effect(subject: Subject, row: Row) -> str | None:
     gain, *ends = row.criterion_gain, row.criterion_gain_low, row.criterion_gain_high
     own, other = (COLUMNS[name].cell(each).text for each in (row, reference))
     value = CriterionValue(*(float(vars(row)[f"{name}{end}"]) for end in ("", "_low", "_high")))
-    change = CriterionValue(gain, *ends)
-    return subject.criterion.effect(
-        value, change, subject.reference, (own, other), subject.of_the_estimate
-    )
+    own_words = subject.criterion.sentence(value, CriterionValue(gain, *ends), subject.reference)
+    said = effect(gain, ends, subject.reference, subject.error)
+    return own_words or f"{said}: {own} instead of {other}."
 
 
 def _worst_effect(subject: Subject, name: str) -> str | None:

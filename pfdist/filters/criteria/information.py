@@ -115,16 +115,8 @@ class Information(OtherCriterion):
         """The nats that a set tells more than another, for a sentence."""
         return f"{change.text(self.unit)} more than {other}"
 
-    def effect(
-        self,
-        value: CriterionValue,
-        change: CriterionValue,
-        reference: str,
-        texts: tuple[str, str],
-        of_the_estimate: str,
-    ) -> str:
-        """The effect of a set in a sentence; see `Criterion.effect`."""
-        del texts, of_the_estimate
+    def sentence(self, value: CriterionValue, change: CriterionValue, reference: str) -> str:
+        """The information, in bits, too, and how much more that is than with the reference."""
         limits = with_sides(*value, self.unit)
         text = limits or CriterionValue(*value).text(self.unit)
         bits = rounded((value.low if limits else value.value) / math.log(2), 3)
