@@ -66,15 +66,15 @@ def student_t_logpdf(y: Any, df: Any, location: Any, scale: Any) -> Any:
     -------
     float or array
     """
-    h, apart = 0.5 * df, np.abs(y - location)
-    z = apart / np.maximum(scale, 5e-324)
+    h, distance = 0.5 * df, np.abs(y - location)
+    z = distance / np.maximum(scale, 5e-324)
     constant = h * np.log1p(0.5 / h) - 0.5 - 0.5 * LOG_2PI
     constant = constant + stirling_excess(h + 0.5) - stirling_excess(h)
     near = constant - np.log(scale) - (h + 0.5) * np.log1p(z * z / df)
     # Far out, 1 + z^2 / df is z^2 / df to the last digit, and a square may be infinite.
-    log_t = np.log(np.maximum(apart, 5e-324)) - 0.5 * np.log(df)
+    log_t = np.log(np.maximum(distance, 5e-324)) - 0.5 * np.log(df)
     far = constant + df * np.log(scale) - (df + 1.0) * log_t
-    return np.where(apart <= 1e9 * scale * np.sqrt(df), near, far)
+    return np.where(distance <= 1e9 * scale * np.sqrt(df), near, far)
 
 
 def laplace_logpdf(y: Any, location: Any, scale: Any) -> Any:

@@ -304,8 +304,8 @@ def _errors_of_wrong_filter(
             noise = gain @ y.matrix[:, n:]
             moments[here, n:last, n:last] += noise @ noise.swapaxes(1, 2)
         z, estimate = truth.quantity_of_interest[t], own.quantity_of_interest[t]
-        apart = np.hstack([z.matrix, -estimate.matrix, (z.offset - estimate.offset)[:, None]])
-        errors[:, t - start] = np.trace(apart @ moments @ apart.T, axis1=1, axis2=2)
+        difference = np.hstack([z.matrix, -estimate.matrix, (z.offset - estimate.offset)[:, None]])
+        errors[:, t - start] = np.trace(difference @ moments @ difference.T, axis1=1, axis2=2)
         if t < horizon:
             moves, believes = truth.transition[t], own.transition[t]
             into = np.zeros((last + 1, last + 1))

@@ -274,8 +274,8 @@ def sum_of_first(values, origin, particles):
 def _add_deviations(
     total: Vector, values: VectorArray, i: Vector, mean: Vector, left: Vector
 ) -> Vector:
-    apart = values.load(i, LANES).to("f8") - splat(mean, LANES)
-    return total + _first_lanes(left).select(apart * apart, apart.number(0.0))
+    difference = values.load(i, LANES).to("f8") - splat(mean, LANES)
+    return total + _first_lanes(left).select(difference * difference, difference.number(0.0))
 
 
 @compiled

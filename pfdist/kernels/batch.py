@@ -166,7 +166,7 @@ class Wanted(NamedTuple):
 
     moments: bool
     errors: bool
-    errors_apart: int  # distance of two draws in `errors`; 0 for sums over the draws
+    errors_stride: int  # distance of two draws in `errors`; 0 for sums over the draws
 
 
 class CloudBatch(NamedTuple):
@@ -544,11 +544,11 @@ def add_error(at, s, t, d, error, weight):
     )
     if not batch.error[d] < np.inf:
         return
-    apart = wanted.errors_apart
-    place = (at.first + d) * apart + s * request.instants + t
-    if apart > 0:
+    stride = wanted.errors_stride
+    place = (at.first + d) * stride + s * request.instants + t
+    if stride > 0:
         results.errors[place] += error
     if weight != 0.0:
         batch.error[d] += weight * error
-        if wanted.errors and apart == 0:
+        if wanted.errors and stride == 0:
             results.errors[place] += weight * error

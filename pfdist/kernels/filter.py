@@ -503,13 +503,13 @@ def _tell(instant):
                 highest = batch.log_weight[i]
         rounded = np.float64(batch.noise[d])  # log(r + e) = log(r) + e / r, for a small e
         evidence = batch.distance[d] + (batch.total[d] - rounded) / rounded - equal
-        told = request.weights.evidence * (evidence + highest)
+        information = request.weights.evidence * (evidence + highest)
         if request.weights.explained != 0.0:
             mean = weighted_sum(batch.weight, batch.log_weight, origin, batch.width)
-            told += request.weights.explained * mean / batch.total[d]
+            information += request.weights.explained * mean / batch.total[d]
         if batch.weighs[d] == 0:  # no particle explains the measurement
-            told = request.weights.evidence * -np.inf
-        add_error(at, s, t, d, told, request.instant_weights[t])
+            information = request.weights.evidence * -np.inf
+        add_error(at, s, t, d, information, request.instant_weights[t])
 
 
 @compiled
@@ -750,8 +750,8 @@ def filter_all(
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
     )
-    apart = results.errors[:1].size if results.errors.ndim == 3 else 0
-    wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, apart)
+    stride = results.errors[:1].size if results.errors.ndim == 3 else 0
+    wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, stride)
     scratch = resampling_scratch(draws, width)
     steps = _needed(request, plan, results, scheme)
     blocks = compiled.blocks

@@ -584,30 +584,30 @@ def _long_expm1(x: Vector, rest: Vector) -> tuple[DoubleDouble, Vector]:
     return _product_of_pairs(value, r), shifted.bits("i8") - 0x4338000000000000
 
 
-def _cancelled(high: Vector, apart: Vector, lost: Vector, logarithm: Vector) -> Vector:
-    """High + log(1 + e^(apart + lost)), where the logarithm is nearly -high: a step of Newton's."""
-    part, k = _long_expm1(apart, lost)
+def _cancelled(high: Vector, distance: Vector, lost: Vector, logarithm: Vector) -> Vector:
+    """High + log(1 + e^(distance + lost)), the logarithm nearly -high: a step of Newton's."""
+    part, k = _long_expm1(distance, lost)
     value, rest = _sum_of_pairs((high.number(1.0), high.number(0.0)), part)
     part, more = _long_expm1(logarithm, high.number(0.0))
     scale = _power_of_two(more)
     found = _sum_of_pairs((scale - 1.0, high.number(0.0)), (part[0] * scale, part[1] * scale))
-    apart, _ = _sum_of_pairs((_scaled(value, k), _scaled(rest, k)), (-found[0], -found[1]))
+    distance, _ = _sum_of_pairs((_scaled(value, k), _scaled(rest, k)), (-found[0], -found[1]))
     total, lost = _difference(high, -logarithm)
-    return total + (lost + apart / (found[0] + 1.0))
+    return total + (lost + distance / (found[0] + 1.0))
 
 
 def logaddexp(x: Vector, y: Vector) -> Vector:
     """log(e^x + e^y); the 50 first bits of the larger number may cancel."""
     is_larger = x > y
     high, low = is_larger.select(x, y), is_larger.select(y, x)
-    apart, lost = _difference(low, high)
-    lost = (apart > -746.0).select(lost, x.number(0.0))
-    logarithm, rest = _log_of_sum(*_exp_pair(apart, lost))
+    distance, lost = _difference(low, high)
+    lost = (distance > -746.0).select(lost, x.number(0.0))
+    logarithm, rest = _log_of_sum(*_exp_pair(distance, lost))
     total, more = _difference(high, -logarithm)
     value = total + (more + rest)
     limit = (logarithm > 1e-15).select(logarithm * 0.2, logarithm)
     near = absolute(value) < limit
-    given = [near.select(high, x.number(math.nan)), apart, lost, logarithm]
+    given = [near.select(high, x.number(math.nan)), distance, lost, logarithm]
     long = partial(each_lane, _cancelled)
     value = where_some(near, lambda: outlined("vector_cancelled", long, given), value)
     value = (absolute(high) < math.inf).select(value, high)

@@ -147,8 +147,8 @@ def _values(at, z, means, row):
     for d in range(at.draws):
         mean = means[c * batch.row + d]
         for i in range(d * batch.width, (d + 1) * batch.width):
-            apart = z[c * batch.stride + i] - mean
-            batch.quantity[i] = apart * apart
+            difference = z[c * batch.stride + i] - mean
+            batch.quantity[i] = difference * difference
     return batch.quantity
 
 

@@ -169,8 +169,8 @@ def _profile(tables: Tables, name: str, k: _Component, *, alone: bool) -> "pd.Se
         errors = table[table["name"] == name].set_index("t")["error"]
     else:
         rows, suffix = tables.trajectories, k.named.suffix
-        apart = rows[f"z_{suffix}"] - rows[f"estimate_{name}_{suffix}"]
-        each = 1 - np.cos(apart) if k.is_angle else apart**2
+        difference = rows[f"z_{suffix}"] - rows[f"estimate_{name}_{suffix}"]
+        each = 1 - np.cos(difference) if k.is_angle else difference**2
         errors = pd.Series(each).groupby(rows["t"]).mean()
     if not angles_of(tables.run):  # errors are not in the unit of z
         return errors
@@ -224,9 +224,9 @@ def _draw_times(ax: Axes, run: Run, sets: Sequence[_Set], *, named: bool) -> Non
             for window in windows if each is sets[0] else ():
                 if window.sensor == sensor:
                     [ends] = [run for run in runs_of(window.inside) if window.t in run]
-                    apart = [[window.t - ends[0]], [ends[-1] - window.t]]
+                    difference = [[window.t - ends[0]], [ends[-1] - window.t]]
                     ax.errorbar(
-                        window.t, len(names), xerr=apart, c=style["color"], lw=thin(),
+                        window.t, len(names), xerr=difference, c=style["color"], lw=thin(),
                         capsize=marker(0.8), capthick=thin(),
                     )  # fmt: skip
             names.append(", ".join(filter(None, [each.label, verbatim(sensor)])))

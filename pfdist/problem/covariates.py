@@ -85,8 +85,8 @@ def times_of_file(
     except (ValueError, MeasurementTimesError) as error:
         raise JobError(f"{key}: {error} ({path})") from error
     instants = clock.nearest(times)
-    apart = [abs(clock.times[t] - time) for t, time in zip(instants, times, strict=True)]
-    if (most := max(apart, default=0.0)) > clock.slack:
+    distances = [abs(clock.times[t] - time) for t, time in zip(instants, times, strict=True)]
+    if (most := max(distances, default=0.0)) > clock.slack:
         note(f"times of {path} count at the nearest instants, at most {clock.duration(most)} away")
     if not points.sensors:
         return [*dict.fromkeys(map(clock.time, instants))]

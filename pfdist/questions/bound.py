@@ -87,8 +87,8 @@ class Bound(Shown):
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
-        apart = ("run", "gaps", "losses", "within", "labels")
-        own = {key: value for key, value in vars(self).items() if key not in apart}
+        other = ("run", "gaps", "losses", "within", "labels")
+        own = {key: value for key, value in vars(self).items() if key not in other}
         sets = {gap.name: gap.columns() for gap in self.gaps}
         for row in sets.values():
             del row["name"]

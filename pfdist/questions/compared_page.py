@@ -242,8 +242,8 @@ def _worst_effect(subject: Subject, name: str) -> str | None:
     )
     if worst.scenario != reference.scenario:
         errors = (each.standard_error / each.value for each in (mse, of_reference))
-        apart = Estimate(math.log(mse.value / of_reference.value), math.hypot(*errors))
-        ends = [1 - math.exp(end) for end in reversed(apart.interval())]
+        ratio = Estimate(math.log(mse.value / of_reference.value), math.hypot(*errors))
+        ends = [1 - math.exp(end) for end in reversed(ratio.interval())]
     gain, what = 1 - mse.value / of_reference.value, subject.error
     said = effect(gain, ends, subject.reference, what)
     return f"{said}: {mse.text} instead of {of_reference.text}."

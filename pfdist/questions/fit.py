@@ -340,8 +340,11 @@ class _Fitting:
         while not _agree(found) and tried < evaluations and len(starts):
             repeat, start = len(found) and _REPEATS + len(found), begin
             if found:
-                apart = np.linalg.norm(starts[:, None] - np.array(known), axis=2).min(axis=1)
-                start, starts = starts[apart.argmax()], np.delete(starts, apart.argmax(), axis=0)
+                distances = np.linalg.norm(starts[:, None] - np.array(known), axis=2).min(axis=1)
+                start, starts = (
+                    starts[distances.argmax()],
+                    np.delete(starts, distances.argmax(), axis=0),
+                )
                 if loss(start, repeat) == math.inf:
                     continue
             left = evaluations - tried
@@ -503,8 +506,8 @@ def _agree(found: Sequence[_Found]) -> bool:
 def _are_alike(better: Array, other: Array) -> bool:
     """Whether log-likelihoods under the same noise differ by no more than the noise."""
     with np.errstate(invalid="ignore"):  # other noise may make the measurements impossible
-        apart = better - other
-        return bool(apart.mean() <= max(_AGREE, apart.std()))
+        difference = better - other
+        return bool(difference.mean() <= max(_AGREE, difference.std()))
 
 
 def _start(

@@ -215,10 +215,10 @@ def _variances(values: Array, is_angle: Sequence[bool]) -> Array:
         if not known.size:
             continue
         centre = np.angle(np.exp(1j * known).mean()) if angle else known.mean()
-        apart = known - centre
-        apart = np.angle(np.exp(1j * apart)) if angle else apart
+        difference = known - centre
+        difference = np.angle(np.exp(1j * difference)) if angle else difference
         with np.errstate(over="ignore"):
-            variances[k] = np.mean(apart**2)
+            variances[k] = np.mean(difference**2)
         if not 0.0 < variances[k] < np.inf:
             rule = "must differ from each other, by less than 1e150"
             raise MeasurementsError(

@@ -98,8 +98,8 @@ def _on_the_curve(run: StoredRun) -> Mapping[str, Differences]:
     for rows in () if exact else blocks_of(run):
         errors = {name: controlled_mse(rows, name) for name in run.names}
         for (name, other), moments in pairs.items():
-            apart = errors[other] - errors[name]
-            moments.add(apart[~np.isnan(apart)])
+            gap = errors[other] - errors[name]
+            moments.add(gap[~np.isnan(gap)])
     for (name, other), moments in pairs.items():
         difference = Estimate(exact[other] - exact[name]) if exact else moments.estimate
         found[name][numbers[other]] = difference

@@ -70,10 +70,10 @@ class Moments:
         if not self.count:
             self.count, self.mean, self.squares = values.size, mean, squares
             return
-        count, apart = self.count + values.size, mean - self.mean
-        self.squares += squares + apart * apart * self.count * values.size / count
-        with_infinities = not math.isfinite(apart)
-        self.mean = self.mean + mean if with_infinities else self.mean + apart * values.size / count
+        count, shift = self.count + values.size, mean - self.mean
+        self.squares += squares + shift * shift * self.count * values.size / count
+        with_infinities = not math.isfinite(shift)
+        self.mean = self.mean + mean if with_infinities else self.mean + shift * values.size / count
         self.count = count
 
     @property
@@ -118,8 +118,8 @@ class Pairs:
             block_x, block_y = float(np.mean(x)), float(np.mean(y))
             self.products += float(np.sum((x - block_x) * (y - block_y)))
         if before:
-            apart = (block_x - mean_x) * (block_y - mean_y)
-            self.products += apart * before * x.size / (before + x.size)
+            product = (block_x - mean_x) * (block_y - mean_y)
+            self.products += product * before * x.size / (before + x.size)
 
     @property
     def too_few(self) -> bool:
@@ -220,8 +220,10 @@ def disagree(
     if not all(map(math.isfinite, (*relative_interval, *means_interval))):
         return False
     signs = {(low > 0) - (high < 0) for low, high in (relative_interval, means_interval)}
-    apart = relative_interval[1] < means_interval[0] or means_interval[1] < relative_interval[0]
-    return len(signs) > 1 or (apart and abs(relative - means) > _MUCH)
+    are_disjoint = (
+        relative_interval[1] < means_interval[0] or means_interval[1] < relative_interval[0]
+    )
+    return len(signs) > 1 or (are_disjoint and abs(relative - means) > _MUCH)
 
 
 def quantile_name(share: float) -> str:

@@ -85,8 +85,8 @@ class Pair:
             Both expected MSEs, if the engine is exact. Then the difference and the gain of means
             are exact, and their limits are equal.
         """
-        apart = self.difference.estimate
-        difference, interval, together = apart.value, apart.interval(), apart.interval(confidence)
+        found = self.difference.estimate
+        difference, interval, together = found.value, found.interval(), found.interval(confidence)
         mean, other_mean = exact or (self.errors.x.mean, self.errors.y.mean)
         ratio = mean / other_mean if other_mean and not self.errors.too_few else math.nan
         ratio_interval = self.errors.ratio_interval()

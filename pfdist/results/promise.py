@@ -160,8 +160,10 @@ def _pairs(x: Array, y: Array, block: int) -> Pairs:
 
 
 def _correlation(values: Array) -> float:
-    apart = values - values.mean()
-    squares = float(np.sum(apart**2))
+    deviations = values - values.mean()
+    squares = float(np.sum(deviations**2))
     return (
-        float(np.sum(apart[1:] * apart[:-1])) / squares if values.size > 2 and squares else math.nan
+        float(np.sum(deviations[1:] * deviations[:-1])) / squares
+        if values.size > 2 and squares
+        else math.nan
     )

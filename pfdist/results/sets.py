@@ -330,17 +330,17 @@ def cause_of_excess(result: Mapping[str, Any], own: Mapping[str, Any], evaluatio
     evaluations : int
         Number of evaluations from which the search chose.
     """
-    apart = result["search_mse"] - result["expected_mse"]
+    difference = result["search_mse"] - result["expected_mse"]
     error = math.hypot(result["search_standard_error"], result["standard_error"])
-    limit = largest_of(evaluations) if apart < 0 and not _is_biased(own) else CLEAR_ERRORS
+    limit = largest_of(evaluations) if difference < 0 and not _is_biased(own) else CLEAR_ERRORS
     rounding = _ROUNDING * abs(result["expected_mse"])  # matters where both errors are exact
-    if not abs(apart) > limit * error + rounding:
+    if not abs(difference) > limit * error + rounding:
         return _CHOSE if error else _EXACT
-    if apart > 0 and own:
+    if difference > 0 and own:
         return _ERRS_MORE
     if _is_biased(own):
         return _UNDERESTIMATES
-    size = f"{abs(apart) / error:.1f} standard errors" if error else "both are exact"
+    size = f"{abs(difference) / error:.1f} standard errors" if error else "both are exact"
     return f"unexplained: {size}; `pfdist verify` checks the files"
 
 

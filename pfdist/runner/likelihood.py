@@ -141,8 +141,8 @@ def miscounted(is_true: NDArray[np.bool_], probability: Array) -> tuple[int, flo
     The choices are independent, with known probabilities. None if the number may be right.
     """
     got, implied = int(is_true.sum()), float(probability.sum())
-    square, apart = float((probability * (1 - probability)).sum()), abs(got - implied)
-    is_proved = apart**2 > 2 * _PROOF * (square + apart / 3)
+    square, difference = float((probability * (1 - probability)).sum()), abs(got - implied)
+    is_proved = difference**2 > 2 * _PROOF * (square + difference / 3)
     return (got, implied, math.sqrt(square)) if is_proved else None
 
 

@@ -103,8 +103,8 @@ class ThresholdSweep:
 
     def init(self) -> SweepState:
         """The state before the first point."""
-        apart = tuple(self.groups[first::TURNS] for first in range(TURNS))
-        return SweepState(self.rule, tuple(filter(None, apart)), self.changes)
+        turns = tuple(self.groups[first::TURNS] for first in range(TURNS))
+        return SweepState(self.rule, tuple(filter(None, turns)), self.changes)
 
     def ask(self, state: SweepState, rng: np.random.Generator) -> SweepState:
         """The state with the next trials: the rule, and the rule flipped in groups far apart."""

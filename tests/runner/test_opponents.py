@@ -171,6 +171,20 @@ def test_with_more_sets_than_are_filtered_it_is_as_good_as_all_pairs_of_ends() -
     assert found <= least * (1 + 1e-9)
 
 
+def test_a_season_of_working_days_without_its_holidays() -> None:
+    """Dates as in a lake's season: targets leave out the gaps, or are spaced over the days that are
+    left."""
+    problem = pfdist.Problem(
+        _model(2, 25), engine="kalman", horizon="2027-04-26", measurement_budget=5,
+        clock={"start": "2027-04-01", "step": "1 d"}, allowed=["mon..fri"],
+        forbidden=["2027-04-12..2027-04-18"],
+    )  # fmt: skip
+    built = build(problem.job(seed=1).with_changes(sections=searched_by(DEFAULT_METHOD)))
+    least = min(built.evaluator.expected_mse([*dict.fromkeys(_around(built.job, 5))]))
+    (found,) = built.evaluator.expected_mse([_opponent(built)])
+    assert found <= least * (1 + 1e-9)
+
+
 def test_on_a_long_horizon_few_sets_are_tried_for_a_twentieth_of_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

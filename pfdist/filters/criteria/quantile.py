@@ -65,9 +65,9 @@ class Quantile(OtherCriterion):
     def difference(self, first: "Evaluation", second: "Evaluation") -> Estimate:
         """The difference of two quantiles on the same draws, by a paired bootstrap."""
         both = np.stack([first.mse, second.mse])
-        apart = -np.diff(self._again(both, _FEW_RESAMPLES), axis=0)[0]
+        differences = -np.diff(self._again(both, _FEW_RESAMPLES), axis=0)[0]
         value, other = self._values(both)
-        return Estimate(float(value - other), float(np.std(apart, ddof=1)))
+        return Estimate(float(value - other), float(np.std(differences, ddof=1)))
 
     def of_sample(self, sample: Sample) -> CriterionValue:
         """The quantile, and an interval from two order statistics for any distribution."""

@@ -42,8 +42,8 @@ class WorstInstant(OtherCriterion):
         value, other = total.max(axis=2)[:, 0] / count
         if count == 1:
             return Estimate(float(value - other), math.nan)
-        apart = -np.diff(((total - both) / (count - 1)).max(axis=2), axis=0)[0]
-        error = math.sqrt((count - 1) * np.var(apart))
+        differences = -np.diff(((total - both) / (count - 1)).max(axis=2), axis=0)[0]
+        error = math.sqrt((count - 1) * np.var(differences))
         return Estimate(float(value - other), error, count - 1)
 
     def of_sample(self, sample: Sample) -> CriterionValue:
@@ -65,9 +65,9 @@ class WorstInstant(OtherCriterion):
     def _between(self, sample: Sample, limits: int) -> CriterionValue:
         if not sample.errors.size:
             return CriterionValue(math.nan, *UNKNOWN)
-        apart = sample.standard_errors
-        if apart.any():
+        differences = sample.standard_errors
+        if differences.any():
             share = (1 - CONFIDENCE) / 2 / limits  # Bonferroni
-            apart = -student_quantile(share, sample.degrees) * apart
-        ends = sample.errors, sample.errors - apart, sample.errors + apart
+            differences = -student_quantile(share, sample.degrees) * differences
+        ends = sample.errors, sample.errors - differences, sample.errors + differences
         return CriterionValue(*(float(each.max()) for each in ends))
