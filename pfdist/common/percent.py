@@ -74,8 +74,9 @@ def range_of(low: str, high: str) -> str:
     return low if low == high == rounded(None) else f"{low} to {high}"
 
 
-_ROUNDING = 1e-9  # error of exact values
-_IDLE, _IDLE_NATS = 0.8, 4.0  # a gap from which a bound says nothing: others are five times better
+ROUNDING = 1e-9
+"""Error of exact values."""
+_IDLE = 0.8  # a gap from which a bound says nothing: others are five times better
 _HELP = {
     "relaxation": "More work of the proof helps (pfdist bound)",
     "estimate": "More particles help",
@@ -131,11 +132,11 @@ def gap_sentence(
     >>> estimated.partition("by more than ")[2]
     'a further 3.1 % (95 % confidence; estimate 1.7 %).'
     """
-    times, is_one = _others(gap, measurements, has_fewer=has_fewer)
+    times, is_one = other_sets(gap, measurements, has_fewer=has_fewer)
     if is_constrained:
         times += f"{' and' * ('that' in times)} that the constraints allow"
     have, lower = ("has", "lowers") if is_one else ("have", "lower")
-    if not gap["bound_error"] and gap["gap"] < _ROUNDING:
+    if not gap["bound_error"] and gap["gap"] < ROUNDING:
         return f"Proved: no other {times} {have} a lower expected MSE."
     if idle := idle_bound(gap):
         return idle
@@ -167,7 +168,7 @@ def idle_bound(gap: Mapping[str, Any]) -> str:
     return f"The bound says nothing yet: {better}. {help_}."
 
 
-def _others(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool) -> tuple[str, bool]:
+def other_sets(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool) -> tuple[str, bool]:
     """The sets for which a bound holds, in words, and whether these are singular."""
     budget = gap["budget"]
     if has_fewer:
@@ -175,29 +176,6 @@ def _others(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool) -> tu
     if budget != measurements:  # the budget counts money
         return "times that are no more expensive", False
     return ("time", True) if measurements == 1 else (f"{measurements} times", False)
-
-
-def nats_sentence(gap: Mapping[str, Any], measurements: int, *, has_fewer: bool = False) -> str:
-    """The sentence that says how much more other times can tell; the arguments of `gap_sentence`.
-
-    >>> gap = {"expected_mse": -2.0, "budget": 4, "gap_at_most": 0.0, "bound_error": 0.1}
-    >>> nats_sentence(gap, 4)
-    'Proved: no other 4 times give more nats.'
-    >>> nats_sentence({**gap, "gap_at_most": 0.25, "bound_error": 0.0}, 3)
-    'Proved: no other times that are no more expensive give more than a further 0.50 nats.'
-    """
-    times, is_one = _others(gap, measurements, has_fewer=has_fewer)
-    gives = "gives" if is_one else "give"
-    if gap["gap_at_most"] < _ROUNDING:
-        return f"Proved: no other {times} {gives} more nats."
-    if gap["gap_at_most"] >= _IDLE_NATS:
-        return (
-            "The bound says nothing yet: others may give over five times as many nats. More "
-            "particles help."
-        )
-    more = rounded(rounded_up(-gap["expected_mse"] * gap["gap_at_most"]), 2)
-    sure = f" ({100 * gap['confidence']:.3g} % confidence)" if gap["bound_error"] else ""
-    return f"Proved: no other {times} {gives} more than a further {more} nats{sure}."
 
 
 def at_most(gap: Mapping[str, Any], even_with: str = "") -> str:
@@ -215,7 +193,7 @@ def rounded_up(fraction: float) -> float:
     >>> rounded_up(0.0441), rounded_up(0.0)
     (0.045, 0.0)
     """
-    if fraction < _ROUNDING:
+    if fraction < ROUNDING:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(fraction)) - 1)
     return math.ceil(fraction / unit * (1 - 1e-12)) * unit

@@ -11,14 +11,14 @@ number with a 95 % interval.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.changes import change_of
 from pfdist.common.estimate import CONFIDENCE, Estimate
-from pfdist.common.percent import range_of
+from pfdist.common.percent import gap_sentence, range_of
 from pfdist.common.registry import Registry
 from pfdist.common.rounding import with_interval
 from pfdist.filters.aspects import Aspect
@@ -111,6 +111,8 @@ class Criterion:
     bound : {"mean", "mixture", "submodular", "none"}
         Its lower bound: that of the mean; that of the mean with the shares of scenarios for which
         it is largest; that by the gains of single measurements; or none.
+    proof : str
+        How its bound is proved, for people; empty for that of errors, whose gaps have parts.
     scenario_count : int
         Number of scenarios that are each judged by separate draws.
     sign : int
@@ -136,6 +138,7 @@ class Criterion:
     is_mean: bool = True
     additive: bool = True
     bound: Bound = "mean"
+    proof: str = ""
     scenario_count: int = 1
     sign: int = 1
     by_instant: bool = False
@@ -206,6 +209,12 @@ class Criterion:
         Empty if the sentence about errors says it.
         """
         return ""
+
+    def proof_sentence(
+        self, gap: Mapping[str, Any], measurements: int, *, has_fewer: bool, **about: bool
+    ) -> str:
+        """The sentence that says how much better other times can be; see `gap_sentence`."""
+        return gap_sentence(gap, measurements, has_fewer=has_fewer, **about)
 
     def exactly(self, value: float) -> "Exact":
         """The criterion of a set whose value is known."""

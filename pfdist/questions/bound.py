@@ -7,6 +7,7 @@ from typing import Any, Unpack
 
 from pfdist.common.parts import Page
 from pfdist.common.shown import Shown
+from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.problem.problem import JobSource
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.bound_page import bound_page
@@ -60,8 +61,8 @@ class Bound(Shown):
         The demanded limit of the gaps.
     labels : mapping of str to str
         The labels of the sets on pages, by name.
-    sign : int
-        -1 if the expected MSE and the bound of a gap are minus the information, in nats; else 1.
+    criterion : Criterion
+        Its bound was computed. If it is maximised, the errors and bounds of gaps are minus it.
     has_fewer : bool
         Whether the budget of a gap is the largest number of measurements: sets may have fewer.
     """
@@ -82,22 +83,23 @@ class Bound(Shown):
     shares: tuple[float, ...] = ()
     within: float | None = None
     labels: Mapping[str, str] = field(default_factory=dict, repr=False)
-    sign: int = 1
+    criterion: Criterion = field(default=MEAN, repr=False)
     has_fewer: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
-        other = ("run", "gaps", "losses", "within", "labels")
+        other = ("run", "gaps", "losses", "within", "labels", "criterion")
         own = {key: value for key, value in vars(self).items() if key not in other}
         sets = {gap.name: gap.columns() for gap in self.gaps}
         for row in sets.values():
             del row["name"]
         for name, loss in self.losses.items():
             sets[name] |= loss.columns() | {"warning": loss.warning}
+        own["criterion"] = self.criterion.name
         return finite({"run": str(self.run), **own, "sets": sets})
 
     def _page(self) -> Page:
-        return bound_page(self.as_json(), self.labels, self.within)
+        return bound_page(self.as_json(), self.labels, self.within, self.criterion)
 
 
 @with_options
@@ -219,6 +221,6 @@ def bound(
         prover.shares,
         within,
         proved.labels,
-        built.job.criterion.sign,
+        built.job.criterion,
         built.feasible.has_fewer,
     )

@@ -6,14 +6,13 @@ from typing import Any
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Facts, Figures, Page, Section, Table, Text
 from pfdist.common.percent import (
-    gap_sentence,
-    nats_sentence,
     particle_loss_text,
     percent,
     relaxed_sentence,
     rounded_up,
 )
 from pfdist.common.rounding import rounded, with_error
+from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.problem.sections import EVENLY_SPACED
 from pfdist.problem.set_key import PLAN, phrase_of
 from pfdist.questions.subject import ERROR_HEAD, Subject
@@ -28,12 +27,6 @@ _MEANING = (
     "The gap is how much lower the expected MSE can be at most. It is the sum of its parts: the "
     "slack of the proof and chance, too few particles, and a wrong model of the filter. It is "
     "computed draw by draw, so it is more precise than the difference of the two columns."
-)
-_NATS = (
-    "Information about the path is submodular: what one measurement adds is never more if others "
-    "were made before. So the information of N times is at most that of the found times and the N "
-    "largest gains by one more measurement; and at most that of all possible measurements. The "
-    "smaller of both is the upper bound. It holds if the model is right."
 )
 _TESTED = (
     "The bound needs the right log-likelihood. Two tests found no fault in it: that of "
@@ -63,8 +56,8 @@ def proof(subject: Subject) -> Section | None:
     if not proofs:
         return None
     title = "How much better can other times be?"
-    if subject.criterion.sign < 0:
-        return Section(title, [Text(_NATS, detail=True)])
+    if subject.criterion.proof:
+        return Section(title, [Text(subject.criterion.proof, detail=True)])
     shares = next(iter(proofs.values())).get("shares") or ()
     texts = _scenarios(shares) if subject.scenarios else []
     table = _table(proofs, subject.run.labels, detail=True)
@@ -73,7 +66,10 @@ def proof(subject: Subject) -> Section | None:
 
 
 def bound_page(
-    answer: Mapping[str, Any], labels: Mapping[str, str], within: float | None = None
+    answer: Mapping[str, Any],
+    labels: Mapping[str, str],
+    within: float | None = None,
+    criterion: Criterion = MEAN,
 ) -> Page:
     """The answer of `pfdist.bound`.
 
@@ -85,6 +81,8 @@ def bound_page(
         The label of each set, by its name.
     within : float, optional
         The demanded limit of the gaps.
+    criterion : Criterion, optional
+        That of the bound.
     """
     proofs, common = answer["sets"], {"confidence": answer["confidence"]}
     constrained = answer["is_constrained"]
@@ -92,16 +90,12 @@ def bound_page(
     for name, each in reversed(proofs.items()):  # the plan comes before the reference
         number, label = len(each["measurement_times"]), labels[name]
         if not each["reason"] and label not in (EVENLY_SPACED, REGULAR):
-            sentence = (
-                nats_sentence(each | common, number, has_fewer=answer["has_fewer"])
-                if answer["sign"] < 0
-                else gap_sentence(
-                    each | common,
-                    number,
-                    has_fewer=answer["has_fewer"],
-                    is_constrained=constrained,
-                    has_scenarios=answer["has_scenarios"],
-                )
+            sentence = criterion.proof_sentence(
+                each | common,
+                number,
+                has_fewer=answer["has_fewer"],
+                is_constrained=constrained,
+                has_scenarios=answer["has_scenarios"],
             )
             start = "" if label == PLAN else f"For {phrase_of(label)}: "
             is_detail = bool(start) and PLAN in labels.values()
@@ -113,8 +107,8 @@ def bound_page(
             warnings.append(f"{label}: {each['warning']}")
     blocks += [Text(said)] if (said := relaxed_sentence(answer["relaxed"])) else []
     texts = _scenarios(answer["shares"]) if answer["has_scenarios"] else []
-    if answer["sign"] < 0:
-        blocks.append(Text(_NATS, detail=True))
+    if criterion.proof:
+        blocks.append(Text(criterion.proof, detail=True))
     else:
         blocks += [*_table(proofs, labels), *texts, Text(_HOLDS, detail=True), *_meaning(proofs)]
     if answer["within_reached"] is False:
@@ -126,7 +120,7 @@ def bound_page(
         if each["reason"]
     ]
     drawn = f"on {answer['draws']:,} draws" if answer["particles"] else "exact"
-    line = f"{answer['run']}: {'upper' if answer['sign'] < 0 else 'lower'} bound, {drawn}"
+    line = f"{answer['run']}: {'upper' if criterion.sign < 0 else 'lower'} bound, {drawn}"
     return Page("", "", [Section("", blocks)], [*warnings, *reasons], place=line)
 
 

@@ -18,8 +18,6 @@ from pfdist.common.parts import (
     without_empty_columns,
 )
 from pfdist.common.percent import (
-    gap_sentence,
-    nats_sentence,
     percent,
     percent_with_interval,
     relaxed_sentence,
@@ -232,7 +230,7 @@ def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
         return
     limit, label = "at most " * subject.other_is_limit, subject.criterion.mse_criterion.label
     numbers = f"{limit}{mse.cell(row).text} ({reference.label}: {mse.cell(reference).text})"
-    if other != SMOOTHED or subject.criterion.sign < 0:
+    if other != SMOOTHED or subject.criterion.aspects:
         yield Text(f"{WHEN[other]}, the {label} is {numbers}.")
         return
     both = [getattr(each, mse.error) for each in (row, reference)]
@@ -258,9 +256,7 @@ def _proof(subject: Subject, row: Row) -> str:
     if proof is None or proof["reason"]:
         return ""
     problem = problem_of(subject.run)
-    if subject.criterion.sign < 0:
-        return nats_sentence(proof, row.measurements, has_fewer=problem.feasible.has_fewer)
-    sentence = gap_sentence(
+    sentence = subject.criterion.proof_sentence(
         proof,
         row.measurements,
         has_fewer=problem.feasible.has_fewer,

@@ -14,8 +14,9 @@ import pfdist
 from oracles.results_of import results_of
 from pfdist import Job, Run, load_job
 from pfdist.cli.main import main
-from pfdist.common.percent import gap_sentence, nats_sentence, rounded_up
+from pfdist.common.percent import gap_sentence, rounded_up
 from pfdist.errors import JobError, ModelError, PfdistWarning
+from pfdist.filters.criteria.information import Information
 from pfdist.filters.kalman import expected_mse
 from pfdist.models import installed_models
 from pfdist.pools.base import SerialPool
@@ -536,7 +537,11 @@ def test_a_bound_from_80_percent_on_is_no_proof() -> None:
     exact = gap_sentence(row | {"bound_error": 0.0, "gap": 0.9, "gap_at_most": 0.9}, 4)
     assert exact.startswith("The bound says nothing yet: ")
     nats = {"expected_mse": -2.0, "budget": 4, "bound_error": 0.1, "gap_at_most": 4.0}
-    assert nats_sentence(nats, 4).startswith("The bound says nothing yet: ")
+    assert (
+        Information()
+        .proof_sentence(nats, 4, has_fewer=False)
+        .startswith("The bound says nothing yet: ")
+    )
 
 
 def test_the_sentence_states_the_limit_rounded_up_and_then_the_estimate() -> None:

@@ -5,13 +5,15 @@ Carlo", NeurIPS 2016 (both sides of an evidence).
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pfdist.common.changes import is_clear
 from pfdist.common.estimate import Estimate
+from pfdist.common.percent import ROUNDING, other_sets, rounded_up
 from pfdist.common.rounding import WIDE, rounded, with_sides
 from pfdist.filters.aspects import Aspect
 from pfdist.filters.criterion import (
@@ -27,6 +29,9 @@ from pfdist.kernels.schemes import CONDITIONAL, SYSTEMATIC
 
 if TYPE_CHECKING:
     from pfdist.filters.work import Estimation
+
+
+_IDLE = 4.0  # a gap from which a bound says nothing: others may give five times as much
 
 
 class Sides(CriterionValue):
@@ -80,6 +85,12 @@ class Information(OtherCriterion):
     most: str = "most"
     additive: bool = True
     bound: Bound = "submodular"
+    proof: str = (
+        "Information about the path is submodular: what one measurement adds is never more if "
+        "others were made before. So the information of N times is at most that of the found times "
+        "and the N largest gains by one more measurement; and at most that of all possible "
+        "measurements. The smaller of both is the upper bound. It holds if the model is right."
+    )
     sign: int = -1
     of_each_draw: bool = False
     aspects: tuple[Aspect, ...] = (LOWER_SIDE, GAP)
@@ -131,6 +142,31 @@ class Information(OtherCriterion):
         if limits:
             help_ = " More filter.particles bring both limits closer."
         return f"They give {text} of information about the path ({bits} bits), {than}.{help_}"
+
+    def proof_sentence(
+        self, gap: Mapping[str, Any], measurements: int, *, has_fewer: bool, **about: bool
+    ) -> str:
+        """How many more nats other times can give.
+
+        >>> gap = {"expected_mse": -2.0, "budget": 4, "gap_at_most": 0.0, "bound_error": 0.1}
+        >>> Information().proof_sentence(gap, 4, has_fewer=False)
+        'Proved: no other 4 times give more nats.'
+        >>> more = {**gap, "gap_at_most": 0.25, "bound_error": 0.0}
+        >>> Information().proof_sentence(more, 3, has_fewer=False)
+        'Proved: no other times that are no more expensive give more than a further 0.50 nats.'
+        """
+        times, is_one = other_sets(gap, measurements, has_fewer=has_fewer)
+        gives = "gives" if is_one else "give"
+        if gap["gap_at_most"] < ROUNDING:
+            return f"Proved: no other {times} {gives} more nats."
+        if gap["gap_at_most"] >= _IDLE:
+            return (
+                "The bound says nothing yet: others may give over five times as many nats. More "
+                "particles help."
+            )
+        more = rounded(rounded_up(-gap["expected_mse"] * gap["gap_at_most"]), 2)
+        sure = f" ({100 * gap['confidence']:.3g} % confidence)" if gap["bound_error"] else ""
+        return f"Proved: no other {times} {gives} more than a further {more} nats{sure}."
 
 
 def _gap(sample: Sample) -> Array:
