@@ -108,13 +108,14 @@ def gap_sentence(
     has_fewer: bool = False,
     is_constrained: bool = False,
     has_scenarios: bool = False,
+    label: str = "expected MSE",
 ) -> str:
     r"""The sentence that says how much lower the error of other times can be, given a bound.
 
     `gap` has the fields of `pfdist.runner.proof.Gap` as JSON, and ``confidence``. `measurements` is
     the number of measurements of the set, `has_fewer` is whether other sets may have fewer than the
-    budget, and `is_constrained` is whether other constraints exclude some times. Numbers have
-    no-break spaces.
+    budget, `is_constrained` is whether other constraints exclude some times, and `label` is that
+    of the criterion. Numbers have no-break spaces.
 
     >>> gap = {"budget": 4, "gap": 0.0, "bound_error": 0.0}
     >>> gap_sentence(gap, 4)
@@ -137,11 +138,11 @@ def gap_sentence(
         times += f"{' and' * ('that' in times)} that the constraints allow"
     have, lower = ("has", "lowers") if is_one else ("have", "lower")
     if not gap["bound_error"] and gap["gap"] < ROUNDING:
-        return f"Proved: no other {times} {have} a lower expected MSE."
+        return f"Proved: no other {times} {have} a lower {label}."
     if idle := idle_bound(gap):
         return idle
     even_with = ", even with a filter that is told the scenario" if has_scenarios else ""
-    return f"Proved: no other {times} {lower} the expected MSE {at_most(gap, even_with)}."
+    return f"Proved: no other {times} {lower} the {label} {at_most(gap, even_with)}."
 
 
 def idle_bound(gap: Mapping[str, Any]) -> str:

@@ -214,7 +214,7 @@ class Criterion:
         self, gap: Mapping[str, Any], measurements: int, *, has_fewer: bool, **about: bool
     ) -> str:
         """The sentence that says how much better other times can be; see `gap_sentence`."""
-        return gap_sentence(gap, measurements, has_fewer=has_fewer, **about)
+        return gap_sentence(gap, measurements, has_fewer=has_fewer, label=self.label, **about)
 
     def exactly(self, value: float) -> "Exact":
         """The criterion of a set whose value is known."""

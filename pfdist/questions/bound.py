@@ -55,8 +55,7 @@ class Bound(Shown):
         Whether the job has scenarios. Then the bound is that of a filter with the parameters of
         each draw's scenario.
     shares : tuple of float
-        Shares of the scenarios on the draws of the bound, if the worst scenario decides; else
-        empty.
+        Shares of the scenarios, or of the instants, in the bound, if the worst decides; else empty.
     within : float or None
         The demanded limit of the gaps.
     labels : mapping of str to str

@@ -38,10 +38,9 @@ _TOLD = (
     "information than any real filter, so the bound holds for all filters."
 )
 _WORST = (
-    "The expected MSE is that of the worst scenario. The lower bound is one of a mean of the "
-    "scenarios: the worst error of any times is at least this mean. Even the best times may lie "
-    "above it (a duality gap). The shares of the scenarios in the mean, for which the bound is "
-    "largest: "
+    "The error is that of the worst {0}. The lower bound is one of a mean of the {0}s: the worst "
+    "error of any times is at least this mean, whose shares make the bound largest. Even the best "
+    "times may lie above it (a duality gap)."
 )
 _HEAD = (
     "times", ERROR_HEAD, "lower bound ± standard error", "gap, estimated", "gap, at most",
@@ -59,7 +58,7 @@ def proof(subject: Subject) -> Section | None:
     if subject.criterion.proof:
         return Section(title, [Text(subject.criterion.proof, detail=True)])
     shares = next(iter(proofs.values())).get("shares") or ()
-    texts = _scenarios(shares) if subject.scenarios else []
+    texts = _weights(shares, subject.criterion, has_scenarios=bool(subject.scenarios))
     table = _table(proofs, subject.run.labels, detail=True)
     blocks = [Text(_HOLDS), Figures(["bound"]), *table, *texts, *_meaning(proofs)]
     return Section(title, blocks)
@@ -106,7 +105,7 @@ def bound_page(
         if each.get("warning"):
             warnings.append(f"{label}: {each['warning']}")
     blocks += [Text(said)] if (said := relaxed_sentence(answer["relaxed"])) else []
-    texts = _scenarios(answer["shares"]) if answer["has_scenarios"] else []
+    texts = _weights(answer["shares"], criterion, has_scenarios=answer["has_scenarios"])
     if criterion.proof:
         blocks.append(Text(criterion.proof, detail=True))
     else:
@@ -138,10 +137,14 @@ def _table(
     return [Table("Lower bounds and gaps", _HEAD, rows, detail, optional)] if rows else []
 
 
-def _scenarios(shares: Sequence[float]) -> list[Block]:
-    """The filter whose bound it is, and the shares of the scenarios in its mean."""
-    listed = ", ".join(percent(share, 1) for share in shares)
-    return [Text(_TOLD), *([Text(f"{_WORST}{listed}.")] if shares else [])]
+def _weights(shares: Sequence[float], criterion: Criterion, *, has_scenarios: bool) -> list[Block]:
+    """The filter whose bound it is, and the shares of scenarios or instants in its mean."""
+    texts = [_TOLD] * has_scenarios
+    if shares:
+        texts.append(_WORST.format("instant" if criterion.by_instant else "scenario"))
+    if shares and not criterion.by_instant:
+        texts.append(f"Their shares: {', '.join(percent(share, 1) for share in shares)}.")
+    return [Text(" ".join(texts))] if texts else []
 
 
 def _row(label: str, proved: Mapping[str, Any]) -> list[Cell]:

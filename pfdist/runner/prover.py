@@ -14,10 +14,12 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.percent import CHECK_FAILS
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, ModelError
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import BLOCK, with_truth
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.needs import BOUND
 from pfdist.results import Run
+from pfdist.results.criteria import other_criteria, samples_of
 from pfdist.results.stored_run import measured_of, values_of
 from pfdist.runner.block_sums import (
     CHOICE_BLOCKS,
@@ -71,9 +73,9 @@ class Prover:
 
     Before a proof, `relaxation` is the one from which its windows grow; afterwards the final one.
     `particles` is 0 for an exact engine. `confidence` is that of the limit of a gap: 95 %, or more
-    if the proof may end after several numbers of draws. `shares` are the scenarios' shares of the
-    draws of the bound, if the worst scenario decides. Raises `JobError` or `ModelError` if no bound
-    is known for the job's problem, or if its relaxation is too large.
+    if the proof may end after several numbers of draws. `shares` are those of the
+    scenarios or instants in the bound, if the worst of them decides. Raises `JobError` or
+    `ModelError` if no bound is known for the job's problem, or if its relaxation is too large.
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
@@ -104,7 +106,8 @@ class Prover:
 
     def begin(self, built: Built, settings: BoundSettings, particles: int) -> None:
         """Take the settings of a proof with so many particles."""
-        self._built, self.settings = built, settings
+        self._given = self._built = built
+        self.settings = settings
         self.shares: tuple[float, ...] = ()
         self.particles = particles if built.evaluator.has_particles else 0
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
@@ -170,7 +173,9 @@ class Prover:
         feasible = {name: times for name, times in sets.items() if satisfies(constraints, times)}
         wrong = self._fails_check()
         if feasible and self._built.job.criterion.bound == "mixture" and not wrong:
-            yield from self._weigh_scenarios(session, feasible)
+            by_instant = self._built.job.criterion.by_instant
+            errors = (self._of_instants if by_instant else self._of_scenarios)(session)
+            yield from self._weigh(session, errors, max(self._spent(feasible)))
         parts = yield from self._parts(session, run, sets)
         if wrong:
             gaps = [Gap(name, sets[name], parts[name].expected_mse, wrong) for name in sets]
@@ -266,32 +271,63 @@ class Prover:
             parts[name] = replace(parts[name], expected_mse=value, weighting=weighting)
         return parts
 
-    def _weigh_scenarios(
-        self, session: RunSession, sets: Mapping[str, Times]
+    def _weigh(
+        self, session: RunSession, errors: Generator[WorkBatch, None, Array], spent: int
     ) -> Generator[WorkBatch, None, None]:
-        """Give the scenarios the shares for which the bound is largest; own draws choose them."""
-        built, relaxation, errors = self._built, self.relaxation, list[Array]()
-        evaluator, counted = built.evaluator, self._counted(())
-        stream = stream_of("bound", built.job.seed, "weights")
+        """Give the scenarios, or the instants, the shares for which the bound is largest.
+
+        The largest of several errors is at least their mean with any shares. Separate draws choose
+        these.
+        """
+        built = self._built
+        session.reporter.begin("weights of the bound")
+        of_each = yield from errors
+        self.shares = best_shares(self.relaxation, of_each, spent)
+        by_instant = built.job.criterion.by_instant
+        weighted = built.evaluator.with_weights if by_instant else built.evaluator.with_shares
+        session.built = self._built = replace(built, evaluator=weighted(self.shares))
+
+    def _of_scenarios(self, session: RunSession) -> Generator[WorkBatch, None, Array]:
+        """The errors of all windows in each scenario, (C, E)."""
+        evaluator, errors = self._built.evaluator, list[Array]()
         blocks = math.ceil(CHOICE_BLOCKS / len(evaluator.scenarios))
-        session.reporter.begin("weights of the scenarios")
-        for number in range(len(evaluator.scenarios)):
-            alone = evaluator.with_shares(np.eye(len(evaluator.scenarios))[number].tolist())
-            session.built = replace(built, evaluator=alone)
-            sums = BlockSums(session.built, counted, (stream, stream), self._growing)
-            means = yield from sums.means(blocks, session)
-            errors.append(np.concatenate(means))
-        self.shares = best_shares(relaxation, np.stack(errors), max(self._spent(sets)))
-        session.built = self._built = replace(built, evaluator=evaluator.with_shares(self.shares))
+        for shares in np.eye(len(evaluator.scenarios)).tolist():
+            errors.append(
+                (yield from self._windows(session, evaluator.with_shares(shares), blocks))
+            )
+        return np.stack(errors)
+
+    def _of_instants(self, session: RunSession) -> Generator[WorkBatch, None, Array]:
+        """The errors of all windows, each only at one instant, (T+1, E); 0 if it does not count."""
+        relaxation, evaluator = self.relaxation, self._built.evaluator
+        counts = evaluator.relative_weights > 0.0
+        alone = evaluator.with_weights(counts.astype(float).tolist())
+        errors = yield from self._windows(session, alone, CHOICE_BLOCKS)
+        ends = zip(relaxation.first.tolist(), relaxation.ends.tolist(), strict=True)
+        at = np.concatenate([np.arange(first, last + 1) for first, last in ends])
+        return np.where(at == np.arange(counts.size)[:, None], errors * counts.sum(), 0.0)
+
+    def _windows(
+        self, session: RunSession, evaluator: Evaluator, blocks: int
+    ) -> Generator[WorkBatch, None, Array]:
+        """The errors of all windows on separate draws, (E,)."""
+        session.built = replace(self._built, evaluator=evaluator)
+        stream = stream_of("bound", self._built.job.seed, "weights")
+        sums = BlockSums(session.built, self._counted(()), (stream, stream), self._growing)
+        means = yield from sums.means(blocks, session)
+        return np.concatenate(means)
 
     def _values(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
         """The criterion's value for each set, exact or of the comparison."""
-        built = self._built
+        built = self._given
         exact = built.evaluator.expected_mse([*sets.values()], criterion=built.job.criterion)
         if exact is not None:
             return dict(zip(sets, map(Estimate, exact.tolist()), strict=True))
-        values = values_of(run)
-        return {name: values[name] for name in sets}
+        if not built.job.criterion.by_instant:
+            return values_of(run)
+        criterion = other_criteria(run)[built.job.criterion.name]
+        judged = {name: criterion.of_sample(sample) for name, sample in samples_of(run).items()}
+        return {name: Estimate(each.value, each.standard_error) for name, each in judged.items()}
 
     def _spent(self, sets: Mapping[str, Times]) -> list[int]:
         """The sum of the bound for each set."""

@@ -280,7 +280,10 @@ _OPTIONAL = {
         "particle_steps", pa.int64(), "", "that were computed; instants of sets if exact"
     ),
     "shares": _column(
-        "shares", pa.list_(pa.float64()), "", "of the scenarios in the bound, if the worst decides"
+        "shares",
+        pa.list_(pa.float64()),
+        "",
+        "of the scenarios or instants in the bound, if the worst decides",
     ),
 }
 """Columns that a table has only for some jobs: with an exact engine, or with scenarios."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Estimate, student_quantile
-from pfdist.filters.criterion import CriterionValue, OtherCriterion, Sample, criterion
+from pfdist.filters.criterion import Bound, CriterionValue, OtherCriterion, Sample, criterion
 
 if TYPE_CHECKING:
     from pfdist.filters.estimate import Evaluation
@@ -24,6 +24,7 @@ class WorstInstant(OtherCriterion):
     meaning: str = (
         "largest expected error at an instant; from limits that hold together at all instants"
     )
+    bound: Bound = "mixture"
     by_instant: bool = True
     of_each_draw: bool = False
     fewest: int = 240  # ten groups of a block of draws
