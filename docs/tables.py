@@ -71,8 +71,11 @@ ASPECTS = (
 BENCHMARKS = FOLDER.parent / "benchmarks" / "results"
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
-_SHARED = 3  # commands that have an option with the same words
+_SHARED = 2  # commands that have an option with the same words
+_COMMON_COLUMNS = 3  # tables that have a column with the same words
+_JOB = "A job file, as `jobs/plan.toml`, or the folder of a run."  # the page says it once
 _UNBOUNDED = 2**63  # whole numbers of a job have 64 bits
+_SHARES = re.compile(r"\d+(?:, \d+)*(?= ?%)")
 _MARKED = re.compile(r"(?s)(<!-- table: (\w+) -->\n).*?(<!-- end -->)")
 _SECTIONS: Mapping[str, type[JobSection]] = {
     "[model]": Model,
@@ -174,12 +177,19 @@ def columns() -> str:
         **{each.table: schema_of_aspect(each, ["SET"]) for each in ASPECTS},
         "trajectories": trajectories_schema(["SET"], _MODEL, _MODEL),
     }
-    parts = []
+    rows = {name: _rows_of_columns(schemas.get(name) or schema(name)) for name in KEYS}
+    counts = Counter(row for each in rows.values() for row in each)
+    common = [row for row, count in counts.items() if count >= _COMMON_COLUMNS]
+    head = ["column", "type, unit", "meaning"]
+    parts = [f"## Columns that several tables share\n\n{_table(head, map(list, common))}"]
     for name, identifying in KEYS.items():
-        columns = schemas.get(name) or schema(name)
         key = ", ".join(f"`{column}`" for column in identifying)
+        also = ", ".join(row[0] for row in rows[name] if row in common)
+        own = [list(row) for row in rows[name] if row not in common]
         parts.append(
-            f"## `{name}`\n\nA row for {_ROWS[name]}. Key: {key}.\n\n{_table_of_columns(columns)}"
+            f"## `{name}`\n\nA row for {_ROWS[name]}. Key: {key}."
+            + f" Also {also}." * bool(also)
+            + f"\n\n{_table(head, own)}"
         )
     return "\n\n".join(parts)
 
@@ -188,17 +198,18 @@ def computed_tables() -> str:
     """Give a section for each table of a run that follows from others."""
     sections = [f"## `{name}`\n\n{inspect.getdoc(function)}" for name, function in COMPUTED.items()]
     rows = [
-        [f"`{name}`" + (", `_low`, `_high`" if column.has_interval else ""), column.meaning]
+        (f"`{name}`" + (", `_low`, `_high`" if column.has_interval else ""), column.meaning)
         for name, column in SET_COLUMNS.items()
         if not name.endswith(("_low", "_high")) or name == "bound_low"
     ]
-    sections[0] += "\n\n" + _table(["column", "meaning"], rows)
+    sections[0] += "\n\n" + _table(["column", "meaning"], map(list, _together(rows)))
     return "\n\n".join(sections).replace("``", "`")
 
 
 def filtered_columns() -> str:
     """Give the table of the columns of filtered measurements."""
-    return _table_of_columns(filtered_schema(_MODEL))
+    rows = _rows_of_columns(filtered_schema(_MODEL))
+    return _table(["column", "type, unit", "meaning"], map(list, rows))
 
 
 def arguments_of(name: str) -> Iterator[tuple[str, str]]:
@@ -249,7 +260,11 @@ def usage() -> str:
         f"## Options that several commands share\n\n{_table(head, map(list, shared))}",
     ]
     for name, rows in arguments.items():
-        own = [list(row) for row in rows if row not in shared]
+        own = [
+            [words, text.removeprefix(_JOB).strip()]
+            for words, text in rows
+            if (words, text) not in shared and text != _JOB
+        ]
         also = ", ".join(
             f"`{row[0].strip('`').split()[0].rstrip(',')}`" for row in rows if row in shared
         )
@@ -257,7 +272,7 @@ def usage() -> str:
             f"{line}    # {does}" for line, does in COMMANDS[name].examples.items()
         )
         parts.append(
-            f"## {name}\n\n{COMMANDS[name].sentence}"
+            f"## {name}"
             + f"\n\n{_table(head, own)}" * bool(own)
             + f"\n\nAlso {also}." * bool(also)
             + f"\n\n```\n{examples}\n```" * bool(examples)
@@ -656,9 +671,10 @@ def _table_of_keys(head: str, fields: Mapping[str, FieldInfo], section: type[Job
         if not _is_section(field.annotation):
             unit, meaning = described[key]
             allowed = "any [method](searches.md)" if key == "method" else _bounds(field)
-            rows.append([f"`{key}`", allowed, _default(key, field), unit, meaning])
+            allowed += f"; {unit}" * bool(unit)
+            rows.append([f"`{key}`", allowed, _default(key, field), meaning])
     title = f"## {head}\n\n" if head else ""
-    return title + _table(["key", "allowed", "default", "unit", "meaning"], rows)
+    return title + _table(["key", "allowed; unit", "default", "meaning"], rows)
 
 
 def _default(key: str, field: FieldInfo) -> str:
@@ -674,14 +690,34 @@ def _default(key: str, field: FieldInfo) -> str:
     return "" if default in (None, "", {}, []) else _value(default)
 
 
-def _table_of_columns(columns: pa.Schema) -> str:
+def _rows_of_columns(columns: pa.Schema) -> list[tuple[str, ...]]:
     rows = []
     for column in columns:
         kind, metadata = column.type, column.metadata
         type_name = f"list of {kind.value_type}" if pa.types.is_list(kind) else str(kind)
         unit, description = (metadata[key].decode() for key in (b"unit", b"description"))
-        rows.append([f"`{column.name}`", type_name, unit, _escaped(description)])
-    return _table(["column", "type", "unit", "meaning"], rows)
+        unit = unit.replace("square of z's unit", "z²")
+        kind_and_unit = ", ".join(filter(None, [type_name, unit]))
+        rows.append((f"`{column.name}`", kind_and_unit, _escaped(description)))
+    return _together(rows)
+
+
+def _together(rows: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Put a column and its standard error into one row, and columns that differ in a percentage."""
+    made = list[tuple[str, ...]]()
+    for name, *kind, meaning in rows:
+        [first, *_, before] = made[-1] if made else [""] * 2
+        shares = [_SHARES.search(text) for text in (before, meaning)]
+        if name == first[:-1] + "_error`" and meaning.startswith("standard error of "):
+            meaning = before
+        elif all(shares) and _SHARES.sub("", before) == _SHARES.sub("", meaning):
+            listed = ", ".join(dict.fromkeys(share[0] for share in shares if share))
+            meaning = _SHARES.sub(listed, meaning)
+        else:
+            made.append((name, *kind, meaning))
+            continue
+        made[-1] = (f"{first}, {name}", *kind, meaning)
+    return made
 
 
 def _bounds(field: FieldInfo) -> str:
