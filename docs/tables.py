@@ -73,7 +73,9 @@ _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search h
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 _SHARED = 2  # commands that have an option with the same words
 _COMMON_COLUMNS = 3  # tables that have a column with the same words
-_JOB = "A job file, as `jobs/plan.toml`, or the folder of a run."  # the page says it once
+_JOB = re.compile(  # the page says it once
+    r"A job file,( as `jobs/plan.toml`,| whose run is meant,)? or the folder of a run\.\s*"
+)
 _UNBOUNDED = 2**63  # whole numbers of a job have 64 bits
 _SHARES = re.compile(r"\d+(?:, \d+)*(?= ?%)")
 _MARKED = re.compile(r"(?s)(<!-- table: (\w+) -->\n).*?(<!-- end -->)")
@@ -252,18 +254,18 @@ def usage() -> str:
         for name in COMMANDS
     }
     counts = Counter(row for rows in arguments.values() for row in rows)
-    shared = [row for row, count in counts.items() if count >= _SHARED and row[0].startswith("`--")]
+    shared = [row for row, count in counts.items() if count >= _SHARED and row[0] != "`JOB`"]
     head = ["argument", "meaning"]
     flags = [[f"`--{name}`", text] for name, text in FLAGS.items()]
     parts = [
         f"## Options of every command\n\n{_table(head, flags)}",
-        f"## Options that several commands share\n\n{_table(head, map(list, shared))}",
+        f"## What several commands share\n\n{_table(head, map(list, shared))}",
     ]
     for name, rows in arguments.items():
         own = [
-            [words, text.removeprefix(_JOB).strip()]
+            [words, _JOB.sub("", text)]
             for words, text in rows
-            if (words, text) not in shared and text != _JOB
+            if (words, text) not in shared and _JOB.sub("", text)
         ]
         also = ", ".join(
             f"`{row[0].strip('`').split()[0].rstrip(',')}`" for row in rows if row in shared
@@ -705,18 +707,16 @@ def _rows_of_columns(columns: pa.Schema) -> list[tuple[str, ...]]:
 def _together(rows: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """Put a column and its standard error into one row, and columns that differ in a percentage."""
     made = list[tuple[str, ...]]()
-    for name, *kind, meaning in rows:
-        [first, *_, before] = made[-1] if made else [""] * 2
+    for row in rows:
+        (name, *kind, meaning), (first, *_, before) = row, made[-1] if made else ("", "")
         shares = [_SHARES.search(text) for text in (before, meaning)]
         if name == first[:-1] + "_error`" and meaning.startswith("standard error of "):
-            meaning = before
+            made[-1] = (f"{first}, {name}", *kind, before)
         elif all(shares) and _SHARES.sub("", before) == _SHARES.sub("", meaning):
             listed = ", ".join(dict.fromkeys(share[0] for share in shares if share))
-            meaning = _SHARES.sub(listed, meaning)
+            made[-1] = (f"{first}, {name}", *kind, _SHARES.sub(listed, meaning))
         else:
-            made.append((name, *kind, meaning))
-            continue
-        made[-1] = (f"{first}, {name}", *kind, meaning)
+            made.append(row)
     return made
 
 

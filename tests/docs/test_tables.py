@@ -128,7 +128,7 @@ def test_the_reference_has_every_table_column_and_option(tables: ModuleType) -> 
     usage = tables.usage()
     for name in COMMANDS:
         assert f"## {name}\n" in usage
-        said = [words for words, text in tables.arguments_of(name) if text != tables._JOB]
+        said = [words for words, text in tables.arguments_of(name) if tables._JOB.sub("", text)]
         assert all(f"| `{words}` |" in usage for words in said)
 
 
