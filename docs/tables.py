@@ -426,9 +426,10 @@ def backtest() -> str:
 
 def guided() -> str:
     """Give the table of plain and guided filters, from their benchmark."""
-    cases = pd.read_csv(BENCHMARKS / "guided.csv", comment="#").groupby("system", sort=False)
+    cases = pd.read_csv(BENCHMARKS / "guided.csv", comment="#")
+    cases = cases[~cases["system"].str.contains("without t = 0")]
     rows = []
-    for system, pair in cases:
+    for system, pair in cases.groupby("system", sort=False):
         plain, other = (row for _, row in pair.iterrows())
         rows.append(
             [
@@ -467,7 +468,7 @@ def ways() -> str:
 
 def driver() -> str:
     """Give the table of simulated nodes that the real driver feeds, from its benchmark."""
-    tasks = pd.read_csv(BENCHMARKS / "driver.csv", comment="#")
+    tasks = pd.read_csv(BENCHMARKS / "driver.csv", comment="#").query("task_seconds < 1 or wanted == 'chosen'")
     rows = [
         [
             f"{row.cores:,}",
@@ -483,7 +484,7 @@ def driver() -> str:
 
 def searches() -> str:
     """Give the table of searches on simulated nodes, from the benchmark of the driver."""
-    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#").query("cores > 1")
+    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#").query("cores > 1 and measurements == 21")
     rows = []
     for (search, number, draws), group in measured.groupby(["search", "measurements", "draws"]):
         busy = group.set_index("cores")["busy"]
