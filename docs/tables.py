@@ -18,7 +18,6 @@ import pyarrow as pa
 from cyclopts.argument import Argument
 from pydantic.fields import FieldInfo
 
-from pfdist import plots
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import program
 from pfdist.cli.words import FLAGS, shown_default
@@ -72,6 +71,7 @@ BENCHMARKS = FOLDER.parent / "benchmarks" / "results"
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 _SHARED = 2  # commands that have an option with the same words
+_EXAMPLES = 2  # of a command; its help has all
 _COMMON_COLUMNS = 3  # tables that have a column with the same words
 _JOB = re.compile(  # the page says it once
     r"A job file,( as `jobs/plan.toml`,| whose run is meant,)? or the folder of a run\.\s*"
@@ -271,7 +271,7 @@ def usage() -> str:
             f"`{row[0].strip('`').split()[0].rstrip(',')}`" for row in rows if row in shared
         )
         examples = "\n".join(
-            f"{line}    # {does}" for line, does in COMMANDS[name].examples.items()
+            f"{line}    # {does}" for line, does in [*COMMANDS[name].examples.items()][:_EXAMPLES]
         )
         parts.append(
             f"## {name}"
@@ -468,7 +468,8 @@ def ways() -> str:
 
 def driver() -> str:
     """Give the table of simulated nodes that the real driver feeds, from its benchmark."""
-    tasks = pd.read_csv(BENCHMARKS / "driver.csv", comment="#").query("task_seconds < 1 or wanted == 'chosen'")
+    tasks = pd.read_csv(BENCHMARKS / "driver.csv", comment="#")
+    tasks = tasks.query("task_seconds < 1 or wanted == 'chosen'")
     rows = [
         [
             f"{row.cores:,}",
@@ -484,7 +485,8 @@ def driver() -> str:
 
 def searches() -> str:
     """Give the table of searches on simulated nodes, from the benchmark of the driver."""
-    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#").query("cores > 1 and measurements == 21")
+    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#")
+    measured = measured.query("cores > 1 and measurements == 21")
     rows = []
     for (search, number, draws), group in measured.groupby(["search", "measurements", "draws"]):
         busy = group.set_index("cores")["busy"]
@@ -583,18 +585,6 @@ def figures() -> str:
     return _table(["file", "what it shows"], rows)
 
 
-def panels() -> str:
-    """Give the table of the functions that draw one panel."""
-    rows = []
-    for name in plots.__all__:
-        function = getattr(plots, name)
-        if "ax" in inspect.signature(function).parameters:
-            first = (function.__doc__ or "").partition("\n")[0]
-            drawn = _sentence(first).removeprefix("Draw ")
-            rows.append([f"`{name}`", drawn[0].upper() + drawn[1:]])
-    return _table(["function", "what it draws"], rows)
-
-
 def pools() -> str:
     """Give the table of pools."""
     rows = [
@@ -635,7 +625,7 @@ TABLES: dict[str, Callable[[], str]] = {
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
         gallery, genetic, stone_soup, wall, simulators, backtest, guided, size, seconds_of_plan,
-        ways, driver, searches, robust, rules, engines, schemes, commands, figures, panels,
+        ways, driver, searches, robust, rules, engines, schemes, commands, figures,
         pools, densities, needs,
     )
 }  # fmt: skip
