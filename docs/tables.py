@@ -18,7 +18,6 @@ import pyarrow as pa
 from cyclopts.argument import Argument
 from pydantic.fields import FieldInfo
 
-from pfdist import plots
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import program
 from pfdist.cli.words import FLAGS, shown_default
@@ -71,8 +70,14 @@ ASPECTS = (
 BENCHMARKS = FOLDER.parent / "benchmarks" / "results"
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
-_SHARED = 3  # commands that have an option with the same words
+_SHARED = 2  # commands that have an option with the same words
+_EXAMPLES = 2  # of a command; its help has all
+_COMMON_COLUMNS = 3  # tables that have a column with the same words
+_JOB = re.compile(  # the page says it once
+    r"A job file,( as `jobs/plan.toml`,| whose run is meant,)? or the folder of a run\.\s*"
+)
 _UNBOUNDED = 2**63  # whole numbers of a job have 64 bits
+_SHARES = re.compile(r"\d+(?:, \d+)*(?= ?%)")
 _MARKED = re.compile(r"(?s)(<!-- table: (\w+) -->\n).*?(<!-- end -->)")
 _SECTIONS: Mapping[str, type[JobSection]] = {
     "[model]": Model,
@@ -174,12 +179,19 @@ def columns() -> str:
         **{each.table: schema_of_aspect(each, ["SET"]) for each in ASPECTS},
         "trajectories": trajectories_schema(["SET"], _MODEL, _MODEL),
     }
-    parts = []
+    rows = {name: _rows_of_columns(schemas.get(name) or schema(name)) for name in KEYS}
+    counts = Counter(row for each in rows.values() for row in each)
+    common = [row for row, count in counts.items() if count >= _COMMON_COLUMNS]
+    head = ["column", "type, unit", "meaning"]
+    parts = [f"## Columns that several tables share\n\n{_table(head, map(list, common))}"]
     for name, identifying in KEYS.items():
-        columns = schemas.get(name) or schema(name)
         key = ", ".join(f"`{column}`" for column in identifying)
+        also = ", ".join(row[0] for row in rows[name] if row in common)
+        own = [list(row) for row in rows[name] if row not in common]
         parts.append(
-            f"## `{name}`\n\nA row for {_ROWS[name]}. Key: {key}.\n\n{_table_of_columns(columns)}"
+            f"## `{name}`\n\nA row for {_ROWS[name]}. Key: {key}."
+            + f" Also {also}." * bool(also)
+            + f"\n\n{_table(head, own)}"
         )
     return "\n\n".join(parts)
 
@@ -188,17 +200,18 @@ def computed_tables() -> str:
     """Give a section for each table of a run that follows from others."""
     sections = [f"## `{name}`\n\n{inspect.getdoc(function)}" for name, function in COMPUTED.items()]
     rows = [
-        [f"`{name}`" + (", `_low`, `_high`" if column.has_interval else ""), column.meaning]
+        (f"`{name}`" + (", `_low`, `_high`" if column.has_interval else ""), column.meaning)
         for name, column in SET_COLUMNS.items()
         if not name.endswith(("_low", "_high")) or name == "bound_low"
     ]
-    sections[0] += "\n\n" + _table(["column", "meaning"], rows)
+    sections[0] += "\n\n" + _table(["column", "meaning"], map(list, _together(rows)))
     return "\n\n".join(sections).replace("``", "`")
 
 
 def filtered_columns() -> str:
     """Give the table of the columns of filtered measurements."""
-    return _table_of_columns(filtered_schema(_MODEL))
+    rows = _rows_of_columns(filtered_schema(_MODEL))
+    return _table(["column", "type, unit", "meaning"], map(list, rows))
 
 
 def arguments_of(name: str) -> Iterator[tuple[str, str]]:
@@ -241,23 +254,27 @@ def usage() -> str:
         for name in COMMANDS
     }
     counts = Counter(row for rows in arguments.values() for row in rows)
-    shared = [row for row, count in counts.items() if count >= _SHARED and row[0].startswith("`--")]
+    shared = [row for row, count in counts.items() if count >= _SHARED and row[0] != "`JOB`"]
     head = ["argument", "meaning"]
     flags = [[f"`--{name}`", text] for name, text in FLAGS.items()]
     parts = [
         f"## Options of every command\n\n{_table(head, flags)}",
-        f"## Options that several commands share\n\n{_table(head, map(list, shared))}",
+        f"## What several commands share\n\n{_table(head, map(list, shared))}",
     ]
     for name, rows in arguments.items():
-        own = [list(row) for row in rows if row not in shared]
+        own = [
+            [words, _JOB.sub("", text)]
+            for words, text in rows
+            if (words, text) not in shared and _JOB.sub("", text)
+        ]
         also = ", ".join(
             f"`{row[0].strip('`').split()[0].rstrip(',')}`" for row in rows if row in shared
         )
         examples = "\n".join(
-            f"{line}    # {does}" for line, does in COMMANDS[name].examples.items()
+            f"{line}    # {does}" for line, does in [*COMMANDS[name].examples.items()][:_EXAMPLES]
         )
         parts.append(
-            f"## {name}\n\n{COMMANDS[name].sentence}"
+            f"## {name}"
             + f"\n\n{_table(head, own)}" * bool(own)
             + f"\n\nAlso {also}." * bool(also)
             + f"\n\n```\n{examples}\n```" * bool(examples)
@@ -409,9 +426,10 @@ def backtest() -> str:
 
 def guided() -> str:
     """Give the table of plain and guided filters, from their benchmark."""
-    cases = pd.read_csv(BENCHMARKS / "guided.csv", comment="#").groupby("system", sort=False)
+    cases = pd.read_csv(BENCHMARKS / "guided.csv", comment="#")
+    cases = cases[~cases["system"].str.contains("without t = 0")]
     rows = []
-    for system, pair in cases:
+    for system, pair in cases.groupby("system", sort=False):
         plain, other = (row for _, row in pair.iterrows())
         rows.append(
             [
@@ -451,6 +469,7 @@ def ways() -> str:
 def driver() -> str:
     """Give the table of simulated nodes that the real driver feeds, from its benchmark."""
     tasks = pd.read_csv(BENCHMARKS / "driver.csv", comment="#")
+    tasks = tasks.query("task_seconds < 1 or wanted == 'chosen'")
     rows = [
         [
             f"{row.cores:,}",
@@ -466,7 +485,8 @@ def driver() -> str:
 
 def searches() -> str:
     """Give the table of searches on simulated nodes, from the benchmark of the driver."""
-    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#").query("cores > 1")
+    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#")
+    measured = measured.query("cores > 1 and measurements == 21")
     rows = []
     for (search, number, draws), group in measured.groupby(["search", "measurements", "draws"]):
         busy = group.set_index("cores")["busy"]
@@ -565,18 +585,6 @@ def figures() -> str:
     return _table(["file", "what it shows"], rows)
 
 
-def panels() -> str:
-    """Give the table of the functions that draw one panel."""
-    rows = []
-    for name in plots.__all__:
-        function = getattr(plots, name)
-        if "ax" in inspect.signature(function).parameters:
-            first = (function.__doc__ or "").partition("\n")[0]
-            drawn = _sentence(first).removeprefix("Draw ")
-            rows.append([f"`{name}`", drawn[0].upper() + drawn[1:]])
-    return _table(["function", "what it draws"], rows)
-
-
 def pools() -> str:
     """Give the table of pools."""
     rows = [
@@ -617,7 +625,7 @@ TABLES: dict[str, Callable[[], str]] = {
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
         gallery, genetic, stone_soup, wall, simulators, backtest, guided, size, seconds_of_plan,
-        ways, driver, searches, robust, rules, engines, schemes, commands, figures, panels,
+        ways, driver, searches, robust, rules, engines, schemes, commands, figures,
         pools, densities, needs,
     )
 }  # fmt: skip
@@ -656,9 +664,10 @@ def _table_of_keys(head: str, fields: Mapping[str, FieldInfo], section: type[Job
         if not _is_section(field.annotation):
             unit, meaning = described[key]
             allowed = "any [method](searches.md)" if key == "method" else _bounds(field)
-            rows.append([f"`{key}`", allowed, _default(key, field), unit, meaning])
+            allowed += f"; {unit}" * bool(unit)
+            rows.append([f"`{key}`", allowed, _default(key, field), meaning])
     title = f"## {head}\n\n" if head else ""
-    return title + _table(["key", "allowed", "default", "unit", "meaning"], rows)
+    return title + _table(["key", "allowed; unit", "default", "meaning"], rows)
 
 
 def _default(key: str, field: FieldInfo) -> str:
@@ -674,14 +683,32 @@ def _default(key: str, field: FieldInfo) -> str:
     return "" if default in (None, "", {}, []) else _value(default)
 
 
-def _table_of_columns(columns: pa.Schema) -> str:
+def _rows_of_columns(columns: pa.Schema) -> list[tuple[str, ...]]:
     rows = []
     for column in columns:
         kind, metadata = column.type, column.metadata
         type_name = f"list of {kind.value_type}" if pa.types.is_list(kind) else str(kind)
         unit, description = (metadata[key].decode() for key in (b"unit", b"description"))
-        rows.append([f"`{column.name}`", type_name, unit, _escaped(description)])
-    return _table(["column", "type", "unit", "meaning"], rows)
+        unit = unit.replace("square of z's unit", "z²")
+        kind_and_unit = ", ".join(filter(None, [type_name, unit]))
+        rows.append((f"`{column.name}`", kind_and_unit, _escaped(description)))
+    return _together(rows)
+
+
+def _together(rows: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Put a column and its standard error into one row, and columns that differ in a percentage."""
+    made = list[tuple[str, ...]]()
+    for row in rows:
+        (name, *kind, meaning), (first, *_, before) = row, made[-1] if made else ("", "")
+        shares = [_SHARES.search(text) for text in (before, meaning)]
+        if name == first[:-1] + "_error`" and meaning.startswith("standard error of "):
+            made[-1] = (f"{first}, {name}", *kind, before)
+        elif all(shares) and _SHARES.sub("", before) == _SHARES.sub("", meaning):
+            listed = ", ".join(dict.fromkeys(share[0] for share in shares if share))
+            made[-1] = (f"{first}, {name}", *kind, _SHARES.sub(listed, meaning))
+        else:
+            made.append(row)
+    return made
 
 
 def _bounds(field: FieldInfo) -> str:

@@ -29,6 +29,7 @@ from .questions.fit import fit as fit
 from .questions.list_runs import list_runs as list_runs
 from .questions.next_time import next_time as next_time
 from .questions.online import online as online
+from .questions.options import Options as Options
 from .questions.particle_losses import particle_losses as particle_losses
 from .questions.plan import plan as plan
 from .questions.planner import Planner as Planner

@@ -1,6 +1,7 @@
 """The Python interface: every exported name exists, is documented, and does what it says."""
 
 import inspect
+import pydoc
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 import pfdist
 from oracles.in_turn import in_turn
 from pfdist import Job
+from pfdist.questions.options import Chosen
 
 
 @in_turn("name", pfdist.__all__)
@@ -22,6 +24,14 @@ def test_every_exported_name_is_documented(name: str) -> None:
         for parameter in inspect.signature(exported).parameters:
             assert re.search(rf"^(\w+, )*{parameter}(, \w+)* : ", doc, re.MULTILINE)
         assert "Returns" in doc
+
+
+def test_the_help_of_plan_fits_a_screen_and_names_its_options() -> None:
+    """The options of execution are described once, by `pfdist.Options`."""
+    text = pydoc.plain(pydoc.render_doc(pfdist.plan))
+    assert len(text.splitlines()) <= 50
+    assert "see `pfdist.Options`" in text
+    assert all(f"{name} : " in (pfdist.Options.__doc__ or "") for name in Chosen.model_fields)
 
 
 def _printed(code: str) -> str:

@@ -97,26 +97,23 @@ def plan(
     Parameters
     ----------
     job : str
-        A job file, as ``jobs/plan.toml``, or the folder of a run. Searches that the job names are
-        ignored.
+        A job file, as ``jobs/plan.toml``, or the folder of a run. Searches of the job are ignored.
     results : str, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
-        ``results/NAME-plan`` if the job lists searches: the other folder belongs to their run.
+        ``results/NAME-plan`` if the job lists searches.
     search : str
-        Method of the search, with its default settings.
+        Method of the search. Its settings are keys of the job, as ``search.relaxation.paths=16``.
     changes : sequence of str, optional
-        Other values of keys of the job, as ``seed=3``. The name of the search is its method, as in
-        ``search.relaxation.paths=16``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     bound_draws : int
-        Number of draws of the lower bound that is proved for the found times, by default 480; 0
-        for no bound. For several numbers of measurements, a bound is proved only if this number is
-        given. A bound that would take more than about five minutes of one core is left out, and a
-        line names the command that proves it.
+        Draws of the lower bound, by default 480; 0 for no bound. For several numbers of
+        measurements there is a bound only if this is given. One that would take more than about
+        five minutes of a core is left out, and a line names the command that proves it.
     reuse : sequence of str, optional
-        Folders of other runs, whose evaluations are taken, not computed again. Give the option once
-        for each run.
+        Folders of other runs, whose evaluations are taken, not computed again; give it once for
+        each.
     export : str, optional
-        Also write the plan into this file, for a spreadsheet (``.csv``) or a diary (``.ics``).
+        Also write the plan into this file: ``.csv`` for a spreadsheet, ``.ics`` for a diary.
     dry_run : bool
         Print the particle-steps that are foreseen, by what they are for, and about how many minutes
         a core of this machine takes for them; compute nothing.
@@ -165,7 +162,7 @@ def status(run: str, *, export: str | None = None) -> "Run":
     run : str
         Folder of a run.
     export : str, optional
-        Also write the plan into this file, for a spreadsheet (``.csv``) or a diary (``.ics``).
+        Also write the plan into this file: ``.csv`` for a spreadsheet, ``.ics`` for a diary.
     """
     from pfdist.results import open_run
 
@@ -221,7 +218,7 @@ def simulate(
     seed : int, optional
         By default the seed of the job.
     changes : sequence of str, optional
-        Other values of keys of the job, as ``model.parameters.NAME=0.5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     """
     from pfdist.questions.simulate import write_simulated
 

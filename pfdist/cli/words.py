@@ -247,7 +247,8 @@ def __getattr__(name: str) -> Callable[..., Line]:
         return Line(name, function, given.args, given.kwargs, json, verbose, debug)
 
     whole = signature.replace(parameters=[*signature.parameters.values(), *flags])
-    read.__doc__, read.__signature__ = function.__doc__, whole  # type: ignore[attr-defined]
+    read.__doc__ = getattr(function, "described", function.__doc__)
+    read.__signature__ = whole  # type: ignore[attr-defined]
     read.__annotations__ = {each.name: each.annotation for each in whole.parameters.values()}
     return read
 

@@ -229,17 +229,17 @@ def backtest(
     job : Problem, Job, str, Path or Run
         A job file, whose run is meant, or the folder of a run.
     data : str, Path or DataFrame
-        Table in CSV or Parquet with a row for each replicate and time: a column with the name of
-        the replicate, t, y0, y1, ... (or ``y_NAME``), and sensor if the model has sensors. Further
-        columns may be z0, z1, ... (known quantities of interest, which are judged instead), train
-        (1 for a replicate to which the model was fitted; it is not judged), and parameters.
+        Table in CSV or Parquet with a row for each replicate and time: a column with the
+        replicate's name, t, y0, y1, ... (or ``y_NAME``), and sensor if the model has sensors.
+        Further columns may be z0, z1, ... (known quantities of interest, judged instead), train (1
+        for a replicate to which the model was fitted; it is not judged), and parameters.
     replicate : str, optional
         Column with the name of the replicate; by default the first.
     times : mapping of str to iterable or str, optional
         Further sets to compare, as ``clinic=0,6,12,24``; give the option once for each set.
     planned : str, optional
-        Name of the compared set whose times were planned; by default the found set with the lowest
-        expected MSE.
+        Name of the compared set that was planned; by default the found set with the lowest expected
+        MSE.
     plan_each : bool
         Plan for each replicate among its own measurements; then no run is needed.
     columns : mapping of str to str, or list of str, optional

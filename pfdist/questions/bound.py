@@ -127,13 +127,13 @@ def bound(
     job : Problem, Job, str, Path or Run
         A job file, whose run is meant, or the folder of a run.
     draws : int, optional
-        Number of draws of the bound, 480 to 100,000, rounded up to a multiple of 24; by default
-        1,920. With more draws the bound is higher, because the least of many noisy errors is too
-        low. Exact engines ignore it.
+        Draws of the bound, 480 to 100,000, rounded up to a multiple of 24; by default 1,920. With
+        more draws the bound is higher, because the least of many noisy errors is too low. Exact
+        engines ignore it.
     within : float, optional
-        Double the number of draws until the upper limits of the gaps are at most this fraction, or
-        until it is `draws`, by default 30,720. The gaps of references do not count. If there are
-        searches, only the gaps of found sets count.
+        Double the draws until the upper limits of the gaps are at most this fraction, or until they
+        are `draws`, by default 30,720. The gaps of references, and of other sets than found ones,
+        do not count if there are searches.
     particles : int, optional
         Number of particles of the bound's filter; by default that of the job's filter, and at least
         1,000 if estimates use later measurements.
@@ -142,10 +142,9 @@ def bound(
         later measurements have gaps between two measurements instead.
     work : float, optional
         Particle-steps after which no window grows; 0 to keep the first windows. By default twice
-        those that the first windows take on 480 draws, or once for gaps; exact engines have no
-        limit. Windows also stop growing when no set of the relaxation is better than the run's sets
-        by more than 0.1 %, on the draws that choose the windows; with an exact engine, when none is
-        better at all.
+        those of the first windows on 480 draws, or once for gaps; exact engines have no limit.
+        Windows also stop growing when the relaxation has no set that is better than the run's by
+        more than 0.1 %; with an exact engine, by anything.
     memory : int
         Memory that the relaxation may take, in MiB. Windows stop growing before they need more.
     results : str or Path, optional

@@ -61,15 +61,15 @@ def budget(
     draws : int
         Draws of the comparison. A larger number resumes a run with more draws.
     target : float, optional
-        An expected MSE. The answer, the report and a figure also show the least number of
-        measurements that reaches it, and the largest number that is proved not to reach it.
+        An expected MSE. The answer, the report and a figure then have the least number that reaches
+        it, and the largest that is proved not to.
     bound_draws : int
         Number of draws of the lower bound for each number of measurements; 0 for no bound.
     changes : sequence of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs, whose evaluations are taken, not computed again. Give the option once
-        for each run.
+        Folders of other runs, whose evaluations are taken, not computed again; give it once for
+        each.
     options
         See `Options`.
 

@@ -237,18 +237,15 @@ def compare(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A job file, as ``jobs/plan.toml``, or the folder of a run. It gives the problem.
-        Sets that the job gives are compared, too: a list of times as comparison.reference, and
-        [comparison.sets].
+        A job file, as ``jobs/plan.toml``, or the folder of a run. Its comparison.sets, and times as
+        its comparison.reference, are compared, too.
     runs : Run, str or Path
-        Folders of finished runs, whose sets are compared, too: the found sets, and the
-        references if they differ. The runs are only read. A name that is already in use gets the
-        name of the run's folder before it.
+        Folders of finished runs, whose found sets, and references if they differ, are compared,
+        too. A name that is in use gets the folder's name before it.
     times : mapping of str to iterable or str, or list of str, optional
-        Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``: times on the clock
-        of the problem, or its regular times. ``last=@last.csv`` takes those of the column t of a
-        table, ``last=@last.csv:date`` of another column. They may break constraints. Give the
-        option once for each set.
+        Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``, the regular times;
+        ``last=@last.csv`` takes the column t of a table, ``last=@last.csv:date`` another. They may
+        break constraints. Give the option once for each set.
     results : str or Path, optional
         Folder of the comparison; by default ``results/NAME-compare`` of a job ``NAME.toml``.
     draws : int, optional

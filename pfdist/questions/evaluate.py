@@ -473,11 +473,10 @@ def evaluated(
     Parameters
     ----------
     job : str
-        A job file, as jobs/plan.toml, or the folder of a run.
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
     times : mapping of str to str
-        Measurement times: numbers and ranges FIRST:LAST or FIRST:LAST:STEP, both ends included, as
-        0:60:3 or 0,6,12, on the clock of the job, if it has one; or regular, the job's regular
-        times. Several sets have names, as in --times mine=0,6,12 --times regular, and share draws.
+        Measurement times, as 0:60:3 or 0,6,12, on the job's clock; or regular, its regular times.
+        Several sets have names, as in --times mine=0,6,12 --times regular, and share draws.
     draws : int, optional
         Number of draws; by default evaluation.draws of the job.
     particles : int, optional
@@ -485,7 +484,7 @@ def evaluated(
     seed : int, optional
         Seed of the noise; by default that of the job.
     changes : iterable of str, optional
-        Other values of keys of the job, as seed=3.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     profile : bool
         Also estimate the expected error at each instant.
     also : str or list of str, optional

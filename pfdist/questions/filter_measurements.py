@@ -207,13 +207,13 @@ def filter_measurements(
         A job file, or the folder of a run. A run of the job need not exist; its plan is compared
         with the times of the measurements.
     measurements : str, Path or DataFrame
-        Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
-        DataFrame, at any times. An empty cell is a missing component, a row without any value a
-        missed time, a second row at a time a repeat, which counts, too. If the model has sensors,
-        the column sensor names that of a row.
+        Table in CSV or Parquet, or a DataFrame, with the columns t, y0, y1, ... (or ``y_NAME``),
+        and sensor if the model has sensors; any times, or no rows. An empty cell is a missing
+        component, a row without any value a missed time (of a sensor with fails a spent
+        measurement, of one with a delay a value on its way), a second row at a time a repeat.
     planned : str, optional
-        Name of the compared set whose times were planned; by default the found set with the lowest
-        expected MSE.
+        Name of the compared set that was planned; by default the found set with the lowest expected
+        MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
         Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), and
         optionally weight, and t, their time (by default the first).

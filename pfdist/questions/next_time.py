@@ -218,11 +218,10 @@ def next_time(
     job : Problem, Job, str, Path or Run
         A job file, or the folder of a run. Without a run of the job, the measurements alone plan.
     measurements : str, Path or DataFrame
-        Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
-        DataFrame, at any times. It may have no rows. An empty cell is a missing component, a row
-        without any value a missed time (for a sensor with fails, a spent measurement; for one with
-        a delay, a value that has not arrived), a second row at a time a repeat, which counts, too.
-        If the model has sensors, the column sensor names that of a row.
+        Table in CSV or Parquet, or a DataFrame, with the columns t, y0, y1, ... (or ``y_NAME``),
+        and sensor if the model has sensors; any times, or no rows. An empty cell is a missing
+        component, a row without any value a missed time (of a sensor with fails a spent
+        measurement, of one with a delay a value on its way), a second row at a time a repeat.
     now : int, float, str or datetime, optional
         The last time that has passed, or its date, if nothing was measured at the end. Times
         planned up to it are planned again for later.

@@ -39,8 +39,8 @@ def online(
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs, whose evaluations are taken, not computed again. Give the option once
-        for each run.
+        Folders of other runs, whose evaluations are taken, not computed again; give it once for
+        each.
     options
         See `Options`.
 

@@ -67,21 +67,21 @@ class Options(TypedDict, total=False):
     """Options of every function that computes a run; editors complete them.
 
     pool : str, optional
-        Where tasks are computed: by workers of a Ray cluster (``ray``), in ``processes`` of this
-        machine, on ``threads`` of this process, or one after another (``serial``). With ``auto``,
-        by Ray if a cluster is given, in processes if formulas are not compiled, else on threads.
-        The default is execution.pool of the job.
+        Where tasks are computed: by Ray's workers (``ray``), in ``processes`` or on ``threads`` of
+        this machine, or one after another (``serial``). The default is execution.pool of the job:
+        with ``auto``, by Ray if a cluster is given, in processes if formulas are not compiled, else
+        on threads.
     workers : int, optional
         Number of workers, at most 1,000 on one machine; 0 is one for each core. The default is
         execution.workers of the job.
     address : str, optional
-        The Ray cluster to join, as HOST:PORT; ``auto`` finds one, and ``local`` starts one on this
-        machine. The default is execution.address of the job.
+        The Ray cluster to join, as HOST:PORT; ``auto`` finds one, ``local`` starts one here. The
+        default is execution.address of the job.
     figures : bool
         Whether to draw the figures that the folder lacks.
     report : bool, optional
-        Whether to write ``report.html``, an HTML file that can be sent to anybody; by default if
-        figures are drawn, as they are by commands.
+        Whether to write ``report.html``, one HTML file; by default if figures are drawn, as
+        commands do.
     progress : callable or bool, optional
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`. By default a terminal and a notebook show the progress
@@ -124,7 +124,9 @@ class Chosen(Arguments):
 
 
 def with_options(function: Callable[P, R], without: str = "") -> Callable[P, R]:
-    """Show the options in the signature and in the help of a function that takes ``**options``.
+    """Name the options in the signature and the docstring of a function that takes ``**options``.
+
+    Its attribute ``described``, the help of its command, describes each of them.
 
     Parameters
     ----------
@@ -168,5 +170,9 @@ def with_options(function: Callable[P, R], without: str = "") -> Callable[P, R]:
     described = inspect.cleandoc(Options.__doc__ or "").partition("\n\n")[2]
     if without:
         described = re.sub(rf"(?m)^{without} : .*\n(?: .*\n)*", "", described)
-    call.__doc__ = (function.__doc__ or "").replace(_PLACE, indent(described, "    ") + "\n")
+    given = (function.__doc__ or "").partition(_PLACE)
+    listed = ", ".join(each.name for each in added)
+    see = "Where to compute, and what to show: see `pfdist.Options`."
+    call.__doc__ = f"{given[0]}    {listed} : options\n        {see}\n{given[2]}"
+    call.described = given[0] + indent(described, "    ") + "\n" + given[2]  # type: ignore[attr-defined]
     return call

@@ -73,8 +73,8 @@ def run(
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs, whose evaluations are taken, not computed again. Give the option once
-        for each run.
+        Folders of other runs, whose evaluations are taken, not computed again; give it once for
+        each.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     bound_draws : int

@@ -41,13 +41,11 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     Parameters
     ----------
     runs : Run, str, Path, or list of these
-        Folders of runs, finished or not. A folder with runs or sweeps in it gives all these runs,
-        in the order of their names; numbers in names are ordered as numbers. Runs in it that cannot
-        be read are left out, with a warning; if a run that is given itself cannot be read, it is an
-        error. A run that is given twice counts once.
+        Folders of runs, finished or not, or folders with runs or sweeps in them, in the order of
+        their names. A run in such a folder that cannot be read is left out, with a warning.
     out : str or Path, optional
-        Also write the table to this file, whose name ends in ``.csv`` or ``.parquet``. An earlier
-        table of runs is replaced; another file is not.
+        Also write the table to this ``.csv`` or ``.parquet`` file. An earlier table of runs is
+        replaced; another file is not.
 
     Returns
     -------

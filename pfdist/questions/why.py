@@ -50,7 +50,7 @@ class Why(Shown):
     run : Path
         Folder of the run.
     draws : int
-        Number of draws; 0 if the engine is exact and needs no draws.
+        Number of draws, at least 2, computed in this process. An exact engine does not use it.
     sets : DataFrame
         A row for each set: name, measurement_times, expected_mse, standard_error and
         degenerate_draws.
@@ -137,8 +137,8 @@ def why(
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     export : str or Path, optional
-        Also write the plan, and how far each measurement may move, into this file, for a
-        spreadsheet (``.csv``) or a diary (``.ics``).
+        Also write the plan, and how far each measurement may move, into this ``.csv`` or ``.ics``
+        file.
     figures : bool
         Whether to draw the figures.
     progress : callable or bool, optional

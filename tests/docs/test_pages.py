@@ -9,7 +9,6 @@ import shutil
 import tomllib
 from collections.abc import Callable, Iterator
 from doctest import ELLIPSIS, OutputChecker
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -102,8 +101,6 @@ def _play(
         first, _, rest = text.partition("\n")
         if file := A_FILE.fullmatch(first):
             Path(file[1]).write_text(rest, encoding="utf-8")
-        elif "import mlflow" in text and find_spec("mlflow") is None:
-            continue
         elif language == "python":
             exec(compile(text, f"{page}.md", "exec"), names)
             capsys.readouterr()
@@ -183,7 +180,6 @@ def test_the_model_with_angles_is_checked_as_its_page_shows(
         ("models.md", "tank.py"),
         ("simulators.md", "cell.py"),
         pytest.param("simulators.md", "growth.py", marks=pytest.mark.recipes),
-        pytest.param("cookbook.md", "decay_jax.py", marks=pytest.mark.recipes),
     ],
 )
 def test_a_model_of_a_page_is_a_model(page: str, file: str, tmp_path: Path) -> None:
