@@ -1,5 +1,6 @@
 """Rules against the plans of shipped jobs, a constant threshold, replanning and the bound."""
 
+import math
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -62,20 +63,23 @@ def measure(quick: bool, say: Say) -> Tables:
 
 def row_of(job: str, path: Path, *, is_hard: bool) -> dict[str, Any]:
     """The errors of all kinds for a finished run, and how far the rule's lies above the others."""
-    run, given = pfdist.open_run(path), {"hard": is_hard, "figures": False}
+    run = pfdist.open_run(path)
+    given: Any = {"hard": is_hard, "figures": False}
     with patch.multiple(ruling, _SWEEPS=(), _CLEARLY=-np.inf):
         constant = pfdist.rule(run, **given)
     found = pfdist.rule(run, **given)
     opponent = next(name for name in found.labels if name not in {found.plan, "online"})
     names = {"opponent": opponent, "plan": found.plan, "online": "online"}
-    mse = {kind: found.table.get(f"mse_{name}") for kind, name in names.items()}
+    mse: dict[str, Any] = {
+        kind: found.table.get(f"mse_{name}", pd.Series(np.nan, found.table.index))
+        for kind, name in names.items()
+    }
     mse |= {"constant": constant.table["mse_rule"], "rule": found.table["mse_rule"]}
     row = {"job": job, "budget": found.budget, "is_hard": is_hard, "draws": len(found.table),
            "numbers": found.spent.value, "numbers_error": found.spent.standard_error,
            "bound": found.at_least}  # fmt: skip
     for kind in KINDS:
-        values = np.full(len(found.table), np.nan) if mse[kind] is None else mse[kind].to_numpy()
-        ratio = mse["rule"].mean() / values.mean()
+        values, ratio = mse[kind], mse["rule"].mean() / mse[kind].mean()
         apart = mse["rule"] - ratio * values  # the delta method, on paired draws
         errors = {"mse": values.mean(), "error": error_of(values), "excess": ratio - 1.0,
                   "excess_error": error_of(apart) / values.mean()}  # fmt: skip
@@ -85,13 +89,15 @@ def row_of(job: str, path: Path, *, is_hard: bool) -> dict[str, Any]:
 
 def error_of(values: Any) -> float:
     """The standard error of a mean."""
-    return float(np.std(values, ddof=1) / np.sqrt(len(values)))
+    return float(np.std(values, ddof=1) / math.sqrt(len(values)))
 
 
 def lines(tables: Tables) -> tuple[list[str], list[list[str]]]:
     """The head and the rows of the table of all errors."""
-    head = ["job, N, draws", *(f"{kind} ± SE" for kind in KINDS[:-1]), "bound (95 %)",
-            "measurements ± SE", "rule less plan, % ± SE", "rule less constant, % ± SE"]  # fmt: skip
+    head = [
+        "job, N, draws", *(f"{kind} ± SE" for kind in KINDS[:-1]), "bound (95 %)",
+        "measurements ± SE", "rule less plan, % ± SE", "rule less constant, % ± SE",
+    ]  # fmt: skip
     rows = [
         [f"`{row['job']}`, {row['budget']:g}{' at most' * row['is_hard']}, {row['draws']:,}",
          *(with_error(row[f"{kind}_mse"], row[f"{kind}_error"]) for kind in KINDS[:-1]),
