@@ -99,15 +99,14 @@ class Planner:
         self._filter = filter_of(built, start, draw)
         self._truths = filter_of_truths(self._filter.unmeasured)
         self._built, self._draw = built, int(draw)
-        self._now, self._taken = Now(start), ()
-        self._seen = list[tuple[int, NDArray[np.float64] | None]]()
+        self._now, self._seen = Now(start), list[tuple[int, NDArray[np.float64] | None]]()
         self._times = self.clock  # of the filter's instants
         if planned is None:
             first = replace(self._replanner, planning=first_planning(planning))
             planned = first.plan(self._now, (), (), self._draw)
         first_left = self._points.first(self._now.first)
         self._plan = tuple(time for time in planned if time >= first_left)
-        self._before = tuple(time for time in planned if time < first_left)
+        self._taken = tuple(time for time in planned if time < first_left)
         self._in_flight = tuple(
             time for time in self._plan if self._points.made_at(time) < self._now.first
         )
@@ -172,8 +171,8 @@ class Planner:
         in_flight = tuple(sorted({*points.canonical((*self._in_flight, point))}))
         (point,) = {*in_flight} - {*self._in_flight} or {point}  # the next of alike repeats
         if point not in self._plan:
-            planned = tuple(sorted({*self._plan, point}))
-            self._plan = self._planned_anew(planned, in_flight)
+            given = self._taken, tuple(sorted({*self._plan, point})), self._draw, in_flight
+            self._plan = self._replanner.plan(self._now, *given)
         self._in_flight = in_flight
 
     def update(
@@ -348,7 +347,8 @@ class Planner:
         measurement follows; if it has `passed`, it can no longer be measured.
         """
         self._filter, self._truths = filtering, filter_of_truths(filtering.unmeasured)
-        self._times, self._taken, estimates = rows.clock, taken, list[FilterEstimate]()
+        self._times, estimates = rows.clock, list[FilterEstimate]()
+        self._taken = tuple(sorted({*self._taken, *taken}))
         seen: dict[int, Any] = dict.fromkeys(
             (*rows.missed, rows.clock.instant(self.clock.times[until]))
         )
@@ -375,11 +375,8 @@ class Planner:
         self._fail(point for point in self._in_flight if point < first)
         self._in_flight = tuple(point for point in self._in_flight if point >= first)
         left = tuple(planned for planned in self._plan if planned >= first)
-        self._plan = self._planned_anew(left, self._in_flight)
-
-    def _planned_anew(self, plan: Times, in_flight: Times) -> Times:
-        taken = tuple(sorted((*self._before, *self._taken)))
-        return self._replanner.plan(self._now, taken, plan, self._draw, in_flight)
+        given = self._taken, left, self._draw, self._in_flight
+        self._plan = self._replanner.plan(self._now, *given)
 
 
 def _at(t: int, prior: Prior | None) -> Any:

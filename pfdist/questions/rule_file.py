@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, TypeAdapter
+from pydantic import Field, TypeAdapter, ValidationError
 
 from pfdist.common.parsing import parse_json
 from pfdist.common.section import JobSection
@@ -69,16 +69,14 @@ class Rule:
             answer = parse_json(text)
             written = _Written.read(answer["rule"])
             limits = TypeAdapter(StepLimits).validate_python(answer["constraints"])
-            instants = max(len(own) for own in written.threshold.values() if isinstance(own, list))
+            each = written.threshold.values()
+            instants = max((len(own) for own in each if isinstance(own, list)), default=0)
             _check_sizes(limits, len(written.threshold), instants)
             return cls(written.rule([*written.threshold], instants), limits, [
                 name or ALONE for name in written.threshold
             ])  # fmt: skip
         except (ValueError, TypeError, LookupError) as error:
-            raise StoreError(
-                f"{path} is damaged, or an earlier version wrote it: `pfdist rule "
-                f"{Path(path).parent}` writes it again"
-            ) from error
+            raise _damaged(Path(path), error, ", or an earlier version wrote it") from error
 
     @property
     def spent(self) -> float:
@@ -163,10 +161,12 @@ def _check_sizes(limits: StepLimits, ways: int, instants: int) -> None:
     points, own = ways * instants, limits.own_apart
     sizes = {"apart": instants, "prices": points, "visit_ends": points, "own_apart": ways}
     sizes |= dict.fromkeys(("delays", "most", "alike", "group", "install"), ways)
-    is_right = all(len(getattr(limits, name)) in {0, size} for name, size in sizes.items())
-    is_right &= {*map(len, own)} <= {instants} and {*limits.required} <= {*range(points)}
-    if not (is_right and min((0, *limits.delays)) == 0):
-        raise ValueError("the constraints are not those of these sensors and instants")
+    is_right = {name: len(getattr(limits, name)) in {0, size} for name, size in sizes.items()}
+    is_right["own_apart"] &= {*map(len, own)} <= {instants}
+    is_right["required"] = {*limits.required} <= {*range(points)}
+    is_right["delays"] &= min((0, *limits.delays)) == 0
+    for name in (name for name, right in is_right.items() if not right):
+        raise ValueError(f"constraints.{name} is not that of these sensors and instants")
 
 
 def rule_json(rule: Thresholds, feasible: Feasible) -> dict[str, Any]:
@@ -198,4 +198,16 @@ def rule_of(run: Path, feasible: Feasible) -> Thresholds:
     try:
         return rule_from(answer["rule"], feasible)
     except (ValueError, TypeError, KeyError) as error:
-        raise StoreError(f"{run / FILE} is damaged: `pfdist rule {run}` writes it again") from error
+        raise _damaged(run / FILE, error) from error
+
+
+def _damaged(path: Path, error: Exception, more: str = "") -> StoreError:
+    """The error that names a wrong key of a file."""
+    what = str(error)
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}, got {shown(first['input'])}"
+    what = f"{error.args[0]} is missing" if isinstance(error, KeyError) else what
+    return StoreError(
+        f"{path} is damaged ({what}){more}: `pfdist rule {path.parent}` writes it again"
+    )

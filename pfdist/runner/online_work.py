@@ -37,8 +37,14 @@ class OnlineWork(FilterWork):
 
         The estimates are (E, T+1, q), for the E draws that need them.
         """
-        results = [self._of_draw(evaluator, draw) for draw in range(*self.draws)]
-        chosen = tuple(result.measurement_times[0] for result in results)
+        chosen = tuple(self.chosen(evaluator, draw) for draw in range(*self.draws))
+        results = [
+            evaluator.filtered(
+                replace(self, measurement_times=(times,), draws=(draw, draw + 1),
+                        trajectories=draw < self.shown)
+            )
+            for draw, times in enumerate(chosen, self.draws[0])
+        ]  # fmt: skip
         estimates = [result.estimates[0, 0] for result in results if result.estimates.size]
         return Result(
             np.concatenate([result.mse for result in results]),
@@ -51,18 +57,6 @@ class OnlineWork(FilterWork):
     def steps_a_draw(self) -> int:
         """Approximate number of particle-steps of a draw; nearly all are for planning."""
         return _steps(self.feasible, self.planning) + super().steps_a_draw
-
-    def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
-        times = self.chosen(evaluator, draw)
-        work = evaluator.work(
-            [times],
-            self.filter_streams[0],
-            self.draws_stream,
-            (draw, draw + 1),
-            self.estimation,
-            trajectories=draw < self.shown,
-        )
-        return replace(evaluator.filtered(work), measurement_times=(times,))
 
     def chosen(self, evaluator: Evaluator, draw: int) -> Times:
         """The chosen times of one draw; a degenerate draw keeps its last plan."""

@@ -19,6 +19,7 @@ from pfdist import Job, Planner, Problem
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import PfdistError, PfdistWarning
+from pfdist.filters.cloud import Gaussian
 from pfdist.filters.simulation import simulate
 from pfdist.problem.problem import as_job
 from pfdist.runner.build import build
@@ -163,6 +164,19 @@ def test_planned_times_that_are_passed_over_count_as_missed(job: Job) -> None:
     assert planner.measured == (5,)
     assert len(planner.plan()) == 4
     assert planner.plan()[0] > 5
+
+
+def test_planned_times_before_the_start_count_as_measured(tmp_path: Path) -> None:
+    """A filter that starts at t = 5 leaves two of the times 0, 3, 6 and 9."""
+    problem = Problem("random_walk", horizon=12, measurement_budget=4, engine="kalman")
+    later = Gaussian(5, np.zeros(1), np.eye(1))
+    planner = Planner(problem, [0, 3, 6, 9], prior=later)
+    assert (planner.measured, planner.plan()) == ((0, 3), (6, 9))
+    given: Any = {"figures": False, "report": False, "pool": "serial", "bound_draws": 0}
+    run = pfdist.plan(problem, results=tmp_path / "run", **given)
+    before = sum(t < 5 for t in run.best.measurement_times)
+    found = pfdist.next_time(run, pd.DataFrame({"t": [6], "y0": [1.0]}), prior=later)
+    assert found.left == len(found.plan) == 3 - before
 
 
 def test_without_times_a_search_makes_the_first_plan(job: Job) -> None:

@@ -406,23 +406,28 @@ def test_a_rule_in_use_keeps_what_is_spent_and_takes_back_what_was_not_made() ->
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "what"),
     [
-        {},
-        {"constraints": {"apart": [1, 2]}},
-        {"constraints": {"prices": ["one"] * 13}},
-        {"constraints": {"own_apart": [[1]]}},
-        {"constraints": {"delays": [-1]}},
-        {"constraints": {"required": [13]}},
-        {"constraints": {"more": 1}},
+        ({}, "constraints is missing"),
+        ({"constraints": {"apart": [1, 2]}}, "constraints.apart is not that of these sensors"),
+        ({"constraints": {"prices": ["one"] * 13}}, "prices.0: .*, got 'one'"),
+        ({"constraints": {"own_apart": [[1]]}}, "constraints.own_apart is not"),
+        ({"constraints": {"delays": [-1]}}, "constraints.delays is not"),
+        ({"constraints": {"required": [13]}}, "constraints.required is not"),
+        ({"constraints": {"more": 1}}, "more: .*, got 1"),
+        ({"rule": {"threshold": [2.0], "exponent": -1, "limit": 0.0}}, "exponent: .*, got -1"),
+        ({"rule": {"threshold": [2.0], "limit": 0.0}}, "exponent: Field required"),
+        ({"rule": {"threshold": [-0.5], "exponent": 0.0, "limit": 0.0}, "constraints": {}},
+         "a threshold must be at least 0"),
     ],
-)
-def test_a_rule_is_loaded_only_with_right_constraints(
-    tmp_path: Path, wrong: dict[str, Any]
+)  # fmt: skip
+def test_a_rule_is_loaded_only_with_right_values_and_the_error_names_the_key(
+    tmp_path: Path, wrong: dict[str, Any], what: str
 ) -> None:
     file = tmp_path / "rule.json"
     file.write_text(json.dumps({"rule": rule_json(Thresholds((2.0,)), COUNTED), **wrong}))
-    with pytest.raises(StoreError, match="or an earlier version wrote it: `pfdist rule"):
+    said = rf"is damaged \({what}.*\), or an earlier version wrote it: `pfdist rule"
+    with pytest.raises(StoreError, match=said):
         pfdist.Rule.load(file)
 
 
@@ -488,7 +493,7 @@ def test_a_rule_is_read_only_as_it_was_written(
              "exponent": [-1, None], "limit": ["inf", -3], "more": [1]}  # fmt: skip
     for name, value in [(name, value) for name, values in wrong.items() for value in values]:
         keep_rule(run, {"rule": right | {name: value}})
-        with pytest.raises(StoreError, match=r"rule\.json is damaged: `pfdist rule"):
+        with pytest.raises(StoreError, match=rf"rule\.json is damaged \(.*{name}.*\): `pfdist"):
             rule_of(run, COUNTED)
     for answer in ([], {}, {"rule": None}, {"rule": {}}):
         keep_rule(run, answer)  # type: ignore[arg-type]

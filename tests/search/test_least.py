@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -130,6 +130,64 @@ def test_the_bound_of_the_chain_with_a_sharp_and_a_blunt_sensor(window: int, kno
     )
     assert average <= hard
     assert average <= beliefs.average_bound(number, np.linspace(0.03, 0.07, 9)) < 0.12101
+
+
+def variances(times: tuple[int, ...]) -> Array:
+    """Of a filter of x(t+1) = 0.8 x(t) + w, with a sensor that is sharp at even t, (T+1,)."""
+    variance, found = 2.0, list[float]()
+    for t in range(HORIZON + 1):
+        variance = 0.64 * variance + 1.0 if t else variance
+        if t in times:
+            variance = 1.0 / (1.0 / variance + 1.0 / (2.0 + 0.5 * t if t % 2 else 0.3))
+        found.append(variance)
+    return np.array(found)
+
+
+def relaxed(times: tuple[int, ...], window: int) -> float:
+    """The MSE of a set if all instants up to the last but so many measurements are measured."""
+    errors = list[float]()
+    for t in range(HORIZON + 1):
+        past = [time for time in times if time <= t]
+        known = range(past[-window] + 1) if len(past) >= window else ()
+        errors.append(variances((*known, *past[-window:]))[t])
+    return float(np.mean(errors))
+
+
+HORIZON = 6
+
+
+@pytest.mark.parametrize("window", [1, 2, HORIZON + 1])
+def test_where_measurements_say_nothing_the_bound_is_that_of_plans_or_of_coins(window: int) -> None:
+    """Variances of a linear-Gaussian model do not depend on y, so a plan is as good as a strategy.
+
+    With a number on average, a coin between two plans is a strategy: the bound is the lower convex
+    hull over numbers. A window of all measurements relaxes nothing.
+    """
+    instants = HORIZON + 1
+    relaxation = relaxation_with(Feasible(horizon=HORIZON, measurement_budget=2), window, instants)
+    windows = zip(relaxation.sets, relaxation.first, relaxation.ends, strict=True)
+    errors = np.concatenate([variances(s)[first : end + 1] for s, first, end in windows])
+    least = least_of_draw(relaxation, errors, instants)[None]
+    plans = [
+        min(relaxed(times, window) for times in combinations(range(instants), number))
+        for number in range(instants + 1)
+    ]
+    pairs = [*combinations(range(instants + 1), 2)]
+    for number in (1, 2, 3, 5):
+        (hard,) = bounds_of_draws(least, number, np.inf)
+        assert hard == pytest.approx(min(plans[: number + 1]), rel=1e-12)
+    for number in (0.5, 1, 2.3, 3, 5):
+        hull = min(
+            np.interp(number, pair, [plans[n] for n in pair])
+            for pair in pairs
+            if pair[0] <= number <= pair[1]
+        )
+        slopes = [(plans[a] - plans[b]) / (b - a) for a, b in pairs]
+        prices = [max(0.0, slope) for slope in slopes]
+        bounds = [float(bounds_of_draws(least, number, price)[0]) for price in prices]
+        assert max(bounds) == pytest.approx(hull, rel=1e-12)
+        found = float(bounds_of_draws(least, number, best_price(least, number))[0])
+        assert 0.98 * hull < found <= hull + 1e-12  # of 400 prices
 
 
 def test_the_price_is_the_one_of_the_largest_bound() -> None:
