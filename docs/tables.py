@@ -12,7 +12,6 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 from cyclopts.argument import Argument
@@ -30,7 +29,6 @@ from pfdist.filters.criterion import CRITERIA
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
-from pfdist.pools.kinds import POOLS
 from pfdist.problem.clock_section import ClockSection
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
@@ -367,42 +365,11 @@ def stone_soup() -> str:
     return _table(head, rows)
 
 
-def wall() -> str:
-    """Give the table of whole commands, before and after they became faster."""
-    runs = pd.read_csv(BENCHMARKS / "wall.csv", comment="#")
-    medians = runs.pivot_table("seconds", "command", "version", "median", sort=False)
-    rows = [
-        [f"`{command}`", *map(_seconds, (before, now)), f"{now / before:.2f}"]
-        for command, before, now in medians[["before", "now"]].itertuples()
-    ]
-    return _table(["command", "before, s", "now, s", "ratio"], rows)
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.1f}" if value >= 1.0 else f"{value:.2f}"
-
-
 def seconds_of_plan() -> str:
     """Give the table of where the seconds of a plan go."""
     parts = pd.read_csv(BENCHMARKS / "seconds_of_plan.csv", comment="#")
     rows = [[row.part, f"{row.seconds:.1f}"] for row in parts.itertuples()]
     return _table(["part", "s"], [*rows, ["all", f"{parts['seconds'].sum():.1f}"]])
-
-
-def simulators() -> str:
-    """Give the table of systems as formulas and as functions of arrays, from their benchmark."""
-    cases = pd.read_csv(BENCHMARKS / "simulators.csv", comment="#")
-    rows = [
-        [
-            row.system,
-            row.way,
-            f"{row.ns:.0f}",
-            "" if np.isnan(row.ns_of_functions) else f"{row.ns - row.ns_of_functions:.0f}",
-        ]
-        for row in cases.itertuples()
-    ]
-    head = ["system", "written as", "ns a particle-step", "without the functions' own time"]
-    return _table(head, rows)
 
 
 def backtest() -> str:
@@ -585,48 +552,22 @@ def figures() -> str:
     return _table(["file", "what it shows"], rows)
 
 
-def pools() -> str:
-    """Give the table of pools."""
-    rows = [
-        [f"`{name}`", kind.description, "any number" if "workers" in kind.takes else "1"]
-        for name, kind in POOLS.items()
-    ]
-    return _table(["pool", "where tasks are computed", "workers"], rows)
-
-
 def densities() -> str:
-    """Give the table of densities, with the times of the benchmark."""
-    measured = pd.read_csv(BENCHMARKS / "densities.csv", comment="#").set_index("name")
-    rows = []
-    for name, density in DENSITIES.items():
-        nanoseconds = measured.loc[name, ["ns_log_density", "ns_draw"]]
-        rows.append(
-            [
-                f"`{name}`",
-                ", ".join(density.parameters),
-                density.support,
-                " and ".join(density.noise),
-                *(f"{value:.1f}" if value < 10 else f"{value:.0f}" for value in nanoseconds),
-            ]
-        )
-    head = [
-        "density",
-        "parameters",
-        "support",
-        "draw from",
-        "ns of the log density",
-        "ns of the draw",
+    """Give the table of densities."""
+    rows = [
+        [f"`{name}`", ", ".join(each.parameters), each.support, " and ".join(each.noise)]
+        for name, each in DENSITIES.items()
     ]
-    return _table(head, rows)
+    return _table(["density", "parameters", "support", "draw from"], rows)
 
 
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, wall, simulators, backtest, guided, size, seconds_of_plan,
+        gallery, genetic, stone_soup, backtest, guided, size, seconds_of_plan,
         ways, driver, searches, robust, rules, engines, schemes, commands, figures,
-        pools, densities, needs,
+        densities, needs,
     )
 }  # fmt: skip
 
@@ -743,9 +684,9 @@ def _allowed(annotation: Any) -> str:
         return " or ".join(kinds)
     if origin in (tuple, list):
         return f"list ({_allowed(arguments[0])})"
-    if annotation is dict or origin is dict:
-        return f"section ({_allowed(arguments[1])})"
-    return "section" if _is_section(annotation) else _KINDS[annotation]
+    if annotation is dict or origin is dict or _is_section(annotation):
+        return "section"
+    return _KINDS[annotation]
 
 
 def _is_section(annotation: Any) -> bool:

@@ -84,8 +84,8 @@ class ProblemSection(JobSection):
     lag : number, clock
         The estimate of z at a time uses measurements until so much later, as 2 or "2 h".
     estimate : str
-        "filtered": the estimate of z at a time uses measurements until then. "smoothed": it uses
-        all measurements. By default "filtered", unless there is a lag.
+        Whether the estimate of z at a time uses the measurements until then (by default, unless
+        there is a lag), or all ("smoothed").
     criterion : str
         The aim: the least "expected_mse", the most "information", the least expected error at the
         worst instant ("worst_instant"), or the least quantile of the MSE ("quantile 0.9").

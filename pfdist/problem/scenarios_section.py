@@ -41,8 +41,7 @@ class Scenarios(JobSection):
     weights : list of float
         Above 0, for each scenario of a list; only ratios matter. By default all are equal.
     scales : list of float
-        A number above 0 for each scenario, by which its squared errors are divided: for instance
-        the expected MSE of the best times for this scenario alone. By default 1.
+        A number above 0 for each scenario, by which its squared errors are divided: by default 1.
     count : int
         Number of scenarios, of distributions alone.
     motion : float, standard deviations

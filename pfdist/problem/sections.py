@@ -135,14 +135,13 @@ class Model(JobSection):
     Parameters
     ----------
     name : str
-        A built-in model, an entry point of the group ``pfdist.models``, or ``path/file.py:object``,
-        relative to the job file.
+        A model that ships, an entry point of ``pfdist.models``, or ``path/file.py:object``.
     parameters : dict of str to float, the model's unit
-        Values that replace those of the model: a number, a list with a number for each instant, or
-        a column of a table, as in ``{file = "weather.csv", column = "rain"}``.
+        Values that replace those of the model: a number, a number for each instant, or a column of
+        a table, as ``{file = "weather.csv", column = "rain"}``.
     events : dict of str to list
-        Tables of doses and other jumps, which equations name: rows ``[time, amount, state]``, or
-        the columns of a table with these names, as in ``{file = "doses.csv"}``.
+        Tables of doses and other jumps: rows ``[time, amount, state]``, or ``{file = "doses.csv"}``
+        with these columns.
     """
 
     name: Text = "ungm"
@@ -169,8 +168,8 @@ class FilterSection(JobSection):
     engine : str
         The engine that computes the filter.
     proposal : str
-        "guided" redraws the noise since the last measurement when the next one is known; "plain"
-        does not. "auto" takes "guided" if it has less particle loss with a third of the particles.
+        "guided" redraws the noise since the last measurement when the next one is known. "auto"
+        takes it if it has less particle loss with a third of the particles.
     """
 
     particles: Particles = 500

@@ -150,8 +150,7 @@ _DECLARED = [
     Column(name="name", dtype="object", meaning="name of the set"),
     Column(
         name="label", dtype="object", head="times",
-        meaning="the set as pages call it: plan, with the name of its search if there are several; "
-        "evenly spaced; or its name",
+        meaning="the set as pages call it",
     ),
     Column(
         name="kind", dtype="object",
@@ -160,8 +159,7 @@ _DECLARED = [
     ),
     Column(
         name="reference", dtype="object",
-        meaning="set over which this set gains: with several numbers of measurements it has as "
-        "many; missing for a reference",
+        meaning="set over which this set gains; missing for a reference",
     ),
     Column(name="measurements", dtype="int64", head="number", meaning="number of measurements"),
     Column(
@@ -173,16 +171,14 @@ _DECLARED = [
     Column(
         name="expected_mse", error="standard_error", has_interval=True,
         head="expected MSE ± standard error",
-        meaning="mean on the compared draws, of mse - control where there is a control; or exact "
-        "where the engine is exact",
+        meaning="mean on the compared draws, of mse - control where there is a control; or exact",
     ),
     Column(name="standard_error", meaning="of expected_mse; 0 where it is exact"),
     *(
         column
         for name, head, which, draws in (
             ("smoothed", "afterwards", "if the job's own estimate is filtered",
-             "at most a fifth of the draws by two filters, of four times as many particles with "
-             "the true model, without the part of few ancestors unless the model has an own error"),
+             "at most a fifth of the draws by two filters"),
             ("filtered", "at the moment", "if the job's own estimate uses later measurements",
              "at most a fifth of the draws"),
         )
@@ -238,8 +234,7 @@ _DECLARED = [
     ),
     Column(
         name="mean_log10_ratio", has_interval=True,
-        meaning="mean of log10(mse / mse of the reference); exchanging the two sets changes only "
-        "its sign; interval by Student's t",
+        meaning="mean of log10(mse / mse of the reference); interval by Student's t",
     ),
     *(
         Column(
@@ -250,9 +245,8 @@ _DECLARED = [
     ),
     Column(
         name="typical_error", dtype="object",
-        meaning="root of the expected MSE of each component of z, in its unit, of several "
-        "components by their shares in the trajectories; a circular deviation of an angle, in "
-        "radians; missing where errors are scaled, or the model has its own error",
+        meaning="root of the expected MSE of each component of z, in its unit; of an angle a "
+        "circular deviation, in radians; missing where errors are scaled, or the model's own",
     ),
     Column(
         name="evenly_spaced", dtype="Int64",
@@ -270,8 +264,7 @@ _DECLARED = [
     Column(name="gain_draws", dtype="Int64", meaning="draws whose relative gain is a number"),
     Column(
         name="gains_disagree", dtype="object",
-        meaning="whether mean_relative_gain and gain_of_means differ in sign or by more than 5 "
-        "percentage points, beyond their intervals",
+        meaning="whether mean_relative_gain and gain_of_means differ in sign or by more than 5 %",
     ),
     Column(
         name="search_mse", error="search_standard_error",
@@ -290,8 +283,7 @@ _DECLARED = [
     ),
     Column(
         name="particle_loss",
-        meaning="share of expected_mse due to finitely many particles, by two filters; known where "
-        "the engine has particles and the error is the squared norm",
+        meaning="share of expected_mse due to finitely many particles, by two filters",
     ),
     Column(name="particle_loss_error", meaning="standard error of particle_loss"),
     Column(name="particle_loss_at_most", meaning="at least the particle loss"),

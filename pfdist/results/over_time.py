@@ -83,10 +83,9 @@ def joined_ranges(ranges: Iterable[Range], most: int) -> list[Range]:
 def error_over_time(run: StoredRun) -> pd.DataFrame:
     """A row for each compared set and instant: the expected error then.
 
-    The columns are name (of the set); t; measured (whether the set measures then); draws (all of
-    the comparison; 0: exact); weight (of the instant in the MSE; the mean is 1); error and
-    standard_error. Errors are scaled as in the MSE, and less their controls if there are any. Their
-    weighted mean over time is the expected MSE.
+    The columns are name (of the set); t; measured (whether the set measures then); draws (0:
+    exact); weight (of the instant in the MSE; the mean is 1); error and standard_error. The
+    weighted mean of errors is the expected MSE.
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 

@@ -195,14 +195,11 @@ def pairs_of(run: StoredRun) -> pd.DataFrame:
     """A row for each pair of compared sets, on the same draws.
 
     The columns are first and second (names); draws; difference (expected MSE of the first less
-    that of the second) with low and high (95 %, Student's t, of the paired differences);
-    simultaneous_low and simultaneous_high (the intervals of all pairs hold together with 95 %, by
-    Bonferroni); clear (whether the simultaneous interval leaves out 0); gain_of_means (by which
-    share of the second expected MSE the first is lower; negative if it is higher, so its sign is
-    opposite to that of difference) with gain_of_means_low and gain_of_means_high (95 %, Fieller's);
-    first_wins (share of the draws in which the first has the lower MSE) with first_wins_low and
-    first_wins_high (95 %, Wilson's). If the engine is exact, difference and gain_of_means are
-    exact, and all their limits are equal.
+    that of the second) with low and high (95 %, Student's t); simultaneous_low and
+    simultaneous_high (of all pairs together, by Bonferroni); clear (whether these leave out 0);
+    gain_of_means (the share by which the first is lower) with gain_of_means_low and
+    gain_of_means_high (Fieller's); first_wins (share of the draws in which the first has the lower
+    MSE) with first_wins_low and first_wins_high (Wilson's).
     """
     return pairs_table(run.names, (block for block, *_ in errors_of(run)), exact_errors(run))
 
@@ -210,11 +207,9 @@ def pairs_of(run: StoredRun) -> pd.DataFrame:
 def ranks_of(run: StoredRun) -> pd.DataFrame:
     """A row for each compared set, the lowest expected MSE first.
 
-    The columns are name; expected_mse and standard_error; best_rank (1 plus the number of sets that
-    are clearly better) and worst_rank (the number of sets less those that are clearly worse), as
-    the table ``pairs`` defines clear; difference (expected MSE less that of the first row) with low
-    and high (95 %, of this pair alone). With 95 % the true ranks of all sets lie from best_rank to
-    worst_rank.
+    The columns are name; expected_mse and standard_error; best_rank and worst_rank, between which
+    all true ranks lie with 95 %; difference (expected MSE less that of the first row) with low and
+    high (95 %, of this pair alone).
     """
     statistics = statistics_of(run)
     estimates = {name: statistics.estimate(name) for name in run.names}

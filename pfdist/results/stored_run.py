@@ -392,10 +392,9 @@ def gains_of(run: StoredRun, draws: int | None = None) -> pd.DataFrame:
 def scenarios_of(run: StoredRun) -> pd.DataFrame:
     """A row for each scenario of the job and each compared set.
 
-    The columns are scenario (its number, from 0), share and parameters; name (of the set); draws
-    and degenerate_draws, expected_mse and standard_error in this scenario; and
-    gain_of_means over the reference with gain_of_means_low and gain_of_means_high (95 %, Fieller's,
-    for one scenario alone).
+    The columns are scenario (its number, from 0), share and parameters; name (of the set); draws,
+    degenerate_draws, expected_mse and standard_error in this scenario; gain_of_means over the
+    reference with gain_of_means_low and gain_of_means_high (95 %, Fieller's).
     """
     scenarios = Scenarios.model_validate(run.job["scenarios"]).each
     statistics = [ComparisonStatistics(run.names, references=run.references) for _ in scenarios]

@@ -17,7 +17,6 @@ from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
-from pfdist.pools.kinds import POOLS
 from pfdist.problem.methods import METHODS
 from pfdist.store.schema import KEYS
 
@@ -67,7 +66,6 @@ def test_a_table_names_everything_that_is_declared(tables: ModuleType) -> None:
     for table, declared in (
         ("figures", [name for name, figure in FIGURES.items() if not figure.each_set]),
         ("methods", METHODS),
-        ("pools", POOLS),
         ("engines", ENGINES),
         ("schemes", SCHEMES),
         ("densities", DENSITIES),
