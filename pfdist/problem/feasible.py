@@ -302,17 +302,16 @@ class Feasible(Constraints):
         """The largest number of measurements, or the money."""
         return float(self.measurement_budget or self.total_price or 0)
 
-    def left(self, limit: float | None = None, draws: int = 1) -> Left:
-        """The measurements that may follow; `limit` is that of `Left`, by default the budget."""
+    def left(
+        self, taken: Times = (), first: int = 0, in_flight: Times = (), limit: float | None = None
+    ) -> Left:
+        """The measurements that may follow from an instant on, after some measurements.
+
+        `limit` is that of `Left`, by default the budget.
+        """
         most = self.budget if limit is None else limit
         given = self.step_limits, self.points.ways, self.allowed, self.horizon + 1
-        return Left(*given, most, draws)
-
-    def left_after(
-        self, taken: Times, first: int, in_flight: Times = (), limit: float | None = None
-    ) -> Left:
-        """The measurements that may follow from an instant on, after some measurements."""
-        left = self.left(limit)
+        left = Left(*given, most)
         left.take(taken)
         left.wait(self.horizon + 1)
         left.wait(first)
@@ -335,7 +334,7 @@ class Feasible(Constraints):
         if first > self.horizon or not (first or taken or in_flight):
             return None if first else self
         points, start, limits = self.points, self.points.first(first), list[Limit]()
-        left = self.left_after(taken, first, in_flight)
+        left = self.left(taken, first, in_flight)
         required = {*in_flight, *left.required()}
         usable = {
             time for time in range(start, self.possible) if time in required or left.may(time)

@@ -298,9 +298,8 @@ def next_time(
     first = max(last + 1, start)
     kept = [t for t in plan.times if t not in spent and points.made_at(t) >= first]
     before = tuple(sorted(sorted(kept, key=points.made_at)[:left]))
-    still = plan.run is not None and feasible.left_after(
-        planner._taken, first, planner._in_flight
-    ).may_all(before)
+    left_now = feasible.left(planner._taken, first, planner._in_flight)
+    still = plan.run is not None and left_now.may_all(before)
     expected, *expected_before = planner.expected(
         planner.plan(), *([points.written_of(before)] if still else [])
     )
@@ -329,11 +328,9 @@ def _by_rule(
 ) -> NextByRule:
     """The first instant at which the spread exceeds a level of the run's rule."""
     feasible, points = plan.built.feasible, plan.built.feasible.points
-    rule, clock, believed = (
-        rule_of(run, feasible), points.clock, plan.built.evaluator.believed
-    )  # fmt: skip
+    rule, clock = rule_of(run, feasible), points.clock
     start = 0 if plan.prior is None else plan.prior.t
-    rows = read_measurements(table, believed, clock, start, reading)
+    rows = read_measurements(table, plan.built.evaluator.believed, clock, start, reading)
     filtering, taken, measured = _followed(plan, rows)
     estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
     at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
@@ -341,7 +338,7 @@ def _by_rule(
     if now is not None:
         passed = _instant_now(now, max(passed, start), clock)
     waiting = tuple(point for point in rows.in_flight if points.instant(point) > passed)
-    left = feasible.left_after(taken, passed + 1, waiting, rule.limit)
+    left = feasible.left(taken, passed + 1, waiting, rule.limit)
     following, spread, level = None, math.nan, math.nan
     for k in range(passed + 1, len(clock.times)):
         left.wait(k)

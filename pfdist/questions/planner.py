@@ -171,8 +171,9 @@ class Planner:
         in_flight = tuple(sorted({*points.canonical((*self._in_flight, point))}))
         (point,) = {*in_flight} - {*self._in_flight} or {point}  # the next of alike repeats
         if point not in self._plan:
-            given = self._taken, tuple(sorted({*self._plan, point})), self._draw, in_flight
-            self._plan = self._replanner.plan(self._now, *given)
+            planned = tuple(sorted({*self._plan, point}))
+            more = self._draw, in_flight
+            self._plan = self._replanner.plan(self._now, self._taken, planned, *more)
         self._in_flight = in_flight
 
     def update(

@@ -182,11 +182,6 @@ def rule_json(rule: Thresholds, feasible: Feasible) -> dict[str, Any]:
     return finite({"threshold": threshold, "exponent": rule.exponent, "limit": rule.limit})
 
 
-def rule_from(rule: Mapping[str, Any], feasible: Feasible) -> Thresholds:
-    """The rule of `rule_json` for a job."""
-    return _Written.read(rule).rule(feasible.points.sensors or [""], feasible.horizon + 1)
-
-
 def keep_rule(run: Path, answer: Mapping[str, Any]) -> None:
     """Write the answer about a rule to rule.json; the caller holds the run's lock."""
     write_about(run, run_key(run) or "", {FILE: json.dumps(answer, indent=2)})
@@ -194,9 +189,9 @@ def keep_rule(run: Path, answer: Mapping[str, Any]) -> None:
 
 def rule_of(run: Path, feasible: Feasible) -> Thresholds:
     """The rule that was tuned last for a run; a `StoreError` if there is none."""
-    answer = read_rule(run)
+    answer, sensors = read_rule(run), feasible.points.sensors or [""]
     try:
-        return rule_from(answer["rule"], feasible)
+        return _Written.read(answer["rule"]).rule(sensors, feasible.horizon + 1)
     except (ValueError, TypeError, KeyError) as error:
         raise _damaged(run / FILE, error) from error
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pfdist.common.measurement_times import Times
+from pfdist.kernels.left import Left
 from pfdist.problem.clock import Clock
 from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
@@ -63,7 +64,9 @@ def in_time(feasible: Feasible) -> list[int]:
 def test_what_is_measured_on_the_way_are_the_sets_that_are_allowed(feasible: Feasible) -> None:
     """Draws that take at random what they may reach all allowed sets, and no others."""
     wanted, draws, rng = allowed(feasible), 3000, np.random.default_rng(1)
-    left, chosen = feasible.left(draws=draws), np.zeros((draws, feasible.possible), np.bool_)
+    given = feasible.step_limits, feasible.points.ways, feasible.allowed, feasible.horizon + 1
+    left = Left(*given, feasible.budget, draws)
+    chosen = np.zeros((draws, feasible.possible), np.bool_)
     share = rng.uniform(size=(draws, 1))  # how often each draw measures
     for point in in_time(feasible):
         left.wait(max(0, feasible.points.made_at(point)))

@@ -32,7 +32,7 @@ from pfdist.questions.rule import (
     _draw,
     unit_of,
 )
-from pfdist.questions.rule_file import keep_rule, rule_from, rule_json, rule_of
+from pfdist.questions.rule_file import _Written, keep_rule, rule_json, rule_of
 from pfdist.runner import door, every_strategy, ruling
 from pfdist.runner.build import build
 from pfdist.store import listing
@@ -253,13 +253,16 @@ def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
 
 
 def test_a_file_with_one_threshold_for_all_instants_is_read() -> None:
+    def read(rule: Any) -> Thresholds:
+        return _Written.read(json.loads(json.dumps(rule))).rule([""], COUNTED.horizon + 1)
+
     mixed = Thresholds((2.0, ALWAYS, NEVER, 0.0) * 3 + (1.0,), 0.5, 3.0)
-    assert rule_from(json.loads(json.dumps(rule_json(mixed, COUNTED))), COUNTED) == mixed
+    assert read(rule_json(mixed, COUNTED)) == mixed
     older = {"threshold": 2.5, "exponent": 0.0, "limit": 0.0}
-    assert rule_from(older, COUNTED) == Thresholds((2.5,) * 13)
-    assert rule_from({**older, "threshold": None}, COUNTED) == Thresholds((NEVER,) * 13)
+    assert read(older) == Thresholds((2.5,) * 13)
+    assert read({**older, "threshold": None}) == Thresholds((NEVER,) * 13)
     with pytest.raises(ValueError, match="12 instants, not of 13"):
-        rule_from({**older, "threshold": [2.0] * 12}, COUNTED)
+        read({**older, "threshold": [2.0] * 12})
 
 
 @pytest.mark.slow
