@@ -170,7 +170,7 @@ class FilterSection(JobSection):
         The engine that computes the filter.
     proposal : str
         "guided" redraws the noise since the last measurement when the next one is known; "plain"
-        does not. "auto" takes "guided" if it has less particle loss with a third of the particles.
+        does not. "auto" takes "guided" if it has less particle loss in the same time.
     """
 
     particles: Particles = 500
