@@ -252,7 +252,7 @@ def _guided(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
     if work.estimation.proposal == GUIDED:
         plain = replace(work.estimation, proposal=PLAIN)
         why = why_plain(evaluator, work.measurement_times, 0, plain, work.draws[1])
-        text = f"plain': {why}" if why else "guided': a third of its particles lose less"
+        text = f"plain': {why}" if why else "guided': in the same time it loses less"
         yield Check("filter.proposal", "note" if why else "ok", f"'auto' takes '{text}")
 
 

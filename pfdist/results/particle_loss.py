@@ -66,8 +66,7 @@ class ParticleLoss:
     @property
     def may_be_small(self) -> bool:
         """Whether more draws might show that the loss is small."""
-        low = self.at_most.value - _QUANTILE * self.at_most.standard_error
-        return self.by_two_filters.value <= SMALL and low < SMALL_AT_MOST
+        return self.by_two_filters.value <= SMALL and self.at_least < SMALL_AT_MOST
 
     @property
     def text(self) -> str:
@@ -82,6 +81,11 @@ class ParticleLoss:
             f"1 % of the draws carry {share} of the error of {self.particles:,} particles, or of "
             "its excess over the variance, so few draws do not show the loss."
         ) * (self.top_share > _HEAVY)
+
+    @property
+    def at_least(self) -> float:
+        """The lower 95 % limit of the upper estimate."""
+        return self.at_most.value - _QUANTILE * self.at_most.standard_error
 
     @property
     def limit(self) -> float:

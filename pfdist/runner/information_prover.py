@@ -59,8 +59,8 @@ class InformationProver(Prover):
 
     @property
     def rank_steps(self) -> float:
-        """No likelihood is checked by ranks."""
-        return 0.0
+        """Values of the check of the likelihood, which is not checked by ranks."""
+        return self._check_values
 
     @property
     def steps(self) -> float:
@@ -72,7 +72,7 @@ class InformationProver(Prover):
     def _looks(self, session: RunSession, run: Run) -> Generator[WorkBatch, None, list[Look]]:
         """The gaps of all sets, after all draws."""
         sets, gaps = self._built.study.proved(measured_of(run)), list[Gap]()
-        wrong, steps = self._fails_check(), 0.0
+        wrong, steps = self._fails_check(session), 0.0
         known = {
             name: Estimate.of_mean(s.values_of(LOWER_SIDE)) for name, s in samples_of(run).items()
         }

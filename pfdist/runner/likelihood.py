@@ -22,6 +22,7 @@ T = TypeVar("T")
 
 MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
 _PAIRS = 8  # of states, at each of a few instants
+VALUES = 3 * 3 * _PAIRS * MEASUREMENTS  # of formulas, about: y, and its likelihoods at two states
 _FEW = 1000  # measurements by which the second state of a pair is chosen
 _MUCH, _LITTLE = 0.02, 0.001  # see `_shown`: normal noise reaches 0.037
 _PROOF = 14.5  # exp(-14.5) * 2 = 1 in 10^6 of right models is blamed for each number

@@ -26,7 +26,8 @@ NUMBERS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
 _DRAWS = (1000, 4000, 16_000)  # more are filtered only if fewer leave it open
 _TRIED = 480  # draws with which proposals are compared, or fewer: at most 5 % of the work, where
 _LEAST_TRIED = 24
-_TIMES_A_DRAW = 2 * 2 * (1 + 10 / 3)  # two sets, two filters; guided steps take 10 times as long
+_COST = 8  # plain particle-steps in the time of a guided one: 3 to 19, see docs/benchmarks.md
+_TIMES_A_DRAW = 2 * 2 * (1 + 1)  # two sets, two filters in the same time
 _SHARE = 0.05
 _FILTERS = 4  # of a draw behind a loss
 _SECONDS = 2.0  # of draws in memory at once
@@ -98,20 +99,22 @@ def why_plain(
 ) -> str:
     """Why ``filter.proposal = "auto"`` takes the plain filter; empty if it takes the guided one.
 
-    With a third of the particles, the upper 95 % limit of the guided filter's loss must lie below
-    that of the plain filter on the same draws, with each set. A plain filter that loses 1 % or less
-    is not replaced. Unless `in_words`, the text has no losses, and half of the work is saved.
+    In the same time, that is with an eighth of the particles, the upper 95 % limit of the guided
+    filter's loss must lie below that of the plain filter on the same draws, with each set. A plain
+    filter whose loss is not proved to exceed 1 % is not replaced. Unless `in_words`, the text has
+    no losses, and half of the work is saved.
     """
-    guided = replace(plain, particles=-(-plain.particles // 3), proposal=GUIDED)
+    guided = replace(plain, particles=-(-plain.particles // _COST), proposal=GUIDED)
     for times in sets:
         work = work_of_loss(evaluator, times, seed, plain, min(draws, _TRIED), "proposal")
         loss, _ = measured_loss(evaluator, work, by_two_filters=in_words)
-        found = f"{loss.particles:,} plain particles lose {loss.text}" if in_words else PLAIN
-        if loss.at_most.value <= SMALL:
-            return found
+        is_enough = loss.at_least <= SMALL
+        if is_enough and not in_words:
+            return PLAIN
         guiding = replace(work, estimation=guided)
         other, _ = measured_loss(evaluator, guiding, by_two_filters=in_words)
-        if other.limit >= loss.limit:
+        if is_enough or other.limit >= loss.limit:
+            found = f"{loss.particles:,} plain particles lose {loss.text}"
             return f"{found}; {other.particles:,} guided ones lose {other.text}"
     return ""
 

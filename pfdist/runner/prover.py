@@ -35,7 +35,7 @@ from pfdist.runner.build import Built
 from pfdist.runner.contract import looked
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.gap_parts import gap_parts, steps_of_sets
-from pfdist.runner.likelihood import likelihood
+from pfdist.runner.likelihood import VALUES, likelihood
 from pfdist.runner.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
 from pfdist.runner.ranks import RankWork, wrong_likelihood
 from pfdist.search.first_windows import WINDOW, relaxation_for
@@ -128,9 +128,16 @@ class Prover:
 
     @property
     def rank_steps(self) -> float:
-        """Particle-steps of the check of the likelihood by ranks."""
+        """Particle-steps of the checks of the likelihood, by formulas and by ranks."""
         instants = len(self._built.names) * (self._built.evaluator.horizon + 1)
-        return float(self._blocks[-1] * BLOCK * instants * self.particles)
+        return self._blocks[-1] * BLOCK * instants * self.particles + self._check_values
+
+    @property
+    def _check_values(self) -> float:
+        """Values of formulas by which `check-model` checks the likelihood."""
+        truth = self._built.evaluator.truth
+        parts = sum(len(each.model.parts) for each in truth.of_scenarios or (truth,))
+        return float(VALUES * parts * bool(self.particles))
 
     @property
     def _steps_of_windows(self) -> float:
@@ -171,7 +178,7 @@ class Prover:
         constraints = self._built.study.widest
         sets = self._built.study.proved(measured_of(run))
         feasible = {name: times for name, times in sets.items() if satisfies(constraints, times)}
-        wrong = self._fails_check()
+        wrong = self._fails_check(session)
         if feasible and self._built.job.criterion.bound == "mixture" and not wrong:
             by_instant = self._built.job.criterion.by_instant
             errors = (self._of_instants if by_instant else self._of_scenarios)(session)
@@ -229,10 +236,11 @@ class Prover:
                 break
         return looks
 
-    def _fails_check(self) -> str:
+    def _fails_check(self, session: RunSession) -> str:
         """Why `check-model` finds that a likelihood is wrong; empty if it does not."""
         if not self.particles:
             return ""
+        session.count_exact(BOUND_PHASE, "likelihood", int(self._check_values))
         evaluator = self._built.evaluator.truth
         for each in evaluator.of_scenarios or (evaluator,):
             draws = each.draws(range(_CHECKED), 0)

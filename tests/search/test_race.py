@@ -85,3 +85,17 @@ def test_a_difference_is_that_of_the_paired_t_test() -> None:
     expected = stats.ttest_rel(first[:200], other[:200])
     assert found.value / found.standard_error == pytest.approx(expected.statistic)
     assert found.value == pytest.approx(np.mean(first[:200] - other[:200]))
+
+
+def test_the_foreseen_work_counts_the_sets_that_drop_out() -> None:
+    """A hundred sets of which a dozen are alike: draws that nobody has filtered yet, in rounds."""
+    sets: list[Times] = [(0, t) for t in range(1, 97)]
+    noise = np.random.default_rng(3).normal(size=(96, 96 * 2**6))
+    noise -= noise.mean(axis=1, keepdims=True)
+    mse = dict(zip(sets, np.repeat((0.0, 3.0), (12, 84))[:, None] + noise, strict=True))
+    race = Race(tuple(sets), 96, kept=12, until=600)
+    _, rounds = _run(race, mse)
+    draws = [len(asked) * (asked[0].draws or 0) for asked in rounds]
+    new = draws[0] + sum(each / 2 for each in draws[1:])
+    assert race.evaluations * race.draws == pytest.approx(new, rel=0.2)
+    assert race.evaluations < 0.7 * Race(race.sets, race.draws).evaluations
