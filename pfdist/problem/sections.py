@@ -168,13 +168,8 @@ class FilterSection(JobSection):
     engine : str
         The engine that computes the filter.
     proposal : str
-<<<<<<< HEAD
         "guided" redraws the noise since the last measurement when the next one is known. "auto"
-        takes it if it has less particle loss with a third of the particles.
-=======
-        "guided" redraws the noise since the last measurement when the next one is known; "plain"
-        does not. "auto" takes "guided" if it has less particle loss in the same time.
->>>>>>> work
+        takes it if it has less particle loss in the same time.
     """
 
     particles: Particles = 500
