@@ -133,7 +133,7 @@ def test_the_bound_of_the_chain_with_a_sharp_and_a_blunt_sensor(window: int, kno
 
 
 def variances(times: tuple[int, ...]) -> Array:
-    """A filter's variances for x(t+1) = 0.8 x(t) + w with a sensor that is sharp at even t, (T+1,)."""
+    """A filter's variances for x(t+1) = 0.8 x(t) + w; its sensor is sharp at even t, (T+1,)."""
     variance, found = 2.0, list[float]()
     for t in range(HORIZON + 1):
         variance = 0.64 * variance + 1.0 if t else variance
