@@ -5,6 +5,7 @@ its name, and this module puts ``problem.`` before it.
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from itertools import chain
@@ -51,6 +52,7 @@ from pfdist.problem.visits import Money
 from pfdist.problem.written import instants_written
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
+_SEASON, _YEAR = 2, 12  # months: a plan of a longer season has a count for each
 _LONG_RUN = 5  # required times that are shown as a range
 _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
@@ -530,6 +532,24 @@ class ProblemSection(JobSection):
                 in_ranges.update(part)
         others = [each for each in listed if points.read([each])[0] not in in_ranges]
         return ", ".join(filter(None, [*ranges, clock.listed(others)]))
+
+    def when(self, times: Iterable[Time | str]) -> str:
+        """When a set measures, in words: dates have weekdays, and a season a count a month."""
+        listed, calendar, points = [*times], self.clock.calendar, self.points
+        text = self.listed(listed)
+        if calendar is None or not listed or " to " in text:
+            return f"at {'t = ' if listed else 'no time'}{text}"
+        words, day, months = list[str](), "", Counter[str]()
+        for point in points.read(listed):
+            moment = self.clock.dates[max(0, points.made_at(point))]
+            before, day = day, f"{moment:%a} {moment.day} {moment:%b %Y}"
+            hour = calendar.shown(moment).partition("T")[2]
+            said = "" if hour and day == before else day.removesuffix(before[-5:] or "-")
+            words.append(" ".join(filter(None, [said, hour, points.sensor(point)])))
+            months[f"{moment:%b %Y}"] += 1
+        counts = ", ".join(f"{month[:3]} {count}" for month, count in months.items())
+        is_season = _SEASON < len(months) <= _YEAR
+        return f"on {', '.join(words)}" + f" (by month: {counts})" * is_season
 
     def broken(self, times: Iterable[Time | str]) -> list[str]:
         """The constraints that a set of times breaks, one sentence each.

@@ -23,7 +23,7 @@ from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
 from pfdist.filters.work import GUIDED, PLAIN, Estimation, FilterWork
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
-from pfdist.models import StateSpaceModel
+from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.batched import BatchedModel
 from pfdist.models.checks import own_formulas
 from pfdist.models.continuous import doubled
@@ -54,6 +54,7 @@ _RARE = 0.5  # of all changes of an error, in 1 % of the draws
 _SAME = 1e-6  # relative difference of errors by two engines
 _LITTLE = 0.2  # % of the expected MSE that is little
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
+_WEIGHED = ": give the components of quantity_of_interest weights, as (x[0] / 10, x[1])"
 _UNNAMED = 'answers call it z; name it with its unit: z_names=("concentration [mg/L]",)'
 
 
@@ -168,6 +169,10 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     if not model.z_names:
         yield Check("names", "note", _UNNAMED)
     first, names = draws.z[:, 0], model.named("z")
+    units = dict.fromkeys(filter(None, (each.unit for each in names)))
+    if len(units) > 1 and model.error is squared_error:
+        text = f"the squared errors of z, in {' and '.join(units)}, are added up{_WEIGHED}"
+        yield Check("units", "note", text)
     spread = np.subtract(*np.quantile(first, (0.75, 0.25), axis=0))
     for k in np.flatnonzero(model.is_angle & (spread > 2.0 * np.pi)):
         lies = f"lies in {first[:, k].min():.3g} to {first[:, k].max():.3g} at the first instant"

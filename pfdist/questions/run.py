@@ -233,7 +233,7 @@ def compute(
             else:
                 subject = Subject(run)
                 times = subject.rows[subject.by_error[0]].measurement_times
-                found = f"Measure at t = {problem_of(run).listed(times)}"
+                found = f"Measure {problem_of(run).when(times)}"
                 compared()
             say(f"{found}. The proof takes longer.")
             try:

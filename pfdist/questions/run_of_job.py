@@ -47,13 +47,15 @@ def searched_by(method: str) -> dict[str, Any]:
     return {"search": [{"method": method}]}
 
 
-def finished_run(run: Run | str | Path) -> Run:
+def finished_run(run: Run | str | Path, command: str = "") -> Run:
     """A run that is finished.
 
     Parameters
     ----------
     run : Run, str or Path
         A run or its folder.
+    command : str
+        The command that resumes it, for the error; by default ``pfdist run`` and the folder.
 
     Raises
     ------
@@ -64,7 +66,7 @@ def finished_run(run: Run | str | Path) -> Run:
     if opened.state != "finished":
         raise StoreError(
             f"{opened.path} is not finished ({opened.state}): resume it first, "
-            f"`pfdist run {opened.path}`"
+            f"{command or f'`pfdist run {opened.path}`'}"
         )
     return opened
 
@@ -106,7 +108,8 @@ def run_and_job(
     path = path_of_run(job, results)
     if path is None:
         raise _no_run(job, results)
-    run = finished_run(path)
+    is_planned = job.origin.is_file and not job.origin.names_searches
+    run = finished_run(path, _call(job, results, "plan") if is_planned else "")
     job = _job_of(run, partial(as_job, source, changes, settings={"execution": execution}))
     check_same_job(path, run.job, job)
     say_model_files([job], say)
@@ -138,10 +141,13 @@ def _no_run(job: Job, results: str | Path | None) -> StoreError:
     origin = job.origin
     command, endings = ("run", ("", PLANNED)) if origin.names_searches else ("plan", ("",))
     folders = dict.fromkeys(str(folder_of(job, results, ending)) for ending in endings)
-    option = "" if results is None else f" --results {results}"
-    of_file = f"`pfdist {command} {job.path}{option}`"
-    call = of_file if origin.is_file else f"pfdist.{command}(problem)"
+    call = _call(job, results, command) if origin.is_file else f"pfdist.{command}(problem)"
     return StoreError(f"there is no run of this job in {' or '.join(folders)}: {call} makes it")
+
+
+def _call(job: Job, results: str | Path | None, command: str) -> str:
+    option = "" if results is None else f" --results {results}"
+    return f"`pfdist {command} {job.path}{option}`"
 
 
 @contextlib.contextmanager

@@ -178,7 +178,7 @@ def answer(subject: Subject) -> Section | None:
 def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     times = row.measurement_times
     problem = problem_of(subject.run)
-    at = f"at {'t = ' if times else 'no time'}{problem.listed(times)}."
+    at = f"{problem.when(times)}."
     if visits := problem.by_visit(times):
         each = " ".join(f"Visit {number}, {text}." for number, text in enumerate(visits, start=1))
         at = f"in {len(visits)} visit{'s' * (len(visits) != 1)}. {each}"

@@ -148,10 +148,7 @@ def _with_interval(column: Column) -> Iterable[Column]:
 
 _DECLARED = [
     Column(name="name", dtype="object", meaning="name of the set"),
-    Column(
-        name="label", dtype="object", head="times",
-        meaning="the set as pages call it",
-    ),
+    Column(name="label", dtype="object", head="times", meaning="the set as pages call it"),
     Column(
         name="kind", dtype="object",
         meaning="found (by a search), evenly_spaced, regular, reference (the times that the job "

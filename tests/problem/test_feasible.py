@@ -412,3 +412,27 @@ def test_times_of_a_sensor_that_is_always_on_are_a_range() -> None:
     clock = {"horizon": 3, "time_step": 0.5, "time_unit": "h", "measurement_budget": 6}
     assert ProblemSection(**clock, required=["0:2"]).listed([0, 0.5, 1, 1.5, 2, 3]) == "0 to 2, 3 h"
     assert ProblemSection(**clock).listed([0, 0.5, 1, 1.5, 2, 3]) == "0, 0.5, 1, 1.5, 2, 3 h"
+
+
+def test_dates_have_their_weekdays_in_words_and_a_season_a_count_a_month() -> None:
+    """A year, and a day with hours, are said once; three to twelve months are counted."""
+    days = {
+        "horizon": 400,
+        "measurement_budget": 3,
+        "clock": {"start": "2027-04-13", "step": "1 d"},
+    }
+    problem = ProblemSection(**days)
+    assert problem.when([]) == "at no time"
+    assert problem.when(["2027-04-13", "2027-05-01"]) == "on Tue 13 Apr 2027, Sat 1 May"
+    season = ["2027-04-13", "2027-04-14", "2027-05-01", "2028-01-02"]
+    words = (
+        "on Tue 13 Apr 2027, Wed 14 Apr, Sat 1 May, Sun 2 Jan 2028 (by month: Apr 2, May 1, Jan 1)"
+    )
+    assert problem.when(season) == words
+    hours = ProblemSection(
+        horizon=24, measurement_budget=3, sensors=["ct", "grab"],
+        clock={"start": "2027-04-13T08:00", "step": "6 h"},
+    )  # fmt: skip
+    written = ["2027-04-13T08:00 ct", "2027-04-13T14:00 ct", "2027-04-14T02:00 grab"]
+    assert hours.when(written) == "on Tue 13 Apr 2027 08:00 ct, 14:00 ct, Wed 14 Apr 02:00 grab"
+    assert ProblemSection(horizon=4, measurement_budget=2).when([0, 3]) == "at t = 0, 3"

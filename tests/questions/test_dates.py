@@ -119,7 +119,8 @@ def test_a_run_with_dates_is_resumed(folder: Path, tmp_path: Path) -> None:
 def test_answers_and_reports_have_dates(folder: Path, run: pfdist.Run) -> None:
     times = run.best.measurement_times
     said = "\n".join(lines_of(answer_of(run), verbose=True))
-    assert f"Measure at t = {times[0]}, {times[1]}" in said
+    assert "Measure on Sat 28 Mar 2026 08:00, Sun 29 Mar 09:00" in said
+    assert times[:2] == ["2026-03-28T08:00", "2026-03-29T09:00"]
     assert max(len(line) for line in said.splitlines() if str(folder) not in line) <= 80
     assert run.as_json()["sets"][0]["measurement_times"] == [*run.sets[run.names[0]]]
     page = str(page_of(run)).replace("\N{NO-BREAK SPACE}", " ")

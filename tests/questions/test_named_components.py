@@ -206,3 +206,16 @@ def test_two_estimates_in_one_column_are_refused_before_the_run(tmp_path: Path) 
     path.write_text(JOB.replace("[evaluation]", more))
     with pytest.raises(JobError, match="'estimate_mine_too_mass' for 'mass' of the set 'mine_too'"):
         build(pfdist.load_job(path))
+
+
+@pytest.mark.parametrize(("unit", "notes"), [("kg", 1), ("mg", 0), ("", 0)])
+def test_errors_in_two_units_that_are_added_up_are_noted(unit: str, notes: int) -> None:
+    """East in m and heading in rad: their sum says nothing unless z has weights."""
+    namespace: dict[str, pfdist.StateSpaceModel] = {}
+    exec(
+        MODEL.format(names=NAMES.replace("change of mass", f"change [{unit}]" * bool(unit) or "c")),
+        namespace,
+    )
+    checks = pfdist.check_model(namespace["model"], horizon=3, particles=20).set_index("check")
+    assert [*checks.index].count("units") == notes
+    assert not notes or "in mg and kg, are added up: give" in checks.loc["units", "text"]

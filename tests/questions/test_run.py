@@ -328,6 +328,22 @@ def test_between_search_and_comparison_the_found_times_are_told(
         pfdist.why(tmp_path / "run" / "job.toml", figures=False)
 
 
+def test_a_question_about_an_unfinished_plan_names_the_command_that_resumes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(progress: Progress) -> None:
+        if progress.phase == "comparison":
+            raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    problem = '[model]\nname = "random_walk"\n[problem]\nhorizon = 6\nmeasurement_budget = 2\n'
+    Path("walk.toml").write_text(f'seed = 1\n{problem}[filter]\nengine = "kalman"\n')
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.plan("walk.toml", progress=stop, pool="serial", figures=False, bound_draws=0)
+    with pytest.raises(PfdistError, match=r"resume it first, `pfdist plan walk\.toml`"):
+        pfdist.rule("walk.toml")
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
