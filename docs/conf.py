@@ -13,14 +13,14 @@ import pfdist
 from pfdist.pages.style import PALETTE
 
 project = "pfdist"
-author = "the authors of pfdist"
+author = "The pfdist developers"
 release = version = pfdist.__version__
 html_title = f"pfdist {release}"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # pages link to headings by the names that GitHub gives them
-exclude_patterns = ["*.ipynb", "*.py"]
+exclude_patterns = ["*.ipynb", "*.py", "paper/*"]
 highlight_language = "none"
 
 autodoc_typehints = "none"  # the sections of the docstrings have the types

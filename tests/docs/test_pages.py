@@ -243,20 +243,6 @@ def test_the_page_of_budgets_prints_what_it_shows(
     assert "UID" in Path("clinic.ics").read_text()
 
 
-def test_the_table_of_real_data_has_the_gains_that_the_page_prints() -> None:
-    text = (DOCS / "backtest.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| .*?\| (\S+) % \| (\S+) \((\S+) to (\S+)\) % \|", text, re.MULTILINE)
-    assert len(rows) == 13  # and one of the same times
-    printed = " ".join((DOCS / "real-data.md").read_text(encoding="utf-8").split())
-    for foreseen, gain, low, high in rows:
-        way = f"{gain} % lower (95 % CI {low} to {high} %)"
-        if gain == "0" or gain.startswith("-"):
-            up, down = (f"-{each}".removeprefix("--") for each in (low, high))
-            way = f"{gain.removeprefix('-')} % higher (95 % CI {down} to {up} %)"
-        assert way in printed
-        assert f"{foreseen} %" in printed
-
-
 def test_the_models_to_start_from_are_those_that_ship() -> None:
     named = set(re.findall(r"`(\w+)`", (DOCS / "choose-model.md").read_text(encoding="utf-8")))
     assert set(installed_models()) <= named
