@@ -3,6 +3,7 @@
 import math
 import tempfile
 from pathlib import Path
+from time import process_time
 from typing import Any
 from unittest.mock import patch
 
@@ -14,11 +15,13 @@ import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist.common.rounding import rounded, with_error
+from pfdist.kernels.left import StepLimits
+from pfdist.kernels.rules import Thresholds
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
 from pfdist.runner import ruling
 
 TITLE = "Rules"
-TABLES: tuple[str, ...] = ("rules",)
+TABLES: tuple[str, ...] = ("rules", "decisions")
 
 ROOT = Path(__file__).parents[1]
 DRAWS = {"plan": 20_000} | dict.fromkeys(
@@ -44,7 +47,8 @@ def measure(quick: bool, say: Say) -> Tables:
     Returns
     -------
     dict of DataFrames
-        rules: a row for each job and kind of budget, and one for replanning.
+        rules: a row for each job and kind of budget, and one for replanning; decisions: see
+        `decisions`.
     """
     rows = list[dict[str, Any]]()
     with tempfile.TemporaryDirectory(prefix="rules-") as folder:
@@ -58,7 +62,27 @@ def measure(quick: bool, say: Say) -> Tables:
                 pfdist.online(file, path / "online", ONLINE_DRAWS, reuse=path, **given)
                 rows.append(row_of(job, path / "online", is_hard=True))
             say(f"{job}: {rows[-1]}")
-    return {"rules": pd.DataFrame(rows)}
+    return {"rules": pd.DataFrame(rows), "decisions": decisions()}
+
+
+def decisions() -> pd.DataFrame:
+    """The processor time of a decision by a number, in microseconds: the least of ten systems."""
+    instants, rows = 61, list[dict[str, Any]]()
+    deviations = np.random.default_rng(0).exponential(7.0, instants)
+    dense = StepLimits(prices=(1.0, 2.0, 3.0) * instants, delays=(0, 0, 2))
+    for kind, limits, limit, sensors in (
+        ("on average", StepLimits(), 0.0, ["y"]), ("hard limit", StepLimits(), 21.0, ["y"]),
+        ("three sensors with prices and a delay", dense, 30.0, ["a", "b", "c"]),
+    ):  # fmt: skip
+        seconds = list[float]()
+        for _ in range(10):
+            thresholds = Thresholds((6.0,) * instants * len(sensors), 0.5 * (limit > 0), limit)
+            rule, start = pfdist.Rule(thresholds, limits, sensors), process_time()
+            for t in range(instants):
+                rule.decide(float(deviations[t]), t)
+            seconds.append(process_time() - start)
+        rows.append({"kind": kind, "microseconds": 1e6 * min(seconds) / instants})
+    return pd.DataFrame(rows)
 
 
 def row_of(job: str, path: Path, *, is_hard: bool) -> dict[str, Any]:
@@ -117,6 +141,10 @@ def summary(tables: Tables) -> str:
         f"{with_error(100 * row['online_excess'], 100 * row['online_excess_error'])} % above."
         for row in tables["rules"].dropna(subset="online_mse").to_dict("records")
     ]
+    each = tables["decisions"].to_dict("records")
+    told += ["Processor time of a decision by `pfdist.Rule`: " + ", ".join(
+        f"{row['microseconds']:.0f} µs ({row['kind']})" for row in each
+    ) + "."]  # fmt: skip
     return "\n\n".join([markdown(*lines(tables)), *told])
 
 

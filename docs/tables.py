@@ -21,7 +21,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import program
 from pfdist.cli.words import FLAGS, shown_default
 from pfdist.common.component_names import Component
-from pfdist.common.rounding import with_error, with_interval
+from pfdist.common.rounding import rounded, with_error
 from pfdist.common.section import JobSection, keys_of_section
 from pfdist.densities import DENSITIES
 from pfdist.filters.aspects import DISTANCE, VARIANCE, other_estimate
@@ -491,23 +491,18 @@ def robust() -> str:
 
 
 def rules() -> str:
-    """Give the table of rules against plans, from their benchmark."""
-    rows = []
-    for row in pd.read_csv(BENCHMARKS / "rules.csv", comment="#").to_dict("records"):
-        power = f" x rest^{row['exponent']:g}" * (row["exponent"] > 0)
-        most = f", at most {row['limit']}" * (row["limit"] > 0)
-        excess, *ends = with_interval(*(100 * row[f"excess{end}"] for end in ("", "_low", "_high")))
-        rows.append([
-            f"`{row['job']}`, {row['budget']}",
-            f"{row['threshold']:g}{power}{most}",
-            f"{with_error(row['numbers'], row['numbers_error'])}, {row['numbers_deviation']:.1f}",
-            *(with_error(row[f"{kind}_mse"], row[f"{kind}_error"])
-              for kind in ("rule", "plan", "even")),
-            f"{excess} ({' to '.join(ends)})",
-        ])  # fmt: skip
+    """Give the table of rules against plans, replanning and the bound, from their benchmark."""
+    kinds = "opponent", "plan", "constant", "rule"
+    rows = (
+        [f"`{row['job']}`, {row['budget']:g}{' at most' * row['is_hard']}, {row['draws']:,}",
+         *(with_error(row[f"{kind}_mse"], row[f"{kind}_error"]) for kind in kinds),
+         rounded(row["bound"]),
+         with_error(100 * row["plan_excess"], 100 * row["plan_excess_error"])]
+        for row in pd.read_csv(BENCHMARKS / "rules.csv", comment="#").to_dict("records")
+    )  # fmt: skip
     head = [
-        "job, N", "rule", "measurements ± SE, deviation", "expected MSE ± SE", "plan ± SE",
-        "evenly spaced ± SE", "rule less plan, % (95 % CI)",
+        "job, N, draws", "evenly spaced ± SE", "plan ± SE", "one threshold ± SE",
+        "the rule ± SE", "any strategy, at least", "rule less plan, % ± SE",
     ]  # fmt: skip
     return _table(head, rows)
 

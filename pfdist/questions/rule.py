@@ -144,7 +144,10 @@ class Ruled(Shown):
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values; without sensors, the rule is three numbers."""
-        numbers, mean = self.table[self.what], self.spent
+        numbers, mean, bound = self.table[self.what], self.spent, None
+        if self.bound is not None:
+            bound = {"value": self.bound.value, "standard_error": self.bound.standard_error,
+                     "at_least": self.at_least, "share": self.share}  # fmt: skip
         sets = {
             name: {self.what: self.numbers[name], **self._error_json(name),
                    **self.gain(name).columns("gain")}
@@ -168,7 +171,7 @@ class Ruled(Shown):
                 },
                 "plan": self.plan,
                 "verdict": self.verdict,
-                "bound": self._bound_json(),
+                "bound": bound,
                 "sets": sets,
                 "figures": [*map(str, self.figures)],
             }
@@ -184,13 +187,6 @@ class Ruled(Shown):
         """The share of what any strategy can win at most, compared with the plan."""
         own, plan = self.error().value, self.error(self.plan).value
         return (plan - own) / (plan - self.at_least)
-
-    def _bound_json(self) -> dict[str, float] | None:
-        if self.bound is None:
-            return None
-        names = ("value", "standard_error")
-        values = {name: getattr(self.bound, name) for name in names}
-        return values | {"at_least": self.at_least, "share": self.share}
 
     def _error_json(self, name: str) -> dict[str, float]:
         error = self.error(name)

@@ -45,10 +45,6 @@ class OnlineDraws:
         mse: Array = self.rows[f"mse_{name}"].to_numpy()
         return mse
 
-    def gain(self, name: str, reference: str) -> Gain:
-        """Gain over a reference."""
-        return Gain.of_draws(self.mse(name), self.mse(reference))
-
     @property
     def differ(self) -> NDArray[np.bool_]:
         """Whether the times of each draw differ from those of the plan, (D,)."""
@@ -93,7 +89,7 @@ class OnlineDraws:
             "difference": difference.mean,
             "difference_low": low,
             "difference_high": high,
-            **self.gain("online", name).columns(),
+            **Gain.of_draws(self.mse("online"), self.mse(name)).columns(),
         }
 
 

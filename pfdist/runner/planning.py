@@ -37,15 +37,6 @@ class Planning:
     judging_draws: int  # fresh simulated systems that decide between the new plan and that at hand
     estimation: Estimation  # of the simulated filters
 
-    @property
-    def judging_estimation(self) -> Estimation:
-        """The estimation that judges plans: always by the squared error.
-
-        The particles of a filter may be close together but far from the true state. Then their
-        variance is small although the error is large.
-        """
-        return replace(self.estimation, estimator=SQUARED_ERROR.name)
-
     def optimiser(self, rest: Feasible, start: Times | None = None) -> Optimiser:
         """The optimiser of the remaining measurements; see `pfdist.problem.methods`.
 
@@ -192,7 +183,9 @@ class _Outlook:
         planning = self.replanner.planning
         fresh = range(planning.draws, planning.draws + planning.judging_draws)
         candidates = [Candidate(times) for times in plans]
-        first, new = self._evaluated(self.draws(fresh), candidates, planning.judging_estimation)
+        # By the squared error: particles may be close together but far from the true state.
+        estimation = replace(planning.estimation, estimator=SQUARED_ERROR.name)
+        first, new = self._evaluated(self.draws(fresh), candidates, estimation)
         gain = new.difference(first)
         rounding = _ROUNDING * first.expected_mse if math.isfinite(first.expected_mse) else 0.0
         lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)
