@@ -343,16 +343,9 @@ class Evaluator:
         self, sets: Sequence[Times], ends: Sequence[int] | None = None
     ) -> NDArray[np.float64]:
         """Exact expected MSE of each set in each scenario, (C, S)."""
-        given = self.horizon, sets, ends, self.prior
         parts = self.of_scenarios or (self,)
-        return np.array(
-            [
-                kalman.expected_mse(
-                    p.model, *given, p.instant_weights, self.lag, self.gives_information, p.believed
-                )
-                for p in parts
-            ]
-        )
+        each = [part._exact_errors(sets, weighted=True) for part in parts]
+        return np.array([kalman.mean_until(errors, self.horizon, ends) for errors in each])
 
     def sum_errors(self, work: FilterWork) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
