@@ -190,10 +190,11 @@ class Evaluator:
         mean = replace(self, lag=0, weights=None, scale=1 / instants, estimations=())
         return replace(mean, gives_information=True)
 
-    def for_estimation(self, estimation: Estimation) -> "Evaluator":
+    def for_estimation(self, estimation: Estimation, *, knows_truth: bool) -> "Evaluator":
         """The evaluator of what an estimation estimates: the error, or the information."""
+        known = self.truth if knows_truth else self
         is_wanted = ESTIMATORS[estimation.estimator].weights.evidence != 0
-        return self.of_information if is_wanted and not self.gives_information else self
+        return known.of_information if is_wanted and not known.gives_information else known
 
     @cached_property
     def of_scenarios(self) -> tuple["Evaluator", ...]:
@@ -525,8 +526,7 @@ class Evaluator:
 
     def of_work(self, work: FilterWork) -> "Evaluator":
         """The evaluator with the filter's model of a work, and the estimate that it wants."""
-        known = self.truth if work.knows_truth else self
-        known = known.for_estimation(work.estimation)
+        known = self.for_estimation(work.estimation, knows_truth=work.knows_truth)
         return known.other_estimate if work.other_estimate else known
 
     def pieces(self, work: FilterWork, seconds: float) -> list[FilterWork]:

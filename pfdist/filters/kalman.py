@@ -227,27 +227,25 @@ def expected_errors(
     measured = _measured(points, horizon, sets, start)
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
-    errors = np.empty((len(sets), horizon + 1 - start))
+    errors = np.zeros((len(sets), horizon + 1 - start))
     kept = list[tuple[Array, Array, Array]]()
     for t in range(start, horizon + 1):
         check()
         through, information = _unmeasured(matrices, t, start, covariance)
-        nats = np.zeros(len(sets))
         for place in points.at(t):
-            here = measured[:, place]
+            here, y = measured[:, place], matrices.measurement[place]
             if gives_information:
-                nats[here] -= _information(covariance[here], matrices.measurement[place])
-            gain, observation_matrix, weight = _gain(covariance[here], matrices.measurement[place])
+                errors[here, t - start] -= _information(covariance[here], y)
+            gain, observation_matrix, weight = _gain(covariance[here], y)
             if lag:
                 seen = observation_matrix @ through[here]
                 information[here] += through[here].swapaxes(1, 2) @ weight @ seen
                 through[here] -= gain @ seen
             covariance[here] -= gain @ observation_matrix @ covariance[here]
         kept += [(covariance.copy(), through, information)] if lag else []
-        h = matrices.quantity_of_interest[t].matrix
-        errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
-        if gives_information:
-            errors[:, t - start] = nats
+        if not gives_information:
+            h = matrices.quantity_of_interest[t].matrix
+            errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
         if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
     if lag:

@@ -56,6 +56,8 @@ from pfdist.store.user_tables import check_table_replaceable, write_user_table
 
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
 _P_DIGITS = 2
+_TIMES = ("measured", "missing", "extra", "to_come")
+_FACTS = ("surprise_of_all", "is_improbable", "collapsed", "log_evidence", "why_no_evidence")
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
 _SIZE = "Effective sample size of the filter's particles at each instant."
 
@@ -120,7 +122,7 @@ class FilteredMeasurements(Shown):
     @property
     def marked(self) -> tuple[tuple[Time, ...], ...]:
         """The times that a figure marks, each kind in its way."""
-        return self.measured, self.missing, self.extra, self.to_come
+        return tuple(getattr(self, name) for name in _TIMES)
 
     @property
     def most_surprising(self) -> tuple[Time, float] | None:
@@ -150,16 +152,9 @@ class FilteredMeasurements(Shown):
             "run": self.run and str(self.run),
             "measurements": str(self.measurements),
             "planned": self.name or None,
-            "measured": self.measured,
-            "missing": self.missing,
-            "extra": self.extra,
-            "to_come": self.to_come,
+            **{name: getattr(self, name) for name in _TIMES},
             "most_surprising": most and {"t": most[0], "surprise": most[1]},
-            "surprise_of_all": self.surprise_of_all,
-            "is_improbable": self.is_improbable,
-            "collapsed": self.collapsed,
-            "log_evidence": self.log_evidence,
-            "why_no_evidence": self.why_no_evidence,
+            **{name: getattr(self, name) for name in _FACTS},
             **({"time_unit": self.time_unit} if self.time_unit else {}),
             **{name: files.get(name) for name in ("table", "figure", "report")},
         }

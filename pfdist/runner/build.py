@@ -362,7 +362,7 @@ def models_of_job(job: Job) -> Models:
         given = with_events(job.model.events or {}, *([truth] if believed is truth else models))
         models = given[0], given[-1]
     if job.problem.given:
-        models = _both(models, partial(_with_given, job))
+        models = both(models, partial(_with_given, job))
     if job.problem.sensings:
         models = _sensed(job, models)
     if job.scenarios is None or not job.scenarios.is_learned:
@@ -379,7 +379,7 @@ def _naming(key: str) -> Iterator[None]:
         raise ModelError(f"{key}: {error}") from error
 
 
-def _both(models: Models, change: Callable[[StateSpaceModel], StateSpaceModel]) -> Models:
+def both(models: Models, change: Callable[[StateSpaceModel], StateSpaceModel]) -> Models:
     """The model and that of the filter, both changed; the same one if they are equal."""
     model, believed = models
     return (truth := change(model)), truth if believed == model else change(believed)
@@ -404,7 +404,7 @@ def _sensed(job: Job, models: Models) -> Models:
     _check_sensors(job, model, tuple(job.problem.sensors or ()))
     key = "problem.sensors" if model.sensors else "problem.sensor"
     with _naming(key):
-        models = _both(models, partial(sensed, sensings=job.problem.sensings))
+        models = both(models, partial(sensed, sensings=job.problem.sensings))
     if is_exact(job.filter.engine) and model.linear_gaussian and not models[0].linear_gaussian:
         raise JobError(
             f"filter.engine = {job.filter.engine!r} needs sensors without fails and limits, "
