@@ -1,9 +1,8 @@
 """Real measurements of one system, filtered as a run filters its draws."""
 
 import warnings
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -37,6 +36,7 @@ from pfdist.problem.problem import JobSource
 from pfdist.questions.planned_run import (
     Columns,
     UserTable,
+    check_files,
     files_beside,
     filter_of,
     on_clock_of,
@@ -50,9 +50,8 @@ from pfdist.results import Run, finite
 from pfdist.runner.identity import time_columns
 from pfdist.runner.progress import Say, silent
 from pfdist.store import FILTERED_PERCENTS, SMOOTHED_START, filtered_schema, frame_of
-from pfdist.store.folder import check_page_replaceable
 from pfdist.store.schema import components_in
-from pfdist.store.user_tables import check_table_replaceable, write_user_table
+from pfdist.store.user_tables import write_user_table
 
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
 _P_DIGITS = 2
@@ -256,11 +255,7 @@ def filter_measurements(
     of_job, believed = plan.built.job.problem.points, plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
-    check_table = partial(check_table_replaceable, schema=time_columns(of_job).schema(schema))
-    checks: Sequence[Callable[[Path], None]]
-    checks = check_table, filtered.check_figure_replaceable, check_page_replaceable
-    for file, check in zip(files, checks, strict=False):
-        check(file)
+    check_files(files, time_columns(of_job).schema(schema), filtered.TITLE)
     filtering = filter_of(plan.built, plan.prior)
     reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, of_job.clock, filtering.now.t, reading)
