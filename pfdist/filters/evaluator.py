@@ -190,10 +190,11 @@ class Evaluator:
         mean = replace(self, lag=0, weights=None, scale=1 / instants, estimations=())
         return replace(mean, gives_information=True)
 
-    def for_estimation(self, estimation: Estimation) -> "Evaluator":
+    def for_estimation(self, estimation: Estimation, *, knows_truth: bool) -> "Evaluator":
         """The evaluator of what an estimation estimates: the error, or the information."""
+        known = self.truth if knows_truth else self
         is_wanted = ESTIMATORS[estimation.estimator].weights.evidence != 0
-        return self.of_information if is_wanted and not self.gives_information else self
+        return known.of_information if is_wanted and not known.gives_information else known
 
     @cached_property
     def of_scenarios(self) -> tuple["Evaluator", ...]:
@@ -347,16 +348,9 @@ class Evaluator:
         self, sets: Sequence[Times], ends: Sequence[int] | None = None
     ) -> NDArray[np.float64]:
         """Exact expected MSE of each set in each scenario, (C, S)."""
-        given = self.horizon, sets, ends, self.prior
         parts = self.of_scenarios or (self,)
-        return np.array(
-            [
-                kalman.expected_mse(
-                    p.model, *given, p.instant_weights, self.lag, self.gives_information, p.believed
-                )
-                for p in parts
-            ]
-        )
+        each = [part._exact_errors(sets, weighted=True) for part in parts]
+        return np.array([kalman.mean_until(errors, self.horizon, ends) for errors in each])
 
     def sum_errors(self, work: FilterWork) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
@@ -536,8 +530,7 @@ class Evaluator:
 
     def of_work(self, work: FilterWork) -> "Evaluator":
         """The evaluator with the filter's model of a work, and the estimate that it wants."""
-        known = self.truth if work.knows_truth else self
-        known = known.for_estimation(work.estimation)
+        known = self.for_estimation(work.estimation, knows_truth=work.knows_truth)
         return known.other_estimate if work.other_estimate else known
 
     def pieces(self, work: FilterWork, seconds: float) -> list[FilterWork]:

@@ -19,6 +19,7 @@ Gaussian fields", 1991 (draws by a correction).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import Any, Final
 
@@ -75,21 +76,20 @@ class Guide:
         The sums `estimate` grow by the normal noises of this step. Last come the derivatives by
         these, row by row.
         """
-        kinds = self.model.process_noise
-        _unroll(x)
-        values = self.model.transition(x, t, _mixed(kinds, w, v), p)
-        return self._swept(values, x, z, estimate, _normals(kinds, w), _normals(kinds, v))
+        moved, kinds = partial(self.model.transition, x, t), self.model.process_noise
+        return self._swept(moved, kinds, x, z, estimate, w, v, p)
 
     def swept_initial(self, x: Any, z: Any, estimate: Any, w: Any, v: Any, p: Any) -> Any:
         """The same from x(0) to the initial noise."""
-        kinds = self.model.initial_noise
-        _unroll(x)
-        values = self.model.initial(_mixed(kinds, w, v), p)
-        return self._swept(values, x, z, estimate, _normals(kinds, w), _normals(kinds, v))
+        begun, kinds = self.model.initial, self.model.initial_noise
+        return self._swept(begun, kinds, x, z, estimate, w, v, p)
 
     def _swept(
-        self, values: Any, x: Any, z: Any, sums: Any, drawn: list[Any], centre: list[Any]
+        self, formula: Any, kinds: Any, x: Any, z: Any, sums: Any, w: Any, v: Any, p: Any
     ) -> tuple[Any, ...]:
+        _unroll(x)
+        values = formula(_mixed(kinds, w, v), p)
+        drawn, centre = _normals(kinds, w), _normals(kinds, v)
         to, k, n = [*x, *centre], self.rows, len(x)
         pulls = [pulled([*zip(values, z[j * n : (j + 1) * n], strict=True)], to) for j in range(k)]
         slopes = [each[n:] for each in pulls]

@@ -179,26 +179,26 @@ def expected_mse(
     prior: Prior | None = None,
     weights: Array | None = None,
     lag: Lag = 0,
-    gives_information: bool = False,
-    believed: StateSpaceModel | None = None,
 ) -> Array:
     """Exact expected MSE with each set of times, (S,): no draws are needed.
 
-    The estimate of z(t) uses measurements until t + lag, by default those of the filter. The mean
-    is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each set's errors
-    count up to its end only, and are divided by the number of all instants. The weights of the
-    instants have mean 1; by default all are 1. The filter has the model `believed`, by default the
-    true one; if it is another, the lag must be 0. Raises MeasurementTimesError if a set lies
-    outside these instants, and ModelError if a model is not linear-Gaussian.
+    The estimate of z(t) uses measurements until t + lag, by default those of the filter. The
+    weights of the instants have mean 1; by default all are 1. For the other arguments see
+    `mean_until`, for the errors `expected_errors`.
     """
-    errors = expected_errors(
-        model, horizon, sets, prior, lag, gives_information=gives_information, believed=believed
-    )
-    start = horizon + 1 - errors.shape[1]
-    last = [horizon - start] * len(sets) if ends is None else [end - start for end in ends]
-    if weights is not None:
-        errors = weighed(errors, weights)
-    mse: Array = np.cumsum(errors, axis=1)[range(len(sets)), last] / errors.shape[1]
+    errors = expected_errors(model, horizon, sets, prior, lag)
+    return mean_until(errors if weights is None else weighed(errors, weights), horizon, ends)
+
+
+def mean_until(errors: Array, horizon: int, ends: Sequence[int] | None = None) -> Array:
+    """The mean over t = s..T of the errors of each set, (S,), from (S, T-s+1).
+
+    If `ends` are given, each set's errors count up to its end only, and are divided by the number
+    of all instants.
+    """
+    sets, instants = errors.shape
+    last = [-1] * sets if ends is None else [end - horizon - 1 for end in ends]
+    mse: Array = np.cumsum(errors, axis=1)[range(sets), last] / instants
     return mse
 
 
@@ -215,8 +215,10 @@ def expected_errors(
     """Exact expected error of each instant with each set of times, (S, T+1).
 
     With a prior of x(s), the instants are s..T. If information is wanted, the error is minus
-    that of an instant's measurements, in nats: log det(H P H' + R) / 2 - log det(R) / 2. Raises as
-    `expected_mse`.
+    that of an instant's measurements, in nats: log det(H P H' + R) / 2 - log det(R) / 2. The filter
+    has the model `believed`, by default the true one; if it is another, the lag must be 0. Raises
+    MeasurementTimesError if a set lies outside these instants, and ModelError if a model is not
+    linear-Gaussian.
     """
     if believed not in (None, model):
         return _errors_of_wrong_filter(model, believed, horizon, sets, prior)
@@ -225,27 +227,25 @@ def expected_errors(
     measured = _measured(points, horizon, sets, start)
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
-    errors = np.empty((len(sets), horizon + 1 - start))
+    errors = np.zeros((len(sets), horizon + 1 - start))
     kept = list[tuple[Array, Array, Array]]()
     for t in range(start, horizon + 1):
         check()
         through, information = _unmeasured(matrices, t, start, covariance)
-        nats = np.zeros(len(sets))
         for place in points.at(t):
-            here = measured[:, place]
+            here, y = measured[:, place], matrices.measurement[place]
             if gives_information:
-                nats[here] -= _information(covariance[here], matrices.measurement[place])
-            gain, observation_matrix, weight = _gain(covariance[here], matrices.measurement[place])
+                errors[here, t - start] -= _information(covariance[here], y)
+            gain, observation_matrix, weight = _gain(covariance[here], y)
             if lag:
                 seen = observation_matrix @ through[here]
                 information[here] += through[here].swapaxes(1, 2) @ weight @ seen
                 through[here] -= gain @ seen
             covariance[here] -= gain @ observation_matrix @ covariance[here]
         kept += [(covariance.copy(), through, information)] if lag else []
-        h = matrices.quantity_of_interest[t].matrix
-        errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
-        if gives_information:
-            errors[:, t - start] = nats
+        if not gives_information:
+            h = matrices.quantity_of_interest[t].matrix
+            errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
         if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
     if lag:

@@ -99,6 +99,11 @@ class Sensor:
     log_tails: Callable[..., Any] | None = None
 
 
+def _measuring(of: "Sensor | StateSpaceModel") -> dict[str, Any]:
+    """What a sensor has in place of the fields of a model."""
+    return {name: getattr(of, name) for name in (*MEASURING, "measurement_noise", "log_tails")}
+
+
 class SensorPart(NamedTuple):
     """A sensor, and its place in y and v; a model without sensors has one unnamed part."""
 
@@ -112,12 +117,7 @@ def repeated(model: "StateSpaceModel", repeats: int) -> "StateSpaceModel":
     """The model whose y may have several rows of each sensor: the components of all, in turn."""
     if repeats == 1:
         return model
-    plain = Sensor(
-        model.measurement,
-        model.log_likelihood,
-        model.measurement_noise,
-        log_tails=model.log_tails,
-    )
+    plain = Sensor(**_measuring(model))
     each = [*model.sensors.values()] or [plain]
     sensors = {f"row-{k}": each[k % len(each)] for k in range(repeats * len(each))}
     return dataclasses.replace(
@@ -346,10 +346,7 @@ class StateSpaceModel:
             model = dataclasses.replace(
                 self,
                 name=f"{self.name}, sensor {name}",
-                measurement=sensor.measurement,
-                log_likelihood=sensor.log_likelihood,
-                measurement_noise=sensor.measurement_noise,
-                log_tails=sensor.log_tails,
+                **_measuring(sensor),
                 y_names=(),
                 sensors={},
             )

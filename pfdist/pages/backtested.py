@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from pfdist.common.component_names import Component
-from pfdist.pages.figure import Plot, save_plot
+from pfdist.pages.figure import Plot
 from pfdist.pages.panel import (
     axes_for,
     chosen,
@@ -24,10 +22,9 @@ from pfdist.pages.panel import (
 )
 from pfdist.pages.style import BLUE, GREY, OCHRE, RED
 from pfdist.problem.clock import Clock
-from pfdist.store.files import begins_with, check_replaceable
 
-_TITLE = "pfdist: backtest"
-_START = 4096  # number of bytes at the start of a file that contain its title
+TITLE = "pfdist: backtest"
+"""By which the file of a figure is recognised."""
 _WIDE = 10.0  # ratio of two errors that needs a logarithmic axis
 _IN_INTERVAL = 1.92  # half of the 95 % quantile of chi-squared with 1 degree of freedom
 _SETS = ((RED, "o"), (BLUE, "s"), (GREY, "^"), (OCHRE, "D"))  # the plan, the grids, another set
@@ -142,14 +139,3 @@ def _prediction(shown: Any, ax: Axes) -> None:
         ax.plot(shown.times[which], shown.measured[which, 0], "o", label=label, **style)
     name = verbatim(shown.name)
     ax.text(1.0, 1.0, name, transform=ax.transAxes, ha="right", va="top", color=GREY)
-
-
-def draw_backtest(path: Path, plot: Plot) -> None:
-    """Draw the plot of a backtest to a PNG file; it replaces only an earlier such figure."""
-    check_backtest_replaceable(path)
-    save_plot(path, plot, _TITLE)
-
-
-def check_backtest_replaceable(path: Path) -> None:
-    """Raise a `StoreError` if a file exists that is no earlier figure of a backtest."""
-    check_replaceable(path, partial(begins_with, mark=_TITLE.encode(), most=_START))

@@ -28,10 +28,12 @@ from pfdist.results import ComparisonStatistics, Run
 from pfdist.results.online import OnlineDraws, online_draws
 from pfdist.results.stored_run import statistics_of
 from pfdist.store import holds_run, record_pages, write_file
+from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.folder import FIGURES_FOLDER, FORMATS
 
 Applies = Callable[[Run], bool]
 _OWN = FORMATS[0]  # of every figure
+_START = 4096  # number of bytes at the start of a file that contain its title
 _WIDER = (1.0, 1.6, 2.0)  # width of a figure with so many columns, over that of the style
 
 
@@ -257,10 +259,16 @@ def save_plot(path: Path, plot: Plot, title: str) -> None:
     """Draw a plot in the style for print into any PNG file.
 
     The title, in ASCII, is not drawn. It is metadata near the start of the file, by which a later
-    call recognises an earlier figure.
+    call recognises an earlier figure. Raises as `check_figure_replaceable`.
     """
+    check_figure_replaceable(path, title)
     with styled():
         write_file(path, partial(_save, drawn(plot), "png", title))
+
+
+def check_figure_replaceable(path: Path, title: str) -> None:
+    """Raise a `StoreError` if a file exists that is no earlier figure with this title."""
+    check_replaceable(path, partial(begins_with, mark=title.encode(), most=_START))
 
 
 def drawn(plot: Plot) -> Canvas:
@@ -270,9 +278,8 @@ def drawn(plot: Plot) -> Canvas:
     for each format.
     """
     check()
-    size = rcParams["figure.figsize"][0] * _WIDER[plot.columns - 1], scaled(plot.height)
     dots = rcParams["savefig.dpi"]  # an inch; "figure" in styles that have no number
-    canvas = Canvas(figsize=size, dpi=None if dots == "figure" else dots)
+    canvas = Canvas(figsize=_size(plot), dpi=None if dots == "figure" else dots)
     canvas.set_layout_engine("none")  # in any style
     _fill(canvas, plot)
     _remove_control_characters(canvas)
@@ -287,10 +294,12 @@ def shown_by_pyplot(plot: Plot) -> Sequence[Axes]:
     from matplotlib import pyplot  # noqa: PLC0415  chooses a backend, which files do not need
 
     canvas = pyplot.figure(layout="constrained")
-    canvas.set_size_inches(
-        rcParams["figure.figsize"][0] * _WIDER[plot.columns - 1], scaled(plot.height)
-    )
+    canvas.set_size_inches(_size(plot))
     return _fill(canvas, plot)
+
+
+def _size(plot: Plot) -> tuple[float, float]:
+    return rcParams["figure.figsize"][0] * _WIDER[plot.columns - 1], scaled(plot.height)
 
 
 _DIGITS = 9  # of the places of panels, as shares of the canvas

@@ -1,7 +1,6 @@
 """A filter's estimate of z over time, from real measurements, with 50 and 90 % bands."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -24,11 +23,10 @@ from pfdist.pages.panel import (
     verbatim,
 )
 from pfdist.pages.style import BLUE, GREEN, GREY, OCHRE, RED
-from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.schema import SMOOTHED_START, components_in
 
-_TITLE = "pfdist: filtered measurements"
-_START = 4096  # number of bytes at the start of a file that contain its title
+TITLE = "pfdist: filtered measurements"
+"""By which the file of a figure is recognised."""
 _BANDS = ((5, 95, 0.22), (25, 75, 0.38))  # percentiles and opacity
 _LEVEL, _ROW = 0.035, 0.07  # first row of markers, and distance of two, as shares of the height
 
@@ -80,19 +78,7 @@ def draw_filtered(path: Path, plot: Plot) -> None:
     StoreError
         The file cannot be written, or a file of another kind has this name.
     """
-    check_figure_replaceable(path)
-    save_plot(path, plot, _TITLE)
-
-
-def check_figure_replaceable(path: Path) -> None:
-    """Raise an error if a file may not be replaced by a figure.
-
-    Raises
-    ------
-    StoreError
-        The file exists, and is not an earlier figure of filtered measurements.
-    """
-    check_replaceable(path, partial(begins_with, mark=_TITLE.encode(), most=_START))
+    save_plot(path, plot, TITLE)
 
 
 def belief(

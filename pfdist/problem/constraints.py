@@ -28,6 +28,10 @@ def money(number: float) -> Money:
     return number if isinstance(number, int) else Decimal(repr(number))
 
 
+Installs = tuple[tuple[Money, Times], ...]
+"""The price of the installation of some sensors, and these."""
+
+
 @dataclass(frozen=True)
 class Limit:
     """Constraints on the measurements of one sensor."""
@@ -61,7 +65,7 @@ class Constraints:
     cheapest: int = 0  # number of the sensor that measures at regular times
     visits: Visits | None = None
     # Price of the installation of some sensors, paid once if any of these measures
-    installs: tuple[tuple[Money, Times], ...] = ()
+    installs: Installs = ()
     # Sensors, each with its ways, of which at most one measures at an instant
     groups: tuple[tuple[Times, ...], ...] = ()
     # Whether N or the money is only the most that may be spent, even nothing. One more measurement
@@ -166,14 +170,17 @@ class Constraints:
 
     def spent(self, times: Iterable[int]) -> int:
         """The price of some sorted times with their visits and installations, in units."""
-        chosen = tuple(times)
-        spent = sum(self.units[time] for time in chosen)
-        if self.visits and self.visits.price:
-            spent += self.visit_units * self.visits.number(chosen)
-        if self.installs:
-            used = {self.points.way(time) for time in chosen}
-            spent += sum(units for units, ways in self.install_units if used.intersection(ways))
-        return spent
+        return int(self._paid(tuple(times), self.units, self.visit_units, self.install_units))
+
+    def _paid(
+        self, times: Times, prices: Sequence[Money], visit: Money, installs: Installs
+    ) -> Money:
+        """The sum of these prices for some sorted times, their visits and installations."""
+        paid: Money = sum(prices[time] for time in times)
+        if self.visits and visit:
+            paid += visit * self.visits.number(times)
+        used = {self.points.way(time) for time in times} if installs else set[int]()
+        return paid + sum(price for price, ways in installs if used.intersection(ways))
 
     def with_required(self, times: Iterable[int]) -> Times:
         """These times and the required times, sorted."""
@@ -291,12 +298,8 @@ class Constraints:
 
     def price_of(self, times: Iterable[int]) -> Money:
         """The price of a set, in the unit of `price`; its size if times are counted."""
-        chosen = sorted({*times})
-        price: Money = sum(self.price[time] if self.price else 1 for time in chosen)
-        if self.visits:
-            price += self.visits.price * self.visits.number(chosen)
-        used = {self.points.way(time) for time in chosen}
-        return price + sum(price for price, ways in self.installs if used.intersection(ways))
+        chosen, visit = tuple(sorted({*times})), self.visits.price if self.visits else 0
+        return self._paid(chosen, self.price or self.units, visit, self.installs)
 
     def affordable(self, times: Iterable[int]) -> list[int]:
         """The optional times that could still be added to these and the required times."""

@@ -29,20 +29,14 @@ def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
     if not isinstance(section, dict):
         return section
     read = dict(section)
-    if isinstance(read.get("parameters"), dict):
-        read["parameters"] = {
-            name: _column(value, name, folder, f"{key}.parameters.{name}")
-            if isinstance(value, dict)
-            else value
-            for name, value in read["parameters"].items()
-        }
-    if isinstance(read.get("events"), dict):
-        read["events"] = {
-            name: _events(value, folder, f"{key}.events.{name}")
-            if isinstance(value, dict)
-            else value
-            for name, value in read["events"].items()
-        }
+    for part, read_table in (("parameters", _column), ("events", _events)):
+        if isinstance(read.get(part), dict):
+            read[part] = {
+                name: read_table(value, folder, f"{key}.{part}.{name}")
+                if isinstance(value, dict)
+                else value
+                for name, value in read[part].items()
+            }
     if "filter" in read:
         read["filter"] = with_columns(read["filter"], folder, f"{key}.filter")
     return read
@@ -114,9 +108,9 @@ def _events(given: dict[str, Any], folder: Path, key: str) -> list[list[Any]]:
     return [[time, amount, int(state)] for time, amount, state in zip(*columns, strict=True)]
 
 
-def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[float]:
-    """The values of a column; by default it has the name of the parameter."""
-    file, column = given.get("file"), given.get("column", name)
+def _column(given: dict[str, Any], folder: Path, key: str) -> list[float]:
+    """The values of a column; by default it has the name of the parameter, the end of the key."""
+    file, column = given.get("file"), given.get("column", key.rpartition(".")[2])
     if given.keys() - _KEYS or not (isinstance(file, str) and isinstance(column, str)):
         raise JobError(
             f"{key} must be numbers, or a column of a table, as "

@@ -38,6 +38,7 @@ from pfdist.questions.options import Chosen, Names, Options, following, with_opt
 from pfdist.questions.planned_run import (
     Columns,
     UserTable,
+    check_files,
     files_beside,
     planned_run,
     reading_of,
@@ -60,8 +61,7 @@ from pfdist.runner.backtesting import ReplicateErrors, when_made
 from pfdist.runner.build import Built, build
 from pfdist.runner.progress import silent
 from pfdist.store import backtest_schema
-from pfdist.store.folder import check_page_replaceable
-from pfdist.store.user_tables import check_table_replaceable, write_user_table
+from pfdist.store.user_tables import write_user_table
 
 Array = NDArray[np.float64]
 BEST = "the best evenly spaced times"
@@ -276,13 +276,11 @@ def backtest(
     """
     # Not above: the help of the command waits for no Matplotlib.
     from pfdist.pages import backtested  # noqa: PLC0415
+    from pfdist.pages.figure import save_plot  # noqa: PLC0415
 
     chosen, table = Chosen(**options), table_argument("data", data)
     files = files_beside(table, out, "data", "backtest")[: 3 if chosen.report is not False else 2]
-    checks: Any = (lambda path: check_table_replaceable(path, backtest_schema()),
-              backtested.check_backtest_replaceable, check_page_replaceable)  # fmt: skip
-    for file, check in zip(files, checks, strict=False):
-        check(file)
+    check_files(files, backtest_schema(), backtested.TITLE)
     with following(chosen.progress, chosen.say) as (show, tell):
         if plan_each:
             source: Any = job.path if isinstance(job, Run) else job
@@ -340,7 +338,8 @@ def backtest(
 
         rows = pa.Table.from_pandas(result.table, schema=backtest_schema(), preserve_index=False)
         write_user_table(files[0], rows)
-        backtested.draw_backtest(files[1], backtested.by_replicate(result.table, result.sets))
+        plot = backtested.by_replicate(result.table, result.sets)
+        save_plot(files[1], plot, backtested.TITLE)
         for file in files[2:]:
             write_page(report_of(result), file)
     page = result._page()

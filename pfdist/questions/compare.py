@@ -291,12 +291,9 @@ def compare(
 
 def _other_models(runs: Iterable[Run], built: Built) -> list[str]:
     """Sentences about runs that have other models than the job."""
-    sentences = []
-    for run in runs:
-        changes = changed_models(run.path, built)
-        if changes:
-            sentences.append(
-                f"{run.path} has another problem than the first: its model differs in "
-                f"{', '.join(changes)}"
-            )
-    return sentences
+    changed = ((run.path, changed_models(run.path, built)) for run in runs)
+    return [
+        f"{path} has another problem than the first: its model differs in {', '.join(changes)}"
+        for path, changes in changed
+        if changes
+    ]

@@ -38,7 +38,7 @@ from pfdist.questions.options import Names, criteria_in, following
 from pfdist.questions.subject import WHEN, mse_cell, number_of
 from pfdist.results import Gain
 from pfdist.results.columns import COLUMNS, head_of_limit, interval_cell
-from pfdist.results.criteria import with_errors_over_time
+from pfdist.results.criteria import fields_over_time
 from pfdist.results.over_time import Range, profile_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.comparison_phase import LOSS_DRAWS, OTHERS
@@ -283,8 +283,8 @@ def _samples(built: Built, work: FilterWork, result: Result) -> Iterator[Sample]
     for place, times in enumerate(work.measurement_times):
         ranges = _over_time_of(built, times, MEAN, result.errors[:, place]) if by_instant else []
         of_set = {aspect: values[:, place] for aspect, values in results.items() if values.size}
-        sample = Sample(result.mse[:, place], aspects=of_set)
-        yield with_errors_over_time(sample, ranges, 0, built.evaluator.relative_weights)
+        errors = fields_over_time(ranges, 0, built.evaluator.relative_weights)
+        yield Sample(result.mse[:, place], aspects=of_set, **errors)
 
 
 def _values_of(built: Built, work: FilterWork, aspect: Aspect, form: Criterion) -> Any:

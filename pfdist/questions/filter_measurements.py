@@ -1,9 +1,8 @@
 """Real measurements of one system, filtered as a run filters its draws."""
 
 import warnings
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -37,6 +36,7 @@ from pfdist.problem.problem import JobSource
 from pfdist.questions.planned_run import (
     Columns,
     UserTable,
+    check_files,
     files_beside,
     filter_of,
     on_clock_of,
@@ -50,12 +50,13 @@ from pfdist.results import Run, finite
 from pfdist.runner.identity import time_columns
 from pfdist.runner.progress import Say, silent
 from pfdist.store import FILTERED_PERCENTS, SMOOTHED_START, filtered_schema, frame_of
-from pfdist.store.folder import check_page_replaceable
 from pfdist.store.schema import components_in
-from pfdist.store.user_tables import check_table_replaceable, write_user_table
+from pfdist.store.user_tables import write_user_table
 
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
 _P_DIGITS = 2
+_TIMES = ("measured", "missing", "extra", "to_come")
+_FACTS = ("surprise_of_all", "is_improbable", "collapsed", "log_evidence", "why_no_evidence")
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
 _SIZE = "Effective sample size of the filter's particles at each instant."
 
@@ -120,7 +121,7 @@ class FilteredMeasurements(Shown):
     @property
     def marked(self) -> tuple[tuple[Time, ...], ...]:
         """The times that a figure marks, each kind in its way."""
-        return self.measured, self.missing, self.extra, self.to_come
+        return tuple(getattr(self, name) for name in _TIMES)
 
     @property
     def most_surprising(self) -> tuple[Time, float] | None:
@@ -150,16 +151,9 @@ class FilteredMeasurements(Shown):
             "run": self.run and str(self.run),
             "measurements": str(self.measurements),
             "planned": self.name or None,
-            "measured": self.measured,
-            "missing": self.missing,
-            "extra": self.extra,
-            "to_come": self.to_come,
+            **{name: getattr(self, name) for name in _TIMES},
             "most_surprising": most and {"t": most[0], "surprise": most[1]},
-            "surprise_of_all": self.surprise_of_all,
-            "is_improbable": self.is_improbable,
-            "collapsed": self.collapsed,
-            "log_evidence": self.log_evidence,
-            "why_no_evidence": self.why_no_evidence,
+            **{name: getattr(self, name) for name in _FACTS},
             **({"time_unit": self.time_unit} if self.time_unit else {}),
             **{name: files.get(name) for name in ("table", "figure", "report")},
         }
@@ -261,11 +255,7 @@ def filter_measurements(
     of_job, believed = plan.built.job.problem.points, plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
-    check_table = partial(check_table_replaceable, schema=time_columns(of_job).schema(schema))
-    checks: Sequence[Callable[[Path], None]]
-    checks = check_table, filtered.check_figure_replaceable, check_page_replaceable
-    for file, check in zip(files, checks, strict=False):
-        check(file)
+    check_files(files, time_columns(of_job).schema(schema), filtered.TITLE)
     filtering = filter_of(plan.built, plan.prior)
     reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, of_job.clock, filtering.now.t, reading)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
+import pyarrow as pa
 from numpy.typing import ArrayLike
 
 from pfdist.common.arguments import columns_argument, path_argument
@@ -27,7 +28,8 @@ from pfdist.results.stored_run import measured_of
 from pfdist.runner.backtesting import evaluator_on, follows_clock
 from pfdist.runner.build import Built, build, say_model_files
 from pfdist.runner.progress import Say, heard
-from pfdist.store.user_tables import is_parquet
+from pfdist.store.folder import check_page_replaceable
+from pfdist.store.user_tables import check_table_replaceable, is_parquet
 
 Columns = Mapping[str, str] | str | Sequence[str]
 """Names of columns, as a mapping, a text ``t=time,y0=conc``, or a list of such texts."""
@@ -56,6 +58,20 @@ def files_beside(
     folder = folder if str(out) else table.parent
     suffix = "parquet" if is_parquet(table) else "csv"
     return tuple(folder / f"{table.stem}.{ending}.{end}" for end in (suffix, "png", "html"))
+
+
+def check_files(files: Sequence[Path], schema: pa.Schema, title: str) -> None:
+    """Raise a `StoreError` if one of these files exists that an earlier call did not write.
+
+    They are a table with this schema, a figure with this title, and a report, or only the first.
+    """
+    # Not above: the help of the command waits for no Matplotlib.
+    from pfdist.pages.figure import check_figure_replaceable  # noqa: PLC0415
+
+    check_table = partial(check_table_replaceable, schema=schema)
+    checks = check_table, partial(check_figure_replaceable, title=title), check_page_replaceable
+    for file, check in zip(files, checks, strict=False):
+        check(file)
 
 
 class PlannedRun(NamedTuple):

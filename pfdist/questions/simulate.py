@@ -1,7 +1,6 @@
 """Simulated draws of a problem's model as a table."""
 
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +19,6 @@ from pfdist.models import StateSpaceModel
 from pfdist.problem.clock import Clock
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.runner.build import Built, build
-from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.schema import LABELS, labels_of
 from pfdist.store.user_tables import write_user_table
 
@@ -78,14 +76,14 @@ def write_simulated(
     They replace those of an earlier call, and no other file.
     """
     # Not above: the help of the command waits for no Matplotlib.
-    from pfdist.pages.figure import save_plot  # noqa: PLC0415
+    from pfdist.pages.figure import check_figure_replaceable, save_plot  # noqa: PLC0415
     from pfdist.pages.system import simulated_plot  # noqa: PLC0415
 
     path, built = path_argument("out", out), _built(job, changes, seed)
     picture = path.with_suffix(".png")
     if path == picture:
         raise ArgumentError(f"out must end in .csv or .parquet, got {path}", argument="out")
-    check_replaceable(picture, partial(begins_with, mark=_TITLE.encode(), most=4096))
+    check_figure_replaceable(picture, _TITLE)
     frame = _simulated(built, draws)
     table = pa.Table.from_pandas(frame, preserve_index=False)
     write_user_table(path, table.replace_schema_metadata({"table": "simulated"}))

@@ -1,7 +1,7 @@
 """The criteria by which a run judges its sets besides the expected MSE."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,16 +18,12 @@ def other_criteria(run: StoredRun) -> dict[str, OtherCriterion]:
     return other_criteria_of(run.job["problem"].get("criterion"), comparison.get("also"))
 
 
-def with_errors_over_time(
-    sample: Sample, ranges: list[Range], place: int, weights: Array
-) -> Sample:
-    """The sample with the errors of the set at this place of the ranges, if there are any."""
+def fields_over_time(ranges: list[Range], place: int, weights: Array) -> dict[str, Any]:
+    """The fields of a `Sample` with the errors of the set at this place of the ranges, if any."""
     if not ranges:
-        return sample
-    counts, of_set = weights > 0.0, errors_over_time_of(ranges, place)
-    errors, standard_errors = (each[counts] for each in of_set)
-    degrees = len(ranges) - 1.0
-    return replace(sample, errors=errors, standard_errors=standard_errors, degrees=degrees)
+        return {}
+    errors, standard_errors = (each[weights > 0.0] for each in errors_over_time_of(ranges, place))
+    return {"errors": errors, "standard_errors": standard_errors, "degrees": len(ranges) - 1.0}
 
 
 def samples_of(run: StoredRun) -> dict[str, Sample]:
@@ -35,14 +31,13 @@ def samples_of(run: StoredRun) -> dict[str, Sample]:
     rows, problem = run._store.rows("comparison"), problem_of(run)
     ranges = ranges_of(run) if run._store.has(RANGE_SUMS) else []
     weights = np.array(problem.weights or (1.0,) * len(problem.clock.times))
-    results: dict[str, dict[Aspect, Array]] = {name: {} for name in run.names}
-    for criterion in other_criteria(run).values():
-        for aspect in criterion.aspects:
-            for name, values in _values_of(run, aspect).items():
-                results[name][aspect] = values
+    wanted = [aspect for each in other_criteria(run).values() for aspect in each.aspects]
+    known = {aspect: values for aspect in wanted if (values := _values_of(run, aspect))}
     return {
-        name: with_errors_over_time(
-            Sample(rows[f"mse_{name}"].to_numpy(), aspects=results[name]), ranges, place, weights
+        name: Sample(
+            rows[f"mse_{name}"].to_numpy(),
+            aspects={aspect: values[name] for aspect, values in known.items()},
+            **fields_over_time(ranges, place, weights),
         )
         for place, name in enumerate(run.names)
     }

@@ -127,13 +127,20 @@ class Pairs:
         return self.has_control and not min(self.x.mean, self.y.mean) > 0.0
 
     @property
+    def _scaled(self) -> tuple[float, float, float, float]:
+        """Squares and products over the square of the mean of y, and the ratio of the means."""
+        scale = self.y.mean  # so that no square overflows
+        sums = self.x.squares, self.y.squares, self.products
+        x, y, xy = (each / scale / scale for each in sums)
+        return x, y, xy, self.x.mean / scale
+
+    @property
     def ratio_error(self) -> float:
         """Standard error of mean(x) / mean(y), by the delta method; NaN if it is unknown."""
-        count, scale = self.x.count, self.y.mean  # so that no square overflows
-        if count < 2 or scale == 0.0:
+        count = self.x.count
+        if count < 2 or self.y.mean == 0.0:
             return math.nan
-        x, y = self.x.squares / scale / scale, self.y.squares / scale / scale
-        xy, ratio = self.products / scale / scale, self.x.mean / scale
+        x, y, xy, ratio = self._scaled
         variance = (x - 2.0 * ratio * xy + ratio * ratio * y) / count / (count - 1)
         return math.sqrt(max(0.0, variance)) if math.isfinite(variance) else math.nan
 
@@ -147,12 +154,10 @@ class Pairs:
         count = self.x.count
         if count < 2 or self.y.mean == 0.0 or self.too_few:
             return UNKNOWN
-        scale = self.y.mean  # so that no square overflows
+        x, y, xy, ratio = self._scaled
         # t^2 / (D (D - 1)): so sums of squares become variances of means
         quantile = float(student_quantile((1 - confidence) / 2, count - 1))
         squared = quantile**2 / count / (count - 1)
-        x, y = self.x.squares / scale / scale, self.y.squares / scale / scale
-        xy, ratio = self.products / scale / scale, self.x.mean / scale
         # a r^2 - 2 b r + c <= 0; `inner` is proportional to b^2 - a c without cancellation
         a, b = 1.0 - squared * y, ratio - squared * xy
         inner = x - 2.0 * ratio * xy + ratio * ratio * y - squared * (x * y - xy * xy)

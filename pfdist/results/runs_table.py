@@ -8,9 +8,8 @@ from typing import Any
 import pandas as pd
 
 from pfdist.common.dotted_keys import leaves, short_names
-from pfdist.common.percent import times_100
-from pfdist.common.rounding import rounded, unrounded, with_error, with_interval
-from pfdist.results.columns import Results, Row
+from pfdist.common.rounding import unrounded, with_error
+from pfdist.results.columns import Results, Row, interval_cell
 from pfdist.results.moments import GAINS
 from pfdist.results.run import Run
 from pfdist.results.sets import rows_of_sets
@@ -241,10 +240,5 @@ def formatted_mse(row: Mapping[Any, Any]) -> str:
 
 def formatted_gain(row: Mapping[Any, Any]) -> str:
     """The gain of means of a row in per cent, with its 95 % interval."""
-    ends = (row["gain_of_means"], row["gain_of_means_low"], row["gain_of_means_high"])
-    if not all(map(math.isfinite, ends)):
-        return ""
-    if ends[1] == ends[2]:
-        return rounded(times_100(ends[0]))
-    value, low, high = with_interval(*map(times_100, ends))
-    return f"{value} ({low} to {high})"
+    numbers = [row[f"gain_of_means{end}"] for end in _ENDS]
+    return interval_cell(*numbers, is_percent=True).text * all(map(math.isfinite, numbers))

@@ -32,7 +32,7 @@ from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import parameters_at
 from pfdist.problem.replicates import Replicate
-from pfdist.runner.build import Built, evaluator_of, models_of_job
+from pfdist.runner.build import Built, both, evaluator_of, models_of_job
 from pfdist.runner.online_work import seen
 from pfdist.runner.planning import Now, Planning, Replanner
 
@@ -294,7 +294,6 @@ def evaluator_on(
     of each model of the job.
     """
     job, own = built.job, built.job.problem.clock
-    truth, believed = models_of_job(job)
 
     def changed(model: StateSpaceModel) -> StateSpaceModel:
         values = {name: each for name, each in parameters.items() if name in model.parameters}
@@ -302,8 +301,7 @@ def evaluator_on(
             values = parameters_at(model.parameters, own, clock.times) | values
         return change(model.with_parameters(values))
 
-    models = [*map(changed, [truth] if believed == truth else [truth, believed])]
-    evaluator = evaluator_of(job, models[0], models[-1], clock)
+    evaluator = evaluator_of(job, *both(models_of_job(job), changed), clock)
     estimations = (built.comparing,) if built.evaluator.has_particles else ()
     return replace(evaluator, engine=built.evaluator.engine, weights=None, estimations=estimations)
 

@@ -91,8 +91,7 @@ class BlockSums:
         sets = counted.sets
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
         noise, draws = streams
-        known = built.evaluator.truth if knows_truth else built.evaluator
-        evaluator = known.for_estimation(estimation)
+        evaluator = built.evaluator.for_estimation(estimation, knows_truth=knows_truth)
         instants = tuple(zip(since, ends, strict=True))
         # A hash of everything on which the sums depend but their draws.
         name = "sums" if kind is FilterWork else kind.__name__

@@ -2,8 +2,10 @@
 
 import os
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
-from pfdist.models.continuous import Rows, with_events
+from pfdist.models.continuous import with_events
 from pfdist.models.learned import learned
 from pfdist.models.mistakes import NO_CLOCK, NO_DATES
 from pfdist.models.parameters import check_lengths
@@ -54,6 +56,9 @@ from pfdist.runner.searches import (
     shortlist_of,
 )
 from pfdist.runner.study import Study
+
+Models = tuple[StateSpaceModel, StateSpaceModel]
+"""The true model, and that of the filter."""
 
 
 @dataclass(frozen=True)
@@ -342,7 +347,7 @@ def _enough_particles(built: Built, proposal: str) -> int:
     return loss.particles
 
 
-def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
+def models_of_job(job: Job) -> Models:
     """The model of a job, and the model that its filter uses.
 
     A model comes from the run whose folder has the job, from an object given with the job, or from
@@ -350,95 +355,87 @@ def models_of_job(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
     """
     kept = _kept_models(job)
     models = _given_models(job, kept)
-    if not kept:
-        models = _with_events(job.model.events or {}, *models)
-    if not kept and job.problem.given:
-        models = _with_given(job, *models)
-    if not kept and job.problem.sensings:
-        models = _sensed(job, *models)
-    if kept or job.scenarios is None or not job.scenarios.is_learned:
+    if kept:
+        return models
+    truth, believed = models
+    with _naming("model.events"):
+        given = with_events(job.model.events or {}, *([truth] if believed is truth else models))
+        models = given[0], given[-1]
+    if job.problem.given:
+        models = both(models, partial(_with_given, job))
+    if job.problem.sensings:
+        models = _sensed(job, models)
+    if job.scenarios is None or not job.scenarios.is_learned:
         return models
     return _with_learned(job.scenarios, job.problem.feasible.horizon, *models)
 
 
-def _with_events(
-    tables: Mapping[str, Rows], model: StateSpaceModel, believed: StateSpaceModel
-) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The models whose equations have the events of the job."""
+@contextmanager
+def _naming(key: str) -> Iterator[None]:
+    """Errors of models begin with the key of the job that is wrong."""
     try:
-        given = with_events(tables, *([model] if believed is model else [model, believed]))
-        return given[0], given[-1]
-    except ModelError as error:
-        raise ModelError(f"model.events: {error}") from error
-
-
-def _with_given(
-    job: Job, model: StateSpaceModel, believed: StateSpaceModel
-) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The models whose parameters that come with each reading have a value for each instant."""
-    instants = job.problem.feasible.horizon + 1
-
-    def changed(each: StateSpaceModel) -> StateSpaceModel:
-        values = dict[str, Any]()
-        for name in job.problem.given or {}:
-            if name not in each.parameters:
-                rule = f"parameters of the model, {', '.join(each.parameters)}"
-                raise ModelError(must_be("problem.given", rule, name, each.parameters))
-            value = each.parameters[name]
-            single = value[0] if isinstance(value, tuple) and len(value) == 1 else value
-            values[name] = single if isinstance(single, tuple) else (single,) * instants
-        return each.with_parameters(values)
-
-    return (truth := changed(model)), truth if believed == model else changed(believed)
-
-
-def _sensed(
-    job: Job, model: StateSpaceModel, believed: StateSpaceModel
-) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The models whose sensors have limits, fail, or repeat, as the job says."""
-    _check_sensors(job, model, tuple(job.problem.sensors or ()))
-    key = "problem.sensors" if model.sensors else "problem.sensor"
-    try:
-        truth = sensed(model, job.problem.sensings)
-        if is_exact(job.filter.engine) and model.linear_gaussian and not truth.linear_gaussian:
-            raise JobError(
-                f"filter.engine = {job.filter.engine!r} needs sensors without fails and limits, "
-                f"which are not linear, got some in {key}: 'compiled' takes them ({job.path})"
-            )
-        return truth, truth if believed == model else sensed(believed, job.problem.sensings)
+        yield
     except ModelError as error:
         raise ModelError(f"{key}: {error}") from error
 
 
+def both(models: Models, change: Callable[[StateSpaceModel], StateSpaceModel]) -> Models:
+    """The model and that of the filter, both changed; the same one if they are equal."""
+    model, believed = models
+    return (truth := change(model)), truth if believed == model else change(believed)
+
+
+def _with_given(job: Job, model: StateSpaceModel) -> StateSpaceModel:
+    """The model whose parameters that come with each reading have a value for each instant."""
+    values, instants = dict[str, Any](), job.problem.feasible.horizon + 1
+    for name in job.problem.given or {}:
+        if name not in model.parameters:
+            rule = f"parameters of the model, {', '.join(model.parameters)}"
+            raise ModelError(must_be("problem.given", rule, name, model.parameters))
+        value = model.parameters[name]
+        single = value[0] if isinstance(value, tuple) and len(value) == 1 else value
+        values[name] = single if isinstance(single, tuple) else (single,) * instants
+    return model.with_parameters(values)
+
+
+def _sensed(job: Job, models: Models) -> Models:
+    """The models whose sensors have limits, fail, or repeat, as the job says."""
+    model = models[0]
+    _check_sensors(job, model, tuple(job.problem.sensors or ()))
+    key = "problem.sensors" if model.sensors else "problem.sensor"
+    with _naming(key):
+        models = both(models, partial(sensed, sensings=job.problem.sensings))
+    if is_exact(job.filter.engine) and model.linear_gaussian and not models[0].linear_gaussian:
+        raise JobError(
+            f"filter.engine = {job.filter.engine!r} needs sensors without fails and limits, "
+            f"which are not linear, got some in {key}: 'compiled' takes them ({job.path})"
+        )
+    return models
+
+
 def _with_learned(
     scenarios: Scenarios, horizon: int, model: StateSpaceModel, believed: StateSpaceModel
-) -> tuple[StateSpaceModel, StateSpaceModel]:
+) -> Models:
     """The models whose states have the parameters that the job's filter learns."""
     prior = scenarios.prior
-    try:
+    with _naming("scenarios.parameters"):
         truth = learned(model, prior)
         for each in prior if isinstance(prior, tuple) else ():
             check_lengths(each.parameters, horizon + 1, "", exactly=True)
         if believed == model and not scenarios.motion:
             return truth, truth
         return truth, learned(believed, prior, scenarios.motion)
-    except ModelError as error:
-        raise ModelError(f"scenarios.parameters: {error}") from error
 
 
-def _given_models(
-    job: Job, kept: Sequence[StateSpaceModel]
-) -> tuple[StateSpaceModel, StateSpaceModel]:
+def _given_models(job: Job, kept: Sequence[StateSpaceModel]) -> Models:
     """The two models of a job, without the parameters that its filter learns."""
     believed, model = job.model.filter, _model_of(job, "model", job.model, kept)
     if believed.name:
         return model, _model_of(job, "filter_model", believed, kept[1:])
-    try:
+    with _naming("model.filter"):
         if kept and kept[1] is not kept[0]:  # it has other parameters than the truth
             return model, kept[1].with_parameters(job.model.parameters | believed.parameters)
         return model, model.with_parameters(believed.parameters)
-    except ModelError as error:
-        raise ModelError(f"model.filter: {error}") from error
 
 
 def _model_of(

@@ -86,15 +86,11 @@ def gap_parts(
     errors = dict[str, dict[str, Array]]()
     for name, kind in kinds.items():
         errors[name] = yield from _per_draw(session, sets, *kind, draws_stream, draws)
-    squared, whole = errors.get("squared"), dict[str, Moments]()
-    if squared is None:
-        rows, statistics = run.table("comparison", draws), statistics_of(run)
+    if (squared := errors.get("squared")) is None:
+        rows, whole = run.table("comparison", draws), statistics_of(run).mse
         squared = {name: controlled_mse(rows, name) for name in sets}
-        whole = {name: statistics.mse[name] for name in sets}
     else:
-        for name, values in squared.items():
-            whole[name] = Moments()
-            whole[name].add(values)
+        whole = {name: Moments.of_values(values) for name, values in squared.items()}
     by_truth, variance = errors.get("by_truth", squared), errors["variance"]
     return {
         name: parts_of(whole[name], squared[name], by_truth[name], variance[name]) for name in sets
@@ -171,13 +167,7 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
         return GapParts(whole.estimate, both, ZERO, both)
     return GapParts(
         whole.estimate,
-        _paired(by_truth, variance),
+        Moments.of_values(by_truth - variance).estimate,
         less(whole, squared, by_truth),
         less(whole, squared, variance),
     )
-
-
-def _paired(x: Array, y: Array) -> Estimate:
-    difference = Moments()
-    difference.add(x - y)
-    return difference.estimate

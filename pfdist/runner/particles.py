@@ -70,12 +70,12 @@ def measured_loss(
         pieces = evaluator.pieces(replace(work, estimation=estimation), _SECONDS)
         return np.concatenate([evaluator.filtered(piece).mse[:, 0] for piece in pieces])
 
-    own, whole = work.estimation, Moments()
+    own = work.estimation
     squared, variance = errors(own), errors(with_truth(own.particles, own.proposal))
     distance = np.zeros_like(squared)
     if by_two_filters:
         distance = errors(replace(own, estimator=FILTER_NOISE.name))
-    whole.add(squared)
+    whole = Moments.of_values(squared)
     return particle_loss(own.particles, whole, squared, distance, variance), whole
 
 

@@ -7,7 +7,7 @@ the version of a run are read without this check, for error messages.
 import contextlib
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -84,13 +84,7 @@ def check_models(path: Path) -> bytes:
 
     Raises `StoreError` if it is missing, damaged or too large.
     """
-    with files.reading(path / MODELS):
-        try:
-            content = files.read_plain(path / MODELS, MOST_BYTES_OF_MODELS)
-        except (FileNotFoundError, NotADirectoryError) as error:
-            raise no_run(path, MODELS) from error
-        except ValueError as error:
-            raise unreadable(path, MODELS, str(error)) from error
+    content: bytes = _read(path, MODELS, MOST_BYTES_OF_MODELS, bytes)
     listing = read_listing(path)
     if listing is not None and _hash_of(content) not in listing.about.get(MODELS, ()):
         raise unreadable(path, MODELS, "its content has another hash")
@@ -127,10 +121,12 @@ def unusable(path: Path, name: str, reason: str) -> StoreError:
     )
 
 
-def _read(path: Path, name: str) -> str:
+def _read(
+    path: Path, name: str, most: int = MOST_BYTES, read: Callable[[bytes], Any] = text_of
+) -> Any:
     with files.reading(path / name):
         try:
-            return text_of(files.read_plain(path / name, MOST_BYTES))
+            return read(files.read_plain(path / name, most))
         except (FileNotFoundError, NotADirectoryError) as error:
             raise no_run(path, name) from error
         except ValueError as error:

@@ -39,7 +39,7 @@ WINDOW_PERCENTS = (1, 5)
 LABELS = "labels"
 """Name of the attribute of a DataFrame with the labels of its columns."""
 
-_MSE = "square of z's unit"
+_MSE, _NUMBER = "square of z's unit", pa.float64()
 _INSTANTS: Final = ("t", "moved_to", "end")
 _MEASUREMENTS: Final = ("measurement_times", "path")
 
@@ -77,15 +77,13 @@ QUESTIONS = (BOUND_PHASE, WHY_PHASE, EVEN_PHASE, RULE_PHASE)
 """Phases of questions, without which a run is finished. No search may have these names."""
 
 
-def _column(name: str, kind: pa.DataType, unit: str, description: str) -> pa.Field:
+def _column(name: str, description: str, kind: pa.DataType = _NUMBER, unit: str = "") -> pa.Field:
     return pa.field(name, kind, metadata={"unit": unit, "description": description})
 
 
 def _of_component(start: str, component: Component, unit: str, description: str) -> pa.Field:
     """A column of a component; the unit is that of the component, if it has one."""
-    column = _column(
-        f"{start}_{component.suffix}", pa.float64(), component.unit or unit, description
-    )
+    column = _column(f"{start}_{component.suffix}", description, unit=component.unit or unit)
     if not component.name:
         return column
     return column.with_metadata({**column.metadata, b"label": component.label.encode()})
@@ -99,197 +97,182 @@ def _schema(table: str, columns: Sequence[pa.Field]) -> pa.Schema:
 
 def _estimate(name: str, description: str) -> list[pa.Field]:
     return [
-        _column(name, pa.float64(), _MSE, description),
-        _column(f"{name}_error", pa.float64(), _MSE, f"standard error of {name}"),
+        _column(name, description, unit=_MSE),
+        _column(f"{name}_error", f"standard error of {name}", unit=_MSE),
     ]
 
 
 _WITHIN = "inside: upper_limit is at most {} %; outside: lower_limit is above; else open"
 _OF_A_SET = (
-    _column("position", pa.int32(), "", "order of the set, as in compared"),
-    _column("name", pa.string(), "", "the set's name, as in compared"),
+    _column("position", "order of the set, as in compared", pa.int32()),
+    _column("name", "the set's name, as in compared", pa.string()),
 )
 _LEFT_OUT = "whether no particle explains a measurement, which is left out"
 _CONTROL = "of expectation 0, if the job asks for it; the printed mean is that of mse - control"
 _SUMS = "errors at t = 0, 1, ..., less the control of each, not weighted, over the draws"
-_DEGENERATE = _column("degenerate", pa.bool_(), "", _LEFT_OUT)
-_TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
+_DEGENERATE = _column("degenerate", _LEFT_OUT, pa.bool_())
+_TIMES = _column("measurement_times", "the set M, sorted", pa.list_(pa.int16()), "t")
 
 
 _SCHEMAS = {
     "evaluations": [
-        _column("evaluation", pa.string(), "", "id: hash of all that its draws depend on"),
-        _column("phase", pa.string(), "", "the search's name"),
-        _column("generation", pa.int32(), "", "counted from 0"),
-        _column("individual", pa.int32(), "", "index of the first copy in its population"),
-        _column("copies", pa.int32(), "", "how many of the population are this set"),
+        _column("evaluation", "id: hash of all that its draws depend on", pa.string()),
+        _column("phase", "the search's name", pa.string()),
+        _column("generation", "counted from 0", pa.int32()),
+        _column("individual", "index of the first copy in its population", pa.int32()),
+        _column("copies", "how many of the population are this set", pa.int32()),
         _TIMES,
-        _column("end", pa.int16(), "t", "last instant whose errors count, over T + 1"),
-        _column("particles", pa.int32(), "", "of the filter; exact engines have none"),
-        _column("estimator", pa.string(), "", "of a draw's error; exact engines have none"),
-        _column("expected_mse", pa.float64(), _MSE, "inf: killed for a degenerate draw"),
-        _column("standard_error", pa.float64(), _MSE, "of expected_mse"),
-        _column("draws", pa.int32(), "", "draws filtered"),
-        _column("degenerate_draws", pa.int32(), "", "of them, degenerate"),
+        _column("end", "last instant whose errors count, over T + 1", pa.int16(), "t"),
+        _column("particles", "of the filter; exact engines have none", pa.int32()),
+        _column("estimator", "of a draw's error; exact engines have none", pa.string()),
+        _column("expected_mse", "inf: killed for a degenerate draw", unit=_MSE),
+        _column("standard_error", "of expected_mse", unit=_MSE),
+        _column("draws", "draws filtered", pa.int32()),
+        _column("degenerate_draws", "of them, degenerate", pa.int32()),
     ],
     "draws": [
-        _column("evaluation", pa.string(), "", "id, as in evaluations"),
-        _column("draw", pa.int64(), "", "index of the draw in its stream"),
-        _column("mse", pa.float64(), _MSE, "mean over t of the error"),
+        _column("evaluation", "id, as in evaluations", pa.string()),
+        _column("draw", "index of the draw in its stream", pa.int64()),
+        _column("mse", "mean over t of the error", unit=_MSE),
         _DEGENERATE,
     ],
     "compared": [
-        _column("position", pa.int32(), "", "order; 0 is the reference"),
+        _column("position", "order; 0 is the reference", pa.int32()),
         _column(
             "name",
-            pa.string(),
-            "",
             "evenly_spaced, regular, the search that found the set, or a given name",
+            pa.string(),
         ),
         _TIMES,
-        _column("search_mse", pa.float64(), _MSE, "the estimate of the search; null: reference"),
-        _column("search_standard_error", pa.float64(), _MSE, "of search_mse"),
+        _column("search_mse", "the estimate of the search; null: reference", unit=_MSE),
+        _column("search_standard_error", "of search_mse", unit=_MSE),
     ],
     "range_sums": [
         *_OF_A_SET,
-        _column("draw", pa.int64(), "", "the first draw of the range, as in comparison"),
-        _column("draws", pa.int64(), "", "number of draws, a power of 2; 0: exact errors"),
-        _column("sums", pa.list_(pa.float64()), _MSE, _SUMS),
+        _column("draw", "the first draw of the range, as in comparison", pa.int64()),
+        _column("draws", "number of draws, a power of 2; 0: exact errors", pa.int64()),
+        _column("sums", _SUMS, pa.list_(pa.float64()), _MSE),
     ],
     "online": [
-        _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
-        _column("mse", pa.float64(), _MSE, "with these times"),
+        _column("draw", "index of the draw, as in comparison", pa.int64()),
+        _column("mse", "with these times", unit=_MSE),
         _DEGENERATE,
         _TIMES,
-        _column("estimate", pa.list_(pa.float64()), "z", "at t = 0, 1, ...; null: after draw 99"),
+        _column("estimate", "at t = 0, 1, ...; null: after draw 99", pa.list_(pa.float64()), "z"),
     ],
     "timings": [
-        _column("phase", pa.string(), "", "a search's name, comparison or online.times"),
-        _column("task", pa.string(), "", "key of the task"),
-        _column("session", pa.string(), "", "which start of the program"),
-        _column("seconds", pa.float64(), "s", "in the worker"),
-        _column("worker", pa.string(), "", "process id"),
-        _column("node", pa.string(), "", "host name"),
-        _column("failures", pa.int32(), "", "1: the task failed"),
-        _column("error", pa.string(), "", "traceback, if it failed"),
+        _column("phase", "a search's name, comparison or online.times", pa.string()),
+        _column("task", "key of the task", pa.string()),
+        _column("session", "which start of the program", pa.string()),
+        _column("seconds", "in the worker", unit="s"),
+        _column("worker", "process id", pa.string()),
+        _column("node", "host name", pa.string()),
+        _column("failures", "1: the task failed", pa.int32()),
+        _column("error", "traceback, if it failed", pa.string()),
     ],
     "bound": [
         *_OF_A_SET,
         _TIMES,
         _column(
             "budget",
-            pa.int32(),
-            "",
             "the bound is for so many times, or for so much money, in its units",
+            pa.int32(),
         ),
-        _column("window", pa.int32(), "", "measurements of a window before windows grow"),
-        _column("windows", pa.int32(), "", "windows that the relaxation knows"),
-        _column("work", pa.float64(), "", "particle-steps after which no window grows"),
-        _column("memory", pa.int32(), "MiB", "that the relaxation may take"),
-        _column("longest_gap", pa.int32(), "t", "after a longer gap everything is measured"),
-        _column("particles", pa.int32(), "", "of the bound's filter; 0: exact"),
-        _column("draws", pa.int32(), "", "of the bound; 0: exact"),
-        _column("steps", pa.float64(), "", "particle-steps of windows and bound"),
-        _column("confidence", pa.float64(), "", "of gap_at_most"),
-        _column("compared_draws", pa.int64(), "", "draws of the comparison when it was proved"),
-        _column("reason", pa.string(), "", "why there is no bound; empty: there is one"),
+        _column("window", "measurements of a window before windows grow", pa.int32()),
+        _column("windows", "windows that the relaxation knows", pa.int32()),
+        _column("work", "particle-steps after which no window grows"),
+        _column("memory", "that the relaxation may take", pa.int32(), "MiB"),
+        _column("longest_gap", "after a longer gap everything is measured", pa.int32(), "t"),
+        _column("particles", "of the bound's filter; 0: exact", pa.int32()),
+        _column("draws", "of the bound; 0: exact", pa.int32()),
+        _column("steps", "particle-steps of windows and bound"),
+        _column("confidence", "of gap_at_most"),
+        _column("compared_draws", "draws of the comparison when it was proved", pa.int64()),
+        _column("reason", "why there is no bound; empty: there is one", pa.string()),
         *_estimate("expected_mse", "of the set with the job's own filter; or minus its nats"),
         *_estimate("bound", "no feasible set of so many times has a lower one"),
-        _column("path", pa.list_(pa.int16()), "t", "times that reach the bound when relaxed"),
-        _column("gap", pa.float64(), "", "how much lower the error can be, over expected_mse"),
-        _column("gap_at_most", pa.float64(), "", "one-sided limit of gap"),
+        _column("path", "times that reach the bound when relaxed", pa.list_(pa.int16()), "t"),
+        _column("gap", "how much lower the error can be, over expected_mse"),
+        _column("gap_at_most", "one-sided limit of gap"),
         *_estimate("relaxation", "part of the gap: relaxation and chance"),
         *_estimate("estimate", "part of the gap: particles and estimate"),
         *_estimate("filter_model", "part of the gap: wrong filter model"),
     ],
     "error_sums": [
-        _column("evaluation", pa.string(), "", "id: hash of all that the sums depend on"),
-        _column("block", pa.int64(), "", "index of the block of draws"),
-        _column("sums", pa.list_(pa.float64()), _MSE, "errors of all states at their instants"),
+        _column("evaluation", "id: hash of all that the sums depend on", pa.string()),
+        _column("block", "index of the block of draws", pa.int64()),
+        _column("sums", "errors of all states at their instants", pa.list_(pa.float64()), _MSE),
     ],
     "evenly_spaced": [
-        _column("measurements", pa.int32(), "", "number of evenly spaced measurements"),
+        _column("measurements", "number of evenly spaced measurements", pa.int32()),
         _TIMES,
-        _column("draws", pa.int64(), "", "the first draws of the comparison; 0: exact"),
+        _column("draws", "the first draws of the comparison; 0: exact", pa.int64()),
         *_estimate("difference", "expected MSE less that of the plan, on the same draws"),
     ],
     "profile": [
         *_OF_A_SET,
-        _column("t", pa.int32(), "t", "instant"),
-        _column("measured", pa.bool_(), "", "whether the set measures at t"),
-        _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
-        _column("error", pa.float64(), _MSE, "expected error at t"),
-        _column("standard_error", pa.float64(), _MSE, "of error"),
-        _column("weight", pa.float64(), "", "of the instant in the MSE; the mean is 1"),
-        _column("degenerate_draws", pa.int64(), "", "draws that are degenerate up to t"),
+        _column("t", "instant", pa.int32(), "t"),
+        _column("measured", "whether the set measures at t", pa.bool_()),
+        _column("draws", "fresh draws; 0: exact", pa.int64()),
+        _column("error", "expected error at t", unit=_MSE),
+        _column("standard_error", "of error", unit=_MSE),
+        _column("weight", "of the instant in the MSE; the mean is 1"),
+        _column("degenerate_draws", "draws that are degenerate up to t", pa.int64()),
         _column(
             "effective_sample_size",
-            pa.float64(),
-            "",
             "mean over the first draws, after the measurement at t; null: not measured",
         ),
     ],
     "worth": [
         *_OF_A_SET,
-        _column("t", pa.int32(), "t", "instant of the measurement"),
-        _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
+        _column("t", "instant of the measurement", pa.int32(), "t"),
+        _column("draws", "fresh draws; 0: exact", pa.int64()),
         *_estimate("removed", "rise of the expected MSE if the measurement is removed"),
         *_estimate("earlier", "rise if it is made one instant earlier; null: impossible"),
         *_estimate("later", "rise if it is made one instant later; null: impossible"),
     ],
     "sampling_windows": [
         *_OF_A_SET,
-        _column("t", pa.int32(), "t", "the measurement that is moved"),
-        _column("moved_to", pa.int32(), "t", "to which it alone is moved; t itself is a row, too"),
-        _column("moved_to_instant", pa.int32(), "", "number of the instant moved_to, from 0"),
-        _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
-        _column("loss", pa.float64(), "", "expected MSE over that of the kept set, less 1"),
-        _column("loss_error", pa.float64(), "", "standard error of loss"),
-        _column("lower_limit", pa.float64(), "", "one-sided 95 % limit of loss"),
-        _column("upper_limit", pa.float64(), "", "one-sided 95 % limit of loss"),
+        _column("t", "the measurement that is moved", pa.int32(), "t"),
+        _column("moved_to", "to which it alone is moved; t itself is a row, too", pa.int32(), "t"),
+        _column("moved_to_instant", "number of the instant moved_to, from 0", pa.int32()),
+        _column("draws", "fresh draws; 0: exact", pa.int64()),
+        _column("loss", "expected MSE over that of the kept set, less 1"),
+        _column("loss_error", "standard error of loss"),
+        _column("lower_limit", "one-sided 95 % limit of loss"),
+        _column("upper_limit", "one-sided 95 % limit of loss"),
         *(
-            _column(f"within_{percent}", pa.string(), "", _WITHIN.format(percent))
+            _column(f"within_{percent}", _WITHIN.format(percent), pa.string())
             for percent in WINDOW_PERCENTS
         ),
     ],
 }
 
 
-_OPTIONAL = {
-    "plan_mse": _column(
-        "plan_mse", pa.float64(), _MSE, "expected MSE of the plan, on the same draws"
-    ),
-    "exact_mse": _column("exact_mse", pa.float64(), _MSE, "if the engine is exact"),
-    "exact_information": _column(
-        "exact_information", pa.float64(), "nats", "of the measurements, if the engine is exact"
-    ),
-    "exact_other_mse": _column(
-        "exact_other_mse", pa.float64(), _MSE, "of the other estimate, if the engine is exact"
-    ),
-    "scenario": _column(
+_OPTIONAL_COLUMNS = [
+    _column("plan_mse", "expected MSE of the plan, on the same draws", unit=_MSE),
+    _column("exact_mse", "if the engine is exact", unit=_MSE),
+    _column("exact_information", "of the measurements, if the engine is exact", unit="nats"),
+    _column("exact_other_mse", "of the other estimate, if the engine is exact", unit=_MSE),
+    _column(
         "scenario",
-        pa.int16(),
-        "",
         "number of the draw's scenario, from 0, if the job has scenarios",
+        pa.int16(),
     ),
-    "tried": _column(
-        "tried", pa.int64(), "", "evenly spaced sets that were looked at; 0: all that there are"
-    ),
-    "part": _column("part", pa.string(), "", "what the work is for, as search or comparison"),
-    "particle_steps": _column(
-        "particle_steps", pa.int64(), "", "that were computed; instants of sets if exact"
-    ),
-    "shares": _column(
+    _column("tried", "evenly spaced sets that were looked at; 0: all that there are", pa.int64()),
+    _column("part", "what the work is for, as search or comparison", pa.string()),
+    _column("particle_steps", "that were computed; instants of sets if exact", pa.int64()),
+    _column(
         "shares",
+        "of scenarios or instants in the bound, if the worst decides",
         pa.list_(pa.float64()),
-        "",
-        "of the scenarios or instants in the bound, if the worst decides",
     ),
-}
+]
+_OPTIONAL = {each.name: each for each in _OPTIONAL_COLUMNS}
 """Columns that a table has only for some jobs: with an exact engine, or with scenarios."""
 
 
-_BY_DRAW = [_column("draw", pa.int64(), "", ""), _column("t", pa.int32(), "", "")]
+_BY_DRAW = [_column("draw", "", pa.int64()), _column("t", "", pa.int32())]
 _KINDS = {
     "degenerate": pa.bool_(),
     "sensor": pa.string(),
@@ -340,13 +323,13 @@ def wrong_columns(columns: pa.Schema, table: str) -> str:
     return ""
 
 
-_DATE = _column("date", pa.string(), "", "of t: local date and hour")
+_DATE = _column("date", "of t: local date and hour", pa.string())
 """A column beside t, if instants have dates."""
 
 
 def with_sensors(schema: pa.Schema) -> pa.Schema:
     """Schema of a table of single measurements, with the sensor after the time."""
-    column = _column("sensor", pa.string(), "", "that measures")
+    column = _column("sensor", "that measures", pa.string())
     return schema.insert(schema.get_field_index("t") + 1, column)
 
 
@@ -361,9 +344,9 @@ def comparison_schema(
     """Schema of the comparison: a row for each draw, with two or three columns for each set."""
     comparison = _of_sets("comparison", "mse", "with this set", names)
     for name in names:
-        comparison = comparison.append(_column(f"degenerate_{name}", pa.bool_(), "", _LEFT_OUT))
+        comparison = comparison.append(_column(f"degenerate_{name}", _LEFT_OUT, pa.bool_()))
     for name in names if with_control else ():
-        comparison = comparison.append(_column(f"control_{name}", pa.float64(), _MSE, _CONTROL))
+        comparison = comparison.append(_column(f"control_{name}", _CONTROL, unit=_MSE))
     return comparison.append(_OPTIONAL["scenario"]) if with_scenarios else comparison
 
 
@@ -379,7 +362,7 @@ def first_draws_schema(
     """Schema of what filtering gives beside the comparison: a row for each draw, a column a set."""
     schema = _of_sets(table, start, description, names, unit or _MSE)
     if has_unmeasured:
-        without = _column("unmeasured", pa.float64(), _MSE, "without any measurement")
+        without = _column("unmeasured", "without any measurement", unit=_MSE)
         schema = schema.append(without)
     return schema
 
@@ -387,8 +370,8 @@ def first_draws_schema(
 def _of_sets(
     table: str, start: str, description: str, names: Sequence[str], unit: str = _MSE
 ) -> pa.Schema:
-    columns = [_column("draw", pa.int64(), "", "index of the draw, as in comparison")]
-    columns += [_column(f"{start}_{name}", pa.float64(), unit, description) for name in names]
+    columns = [_column("draw", "index of the draw, as in comparison", pa.int64())]
+    columns += [_column(f"{start}_{name}", description, unit=unit) for name in names]
     return _schema(table, columns)
 
 
@@ -400,8 +383,8 @@ def trajectories_schema(
     The components are those of z and of y.
     """
     columns = [
-        _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
-        _column("t", pa.int32(), "t", "instant"),
+        _column("draw", "index of the draw, as in comparison", pa.int64()),
+        _column("t", "instant", pa.int32(), "t"),
     ]
     columns += [_of_component("z", each, "z", "quantity of interest") for each in quantities]
     columns += [
@@ -429,32 +412,32 @@ def _moments_of(start: str, component: Component, uses: str) -> list[pa.Field]:
 def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
     """Schema of filtered measurements, by the components of z: a row for each instant."""
     columns = [
-        _column("t", pa.int32(), "t", "instant"),
-        _column("measured", pa.bool_(), "", "whether t was measured"),
+        _column("t", "instant", pa.int32(), "t"),
+        _column("measured", "whether t was measured", pa.bool_()),
     ]
     for each in quantities:
         columns += _moments_of("", each, "by the measurements up to t")
     columns += [
-        _column("effective_sample_size", pa.float64(), "", "of the particles; null: exact"),
-        _column("surprise", pa.float64(), "", "p-value of the measurement; null: not measured"),
+        _column("effective_sample_size", "of the particles; null: exact"),
+        _column("surprise", "p-value of the measurement; null: not measured"),
     ]
     later = "by later measurements, too (`problem.lag`, else all); null: too many particles"
     for each in quantities:
         columns += _moments_of(SMOOTHED_START, each, later)
     of_lines = "of the particles, by their descendants; null: exact"
-    columns.append(_column(f"{SMOOTHED_START}effective_sample_size", pa.float64(), "", of_lines))
+    columns.append(_column(f"{SMOOTHED_START}effective_sample_size", of_lines))
     return _schema("filtered", columns)
 
 
 def backtest_schema() -> pa.Schema:
     """Schema of a backtest: a row for each judged replicate and set of times."""
     columns = [
-        _column("replicate", pa.string(), "", "name of the replicate"),
-        _column("set", pa.string(), "", "name of the set of times"),
-        _column("judged", pa.int32(), "", "number of judged values"),
-        _column("real", pa.float64(), "", "error, relative to the variance of what is judged"),
-        _column("foreseen", pa.float64(), "", "the same of simulated systems, on average"),
-        _column("covered", pa.float64(), "", "share of judged values in the 90 % interval"),
+        _column("replicate", "name of the replicate", pa.string()),
+        _column("set", "name of the set of times", pa.string()),
+        _column("judged", "number of judged values", pa.int32()),
+        _column("real", "error, relative to the variance of what is judged"),
+        _column("foreseen", "the same of simulated systems, on average"),
+        _column("covered", "share of judged values in the 90 % interval"),
     ]
     return _schema("backtest", columns)
 
