@@ -99,9 +99,9 @@ class Sensor:
     log_tails: Callable[..., Any] | None = None
 
 
-def _measuring(of: "Sensor | StateSpaceModel") -> dict[str, Any]:
-    """What a sensor has in place of the fields of a model."""
-    return {name: getattr(of, name) for name in (*MEASURING, "measurement_noise", "log_tails")}
+def _measuring(each: "Sensor | StateSpaceModel") -> dict[str, Any]:
+    """The fields by which a sensor, or a model without sensors, measures."""
+    return {name: getattr(each, name) for name in (*MEASURING, "measurement_noise", "log_tails")}
 
 
 class SensorPart(NamedTuple):

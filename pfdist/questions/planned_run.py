@@ -1,6 +1,6 @@
 """Real measurements: the run that planned them, if any, the tables of a user, and the filter."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -69,7 +69,8 @@ def check_files(files: Sequence[Path], schema: pa.Schema, title: str) -> None:
     from pfdist.pages.figure import check_figure_replaceable  # noqa: PLC0415
 
     check_table = partial(check_table_replaceable, schema=schema)
-    checks = check_table, partial(check_figure_replaceable, title=title), check_page_replaceable
+    check_figure = partial(check_figure_replaceable, title=title)
+    checks: list[Callable[[Path], None]] = [check_table, check_figure, check_page_replaceable]
     for file, check in zip(files, checks, strict=False):
         check(file)
 

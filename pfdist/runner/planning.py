@@ -183,7 +183,7 @@ class _Outlook:
         planning = self.replanner.planning
         fresh = range(planning.draws, planning.draws + planning.judging_draws)
         candidates = [Candidate(times) for times in plans]
-        # By the squared error: particles may be close together but far from the true state.
+        # The squared error decides: particles may be close together but far from the true state.
         estimation = replace(planning.estimation, estimator=SQUARED_ERROR.name)
         first, new = self._evaluated(self.draws(fresh), candidates, estimation)
         gain = new.difference(first)

@@ -48,8 +48,8 @@ class Race:
     def evaluations(self) -> float:
         """Approximate work, in evaluations on the draws of the first round.
 
-        Each round has half as many sets and twice as many draws as the one before. Of many sets, a
-        test leaves about `kept` after the first round.
+        Each round has half as many sets and twice as many draws as the one before. A test leaves
+        about `kept` of many sets after the first round.
         """
         later = min(len(self.sets) / 2, 2 * self.kept) if self.until else len(self.sets) / 2
         return len(self.sets) + (self.generations - 1) * later

@@ -72,7 +72,7 @@ UNITS = {
     "runner/planning.py Replanner.expected": "system, instant: draw now.first",
     "runner/planning.py _Outlook.search": "generation: self.stream generation",
     "runner/planning.py _Outlook.of_sets": "draws: self.stream",
-    "runner/prover.py Prover._weigh_scenarios": "draws:",
+    "runner/prover.py Prover._windows": "draws:",
     "runner/prover.py Prover._streams": "draws:",
     "runner/ruling.py work_of": "draws: purpose",
     "runner/ranks.py RankWork._statistics": "draw: index t c",
