@@ -180,7 +180,7 @@ def columns() -> str:
     rows = {name: _rows_of_columns(schemas.get(name) or schema(name)) for name in KEYS}
     counts = Counter(row for each in rows.values() for row in each)
     common = [row for row, count in counts.items() if count >= _COMMON_COLUMNS]
-    head = ["column", "type, unit", "meaning"]
+    head = ["column", "meaning [unit]"]
     parts = [f"## Columns that several tables share\n\n{_table(head, map(list, common))}"]
     for name, identifying in KEYS.items():
         key = ", ".join(f"`{column}`" for column in identifying)
@@ -209,7 +209,7 @@ def computed_tables() -> str:
 def filtered_columns() -> str:
     """Give the table of the columns of filtered measurements."""
     rows = _rows_of_columns(filtered_schema(_MODEL))
-    return _table(["column", "type, unit", "meaning"], map(list, rows))
+    return _table(["column", "meaning [unit]"], map(list, rows))
 
 
 def arguments_of(name: str) -> Iterator[tuple[str, str]]:
@@ -610,7 +610,7 @@ def _default(key: str, field: FieldInfo) -> str:
     if key == "method":
         return f"`{DEFAULT_METHOD}`"
     if key in _COMMON_DEFAULTS and field.default is None:
-        return f"that of the job; under common noise {_value(_COMMON_DEFAULTS[key])}"
+        return f"the job's; under common noise {_value(_COMMON_DEFAULTS[key])}"
     if field.is_required():
         return "required"
     default = field.get_default(call_default_factory=True)
@@ -622,12 +622,9 @@ def _default(key: str, field: FieldInfo) -> str:
 def _rows_of_columns(columns: pa.Schema) -> list[tuple[str, ...]]:
     rows = []
     for column in columns:
-        kind, metadata = column.type, column.metadata
-        type_name = f"list of {kind.value_type}" if pa.types.is_list(kind) else str(kind)
-        unit, description = (metadata[key].decode() for key in (b"unit", b"description"))
-        unit = unit.replace("square of z's unit", "z²")
-        kind_and_unit = ", ".join(filter(None, [type_name, unit]))
-        rows.append((f"`{column.name}`", kind_and_unit, _escaped(description)))
+        unit, description = (column.metadata[key].decode() for key in (b"unit", b"description"))
+        unit = "" if unit == column.name else unit.replace("square of z's unit", "z²")
+        rows.append((f"`{column.name}`", _escaped(description) + f" [{unit}]" * bool(unit)))
     return _together(rows)
 
 

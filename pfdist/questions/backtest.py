@@ -251,8 +251,7 @@ def backtest(
     block : int
         Number of consecutive replicates that may depend on each other, such as 7 days.
     out : str or Path, optional
-        Folder of the table, the figure and the report; by default that of the data, and none for a
-        DataFrame.
+        Folder of the table, the figure and the report; by default that of the given table.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if only that holds a run.

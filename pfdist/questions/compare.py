@@ -253,8 +253,7 @@ def compare(
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     also : str or list of str, optional
-        Other criteria by which the sets are judged, too, as ``information,worst_instant`` or
-        ``"quantile 0.9"``.
+        Other criteria by which the sets are judged, too, as ``worst_instant,"quantile 0.9"``.
     options
         See `Options`.
 

@@ -217,15 +217,14 @@ def filter_measurements(
         Largest distance from a time to the instant that is used instead, if the model's step does
         not read p.dt; by default half a step.
     out : str or Path, optional
-        Folder of the table, the figure and the report; by default that of the measurements, and
-        none for a DataFrame.
+        Folder of the table, the figure and the report; by default that of the given table.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if only that holds a run.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     report : bool
-        Whether to write the report, an HTML file that can be sent to anybody.
+        Whether to write the report.
     say : callable, optional
         Receives a line for each model file before the file is run. Without it, an improbable
         measurement and an estimate of a few particles are a `pfdist.errors.PfdistWarning`, too.

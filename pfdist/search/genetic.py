@@ -69,9 +69,8 @@ class GeneticAlgorithm:
         The paper's sigma coefficient. An individual whose error lies this many standard deviations
         below the mean expects two offspring.
     share_copies : bool
-        Whether copies of a set in a generation share one evaluation. In the paper, each individual
-        has a fresh evaluation. Sharing saves 4 to 27 % of the work, but found sets are 0.25 %
-        worse, because one lucky evaluation counts for every copy.
+        Whether copies of a set in a generation share one evaluation, not as in the paper: it saves
+        4 to 27 % of the work, but found sets are 0.25 % worse.
     """
 
     feasible: Feasible
