@@ -182,6 +182,9 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     if visits := problem.by_visit(times):
         each = " ".join(f"Visit {number}, {text}." for number, text in enumerate(visits, start=1))
         at = f"in {len(visits)} visit{'s' * (len(visits) != 1)}. {each}"
+    most = problem.measurement_budget or 0
+    if problem.feasible.has_fewer and len(times) < most:
+        at += f" This uses {len(times)} of {most} measurements."
     if not subject.is_compared:
         estimate = with_error(row.search_mse, row.search_standard_error)
         yield Text(f"{row.label}: measure {at} The search estimated an error of {estimate}.")

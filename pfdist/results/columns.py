@@ -154,10 +154,7 @@ _DECLARED = [
         meaning="found (by a search), evenly_spaced, regular, reference (the times that the job "
         "gives as comparison.reference), or given (a set that the job names)",
     ),
-    Column(
-        name="reference", dtype="object",
-        meaning="set over which this set gains; missing for a reference",
-    ),
+    Column(name="reference", dtype="object", meaning="the set over which it gains"),
     Column(name="measurements", dtype="int64", head="number", meaning="number of measurements"),
     Column(
         name="budget", dtype="int64",
@@ -250,10 +247,7 @@ _DECLARED = [
         meaning="least number of evenly spaced measurements that do as well: on the same draws the "
         "95 % interval of the paired difference ends at most 2 % above the set's error",
     ),
-    Column(
-        name="evenly_spaced_undecided", dtype="object",
-        meaning="smaller numbers of which this is undecided",
-    ),
+    Column(name="evenly_spaced_undecided", dtype="object", meaning="smaller undecided numbers"),
     Column(
         name="evenly_spaced_worse", dtype="object",
         meaning="larger numbers that do worse: their interval begins more than 2 % above",

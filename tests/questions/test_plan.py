@@ -13,6 +13,7 @@ from oracles.bytes_of import hashes
 from oracles.systems import one_state
 from pfdist import Job
 from pfdist.errors import JobError
+from pfdist.questions.run_page import page_of
 
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]
 
@@ -114,3 +115,16 @@ def test_few_particles_find_the_optimum_where_the_likelihood_has_bounded_support
     rows = run.table("evaluations")
     assert rows["degenerate_draws"].any()
     assert np.isfinite(rows["expected_mse"]).all()
+
+
+def test_a_plan_that_leaves_measurements_over_says_so(tmp_path: Path) -> None:
+    """A visit of two instants has room for two of six; an exact number is always used."""
+    for visits, said in (({"within": 2, "most": 1}, True), (None, False)):
+        problem = pfdist.Problem(
+            "random_walk", horizon=9, measurement_budget=6, engine="kalman",
+            visits=visits,
+        )  # fmt: skip
+        folder = tmp_path / str(said)
+        pfdist.plan(problem, folder, changes=["comparison.draws=2"], bound_draws=0, figures=False)
+        text = str(page_of(pfdist.open_run(folder)))
+        assert ("This uses 2 of 6 measurements." in text) is said
