@@ -231,6 +231,7 @@ class Steps(NamedTuple):
     decide: int
     forget: int
     weigh: int
+    tell: int
     leave_out: int
     set_out: int
     guide: int
@@ -267,9 +268,9 @@ class Lines(NamedTuple):
     total: NDArray[np.float64]  # (row,): sum of the weights
     rows: int  # of means, and of variances if they are needed
     # addresses of the filter's own steps
-    resample: int
-    leave_out: int
-    finish: int
+    resample: int = 0
+    leave_out: int = 0
+    finish: int = 0
 
 
 class FilterCall(NamedTuple):

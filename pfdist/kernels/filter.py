@@ -469,17 +469,17 @@ def _weigh(instant):
             batch.weighted[d], batch.total[d] = 1, total
         elif batch.error[d] < np.inf:
             batch.degenerate[d] = 1
-    if request.weights.evidence != 0.0:
-        _tell(read(instant))
+    if at.work.steps.tell != 0:
+        call(at.work.steps.tell, read(instant))
 
 
-@compiled
+@entry(Instant)
 def _tell(instant):
     """Add the log evidence of a sensor's measurement, and the particles' mean log-likelihood.
 
     The filter is resampled before each measurement.
     """
-    at, s, t, _, _ = instant
+    at, s, t, _, _ = read(instant)
     blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
     equal = request.log_particles
     for d in range(at.draws):
@@ -780,6 +780,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         decide=address(_decide, request.thresholds.size > 0),
         forget=address(_forget),
         weigh=address(_weigh),
+        tell=address(_tell, request.weights.evidence != 0.0),
         leave_out=address(guided.leave_out, draws_again),
         set_out=address(_set_out, draws_again),
         guide=address(guided.guide, draws_again),
@@ -866,7 +867,7 @@ def _arrays(
         total=row if instants else 0,
     )
     batch = CloudBatch(draws, width, stride, spacious, row, **arrays)
-    own = {"resample": _resample, "leave_out": guided.leave_out, "finish": _finish}
-    rows |= {name: step.address if instants else 0 for name, step in own.items()}
-    rows["rows"] = moments
+    own = {"resample": _resample, "finish": _finish} if instants else {}
+    own |= {"leave_out": guided.leave_out} if instants and steps else {}
+    rows |= {"rows": moments} | {name: step.address for name, step in own.items()}
     return batch, SavedBatches(**places), Lines(**rows), [memory, kept, of_lines]
