@@ -454,7 +454,7 @@ def take(table: Any, index: Any, axis: int | None = None) -> Any:
                 f"a table of values of particles must have at most {_LARGEST_TABLE} entries, got "
                 f"{flat.size}"
             )
-        return _select([index == k for k in range(flat.size)], list(flat), math.nan)
+        return _select([_binary("equal", index, k) for k in range(flat.size)], list(flat), math.nan)
     recording = index.recording
     number = recording.add("take", (index.number,), recording.table(flat))
     return Symbol(recording, number)
