@@ -95,13 +95,13 @@ class ExplorerSession:
         self._lock = threading.Lock()
         self._judged, self._judgements = list[Judgement](), 0
         self.best = self.run.best if self.run and self.job.budget is None else None
-        self.plan = measured_of(self.run)[self.best.name] if self.run and self.best else None
+        name = self.best.name if self.best else ""
         measured = measured_of(self.run) if self.run and self.best else {}
+        self.plan = measured.get(name)
         self.even = measured.get(BEST_EVEN) or self.feasible.regular()
         label = self.run.labels[BEST_EVEN] if self.run and BEST_EVEN in measured else REGULAR
         self._others = {PLAN: "the plan", EVEN: _REGULAR_TIMES if label == REGULAR else label}
-        proofs = last_bounds(self.run) if self.run and self.best else {}
-        self._proof = proofs.get(self.best.name) if self.best else None
+        self._proof = last_bounds(self.run).get(name) if self.run and self.best else None
         self.seconds_a_draw = self.played.seconds_a_draw(self.even)
         self.first_draws = min(FIRST_DRAWS, self._draws_in(FIRST_SECONDS))
 
@@ -384,11 +384,10 @@ class ExplorerSession:
 
 def _opened(source: JobSource | Run, say: Say) -> tuple[Run | None, Built]:
     """The finished run of a job, if there is one, and the job with its models."""
-    is_run = isinstance(source, Run) or (isinstance(source, str | Path) and holds_run(Path(source)))
     try:
         return run_and_job(source, None, (), say)
     except StoreError:
-        if isinstance(source, Run) or is_run:
+        if isinstance(source, Run) or (isinstance(source, str | Path) and holds_run(Path(source))):
             raise
     return None, build(as_job(source))
 

@@ -186,19 +186,18 @@ def count_components(model: Any, parameters: Mapping[str, Parameter]) -> tuple[i
 
     Raises `ModelError` if a formula fails, or gives values of a wrong type or number.
     """
-    p = named_parameters(parameters)
     with np.errstate(all="ignore"):
-        x = _call(model, "initial", _variates(model.initial_noise), p)
-        following = _call(model, "transition", x, 0, _variates(model.process_noise), p)
+        x = _call(model, "initial", _variates(model.initial_noise), parameters)
+        following = _call(model, "transition", x, 0, _variates(model.process_noise), parameters)
         if len(following) != len(x):
             raise ModelError(
                 f"model {model.name}: transition must give as many components as initial, "
                 f"{len(x)}, got {len(following)}"
             )
-        y = _call(model, "measurement", x, 0, _variates(model.measurement_noise), p)
-        z = _call(model, "quantity_of_interest", x, 0, p)
-        _call(model, "log_likelihood", y, x, 0, p)
-        _call(model, "error", z, z, 0, p)
+        y = _call(model, "measurement", x, 0, _variates(model.measurement_noise), parameters)
+        z = _call(model, "quantity_of_interest", x, 0, parameters)
+        _call(model, "log_likelihood", y, x, 0, parameters)
+        _call(model, "error", z, z, 0, parameters)
     return len(x), len(y), len(z)
 
 
@@ -210,13 +209,14 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
     formula = getattr(model, name)
     if (example := getattr(formula, "example", None)) is not None:  # a run lacks the formula
         return example
+    *values, parameters = arguments
     if hasattr(formula, "identity"):  # a function of a batched model, which checks what it gives
-        return formula.tried(*arguments)
+        return formula.tried(*values, named_parameters(parameters))
     recorded, error = _by_program(model, name, arguments)
     if error is None:
         return recorded
     try:  # on arrays, to say what is wrong
-        value = formula(*arguments)
+        value = formula(*values, named_parameters(parameters))
     except BaseException as failure:  # a formula may raise any exception
         if is_interrupt(failure):
             raise
@@ -238,10 +238,6 @@ def _by_program(
 ) -> tuple[Any, BaseException | None]:
     """The value of a formula by its program at t = 0; None, and why it cannot be recorded."""
     groups = dict(zip(ARGUMENTS[name], arguments, strict=True))
-    parameters = {
-        key: tuple(value.tolist()) if isinstance(value, np.ndarray) else value
-        for key, value in groups["p"]._asdict().items()
-    }
 
     def of_right_kind(*symbols: Any) -> Any:
         value = getattr(model, name)(*symbols)
@@ -252,6 +248,7 @@ def _by_program(
 
     sizes = {key: len(each) if type(each) is tuple else 0 for key, each in groups.items()}
     refused: BaseException | None = None
+    parameters = groups["p"]
     formula = Formula(of_right_kind, name, sizes | {"p": 0}, parameters, model.name)
     for mode in MODES:
         try:

@@ -211,105 +211,7 @@ class Symbol:
         array[()] = self
         return array
 
-    # --- operators --------------------------------------------------------------------------------
-
-    def __add__(self, other: Any) -> Any:
-        return _binary("add", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return _binary("add", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return _binary("subtract", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return _binary("subtract", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return _binary("multiply", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return _binary("multiply", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return _binary("divide", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return _binary("divide", other, self)
-
-    def __floordiv__(self, other: Any) -> Any:
-        return _binary("floor_divide", self, other)
-
-    def __rfloordiv__(self, other: Any) -> Any:
-        return _binary("floor_divide", other, self)
-
-    def __mod__(self, other: Any) -> Any:
-        return _binary("remainder", self, other)
-
-    def __rmod__(self, other: Any) -> Any:
-        return _binary("remainder", other, self)
-
-    def __divmod__(self, other: Any) -> Any:
-        return self // other, self % other
-
-    def __rdivmod__(self, other: Any) -> Any:
-        return other // self, other % self
-
-    def __pow__(self, other: Any) -> Any:
-        return _power(self, other)
-
-    def __rpow__(self, other: Any) -> Any:
-        return _power(other, self)
-
-    def __neg__(self) -> Any:
-        return _unary("negative", self)
-
-    def __pos__(self) -> Any:
-        return self
-
-    def __abs__(self) -> Any:
-        return _unary("absolute", self)
-
-    def __floor__(self) -> Any:
-        return _unary("floor", self)
-
-    def __ceil__(self) -> Any:
-        return _unary("ceil", self)
-
-    def __trunc__(self) -> Any:
-        return _unary("trunc", self)
-
-    def __lt__(self, other: Any) -> Any:
-        return _binary("less", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return _binary("less_equal", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return _binary("greater", self, other)
-
-    def __ge__(self, other: Any) -> Any:
-        return _binary("greater_equal", self, other)
-
-    def __eq__(self, other: object) -> Any:
-        return _binary("equal", self, other)
-
-    def __ne__(self, other: object) -> Any:
-        return _binary("not_equal", self, other)
-
-    def __and__(self, other: Any) -> Any:
-        return _of_conditions("logical_and", self, other)
-
-    def __or__(self, other: Any) -> Any:
-        return _of_conditions("logical_or", self, other)
-
-    def __xor__(self, other: Any) -> Any:
-        return _of_conditions("logical_xor", self, other)
-
-    __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
-
-    def __invert__(self) -> Any:
-        return _of_conditions("logical_not", self)
+    # --- operators, of which the end of the module declares most ----------------------------------
 
     def astype(self, kind: Any, *_: Any, **__: Any) -> Any:
         """The value as another type: ``int`` truncates towards 0."""
@@ -353,11 +255,11 @@ class Symbol:
         raise RefusedError(f"np.{name} of a value of particles: write it with operators")
 
 
-def _add_method(name: str) -> None:
+def _add_method(name: str, function: Callable[..., Any]) -> None:
     """Give symbols a method, which NumPy calls on arrays of objects."""
 
     def method(self: Symbol, *others: Any) -> Any:
-        return UFUNCS[name](self, *others)
+        return function(self, *others)
 
     setattr(Symbol, name, method)
 
@@ -552,7 +454,7 @@ def take(table: Any, index: Any, axis: int | None = None) -> Any:
                 f"a table of values of particles must have at most {_LARGEST_TABLE} entries, got "
                 f"{flat.size}"
             )
-        return _select([index == k for k in range(flat.size)], list(flat), math.nan)
+        return _select([_binary("equal", index, k) for k in range(flat.size)], list(flat), math.nan)
     recording = index.recording
     number = recording.add("take", (index.number,), recording.table(flat))
     return Symbol(recording, number)
@@ -641,4 +543,27 @@ _OF_ARRAYS = _SUMS | frozenset(
 """Functions of NumPy that compute with arrays of objects."""
 
 for _name in (*_SAME, "square", "reciprocal", "logical_not"):
-    _add_method(_name)
+    _add_method(_name, UFUNCS[_name])
+
+_OF_TWO: dict[str, Callable[[Any, Any], Any]] = {
+    "add": partial(_binary, "add"), "sub": partial(_binary, "subtract"),
+    "mul": partial(_binary, "multiply"), "truediv": partial(_binary, "divide"),
+    "floordiv": partial(_binary, "floor_divide"), "mod": partial(_binary, "remainder"),
+    "divmod": lambda a, b: (a // b, a % b), "pow": _power,
+}  # fmt: skip
+"""The function that records each operator of two numbers in their order."""
+for _name, _function in _OF_TWO.items():
+    _add_method(f"__{_name}__", _function)
+    _add_method(f"__r{_name}__", lambda symbol, other, of=_function: of(other, symbol))
+for _name in _OF_BITS:  # the symbol comes first in any order
+    _add_method(f"__{_name}__", partial(_of_conditions, f"logical_{_name}"))
+    _add_method(f"__r{_name}__", partial(_of_conditions, f"logical_{_name}"))
+_COMPARISONS = {"lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal",
+                "eq": "equal", "ne": "not_equal"}  # fmt: skip
+for _name, _operation in _COMPARISONS.items():
+    _add_method(f"__{_name}__", partial(_binary, _operation))
+_OF_ONE = {"neg": "negative", "abs": "absolute", "floor": "floor", "ceil": "ceil", "trunc": "trunc"}
+for _name, _operation in _OF_ONE.items():
+    _add_method(f"__{_name}__", partial(_unary, _operation))
+_add_method("__pos__", lambda symbol: symbol)
+_add_method("__invert__", partial(_of_conditions, "logical_not"))

@@ -304,9 +304,10 @@ def trace(formula: Formula, instants: range) -> Traced:
         The formula also fails with numbers.
     """
     for mode in MODES:
+        traced = _symbolic if mode == MODES[0] else _by_instants
         try:
             with _ONE_AT_A_TIME:  # a formula may keep values in an object while it computes
-                return _TRACERS[mode](formula, mode, instants)
+                return traced(formula, mode, instants)
         except ModelError:
             raise
         except BaseException as error:  # a formula may raise any exception
@@ -360,13 +361,6 @@ def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
         _check_same(formula, before, _recorded_at(formula, mode, t), t)
     _check_numbers(formula, instants, traced.program_at)
     return traced
-
-
-_TRACERS: dict[str, Callable[[Formula, str, range], Traced]] = {
-    MODES[0]: _symbolic,
-    MODES[1]: _by_instants,
-    MODES[2]: _by_instants,
-}
 
 
 def check_results(formula: str, program: Program, results: int, t: int) -> None:

@@ -80,12 +80,10 @@ class Points(PointNumbers):
             return tuple(sorted(points))
         count, found = Counter[int](), list[int]()
         for point in sorted(points):
-            first = self.first(self.instant(point)) + self.repeats[self.way(point)]
-            place = first + count[first]
-            is_alike = place < self.first(self.instant(point) + 1) and (
-                self.repeats[self.way(place)] == self.repeats[self.way(first)]
-            )
-            found.append(place if is_alike else point)  # too many: the point comes twice
+            way = self.repeats[self.way(point)]
+            first = self.first(self.instant(point)) + way
+            is_another = count[first] < self.repeats.count(way)
+            found.append(first + count[first] if is_another else point)  # else it comes twice
             count[first] += 1
         return tuple(sorted(found))
 

@@ -149,7 +149,12 @@ def read_replicates(
         found, distances = list[Replicate](), [0.0]
         quiet = reading._replace(note=lambda line: None, columns={})
         for name, rows in table.groupby(column, sort=False):
-            each, moved = _replicate(str(name), rows, model, clock, column, quiet)
+            try:
+                each, moved = _replicate(str(name), rows, model, clock, column, quiet)
+            except (MeasurementsError, MeasurementTimesError, ValueError) as error:
+                # Rows would be counted from the first row of this replicate.
+                reason = str(error).removeprefix("measurements: ").partition(" (row ")[0]
+                raise MeasurementsError(f"replicate {shown(str(name))}: {reason}") from error
             found.append(each)
             distances.append(moved)
         reading.moved(max(distances), clock)
@@ -223,18 +228,6 @@ def _replicate(
     reading: Reading,
 ) -> tuple[Replicate, float]:  # fmt: skip
     """A replicate, and how far the furthest of its times was moved."""
-    try:
-        return _checked_replicate(name, rows, model, clock, column, reading)
-    except (MeasurementsError, MeasurementTimesError, ValueError) as error:
-        # Rows would be counted from the first row of this replicate.
-        reason = str(error).removeprefix("measurements: ").partition(" (row ")[0]
-        raise MeasurementsError(f"replicate {shown(name)}: {reason}") from error
-
-
-def _checked_replicate(
-    name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str,
-    reading: Reading,
-) -> tuple[Replicate, float]:  # fmt: skip
     most = max(part.model.components[1] for part in model.parts)
     columns = {"t", "sensor", *(f"y{k}" for k in range(most)), *chain(*user_columns("y", model))}
     given = [each for each in rows.columns if each in columns]

@@ -96,11 +96,8 @@ def run_comparison(
         errors = np.hstack([result.mse, result.control]) if control else result.mse
         interim.learn(range(*piece.draws), errors, result.degenerate)
         _check_filters(built, interim.statistics)
-        reporter.reach(
-            reporter.progress.done + piece.steps,
-            evaluations=reporter.progress.evaluations + len(result.mse),
-            found=interim.so_far if shows_gains else (),
-        )
+        found = interim.so_far if shows_gains else ()
+        reporter.advance(piece.steps, len(result.mse), found=found)
 
     most = longest_range(draws) if study.has_details else 0
     errors = evaluator.expected_errors(work.measurement_times) if most else None

@@ -186,10 +186,7 @@ def run_online(session: RunSession, sets: Mapping[str, Times]) -> Generator[Work
     reporter.begin("online")
 
     def learn(piece: FilterWork, result: Result) -> None:
-        reporter.reach(
-            reporter.progress.done + piece.steps,
-            evaluations=reporter.progress.evaluations + len(result.mse),
-        )
+        reporter.advance(piece.steps, len(result.mse))
 
     works = [work.part(block) for block in cut(range(draws), _BLOCK)]
     rows = RowsByDraw("online", _rows, _result)

@@ -131,7 +131,7 @@ class InformationProver(Prover):
                 block: int, errors: Array, groups: GroupSums = groups, work: int = a_block
             ) -> None:
                 groups.add(block, errors)
-                session.reporter.reach(session.reporter.progress.done + work)
+                session.reporter.advance(work)
 
             yield from sums.added(session, range(self._blocks[-1]), add)
             per_set = groups.sums.reshape(len(groups.draws), count, -1).mean(axis=2)

@@ -32,7 +32,7 @@ from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.search_phase import search_steps
 from pfdist.runner.searches import RANKING, Settings, coarse_of, shortlist_of
-from pfdist.search import Candidate, Race, Refine
+from pfdist.search import Race, Refine
 from pfdist.search.programme import Programme
 from pfdist.search.state_space_relaxation import first_relaxation
 
@@ -200,14 +200,7 @@ class EvenSearch:
         if relaxation.offsets[-1] > most and not built.evaluator.exact:
             return None
         counted = np.flatnonzero(np.diff(relaxation.offsets)).tolist()
-        windows = [
-            Candidate(
-                relaxation.filtered(relaxation.windows[number]),
-                int(relaxation.ends[number]),
-                since=int(relaxation.first[number]),
-            )
-            for number in counted
-        ]
+        windows = [*map(relaxation.candidate, counted)]
         evaluations, _ = yield from evaluated_by_errors(
             windows, session, phase.sums, blocks, phase.purpose
         )

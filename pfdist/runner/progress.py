@@ -117,6 +117,11 @@ class Reporter:
         self.note(done=done, **shown)
         self._show(self._progress)
 
+    def advance(self, steps: float, evaluations: int = 0, **shown: Any) -> None:
+        """Report more particle-steps and evaluations, as `reach`."""
+        now = self._progress
+        self.reach(now.done + steps, evaluations=now.evaluations + evaluations, **shown)
+
     def note(self, **shown: Any) -> None:
         """Change fields of the progress, which the next report shows."""
         self._progress = replace(self._progress, **shown)

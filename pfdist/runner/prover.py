@@ -398,8 +398,7 @@ class Prover:
 
         def add(block: int, errors: Array) -> None:
             groups.add(block, errors)
-            progress = reporter.progress
-            reporter.reach(progress.done + a_block, evaluations=progress.evaluations + BLOCK)
+            reporter.advance(a_block, BLOCK)
 
         if self.particles:
             yield from sums.added(session, blocks, add)

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
+from pfdist.search.base import Candidate
 
 NOTHING = -1
 """First entry of a window before which nothing is measured: the window is a whole beginning."""
@@ -200,6 +201,11 @@ class Relaxation:
         """The measurement times of the filter of a window."""
         allowed = self.constraints.allowed
         return allowed[: bisect_right(allowed, window[0])] + window[1:]
+
+    def candidate(self, number: int, draws: int | None = None) -> Candidate:
+        """The filter of a window, whose errors that count are wanted."""
+        times, end = self.filtered(self.windows[number]), int(self.ends[number])
+        return Candidate(times, end, draws, since=int(self.first[number]))
 
     @cached_property
     def single(self) -> Indices:

@@ -177,15 +177,7 @@ class StateSpaceRelaxation:
         relaxation, draws = state.relaxation, None  # the number of the search's settings
         if state.level < len(_SCREENING):
             draws = max(1, self.draws // _SCREENING[state.level])
-        windows = [
-            Candidate(
-                relaxation.filtered(relaxation.windows[number]),
-                int(relaxation.ends[number]),
-                draws=draws,
-                since=int(relaxation.first[number]),
-            )
-            for number in state.lacking
-        ]
+        windows = [relaxation.candidate(number, draws) for number in state.lacking]
         return [*windows, *map(Candidate, state.sets)]
 
     def tell(self, state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
