@@ -554,7 +554,7 @@ _OF_TWO: dict[str, Callable[[Any, Any], Any]] = {
 """The function that records each operator of two numbers in their order."""
 for _name, _function in _OF_TWO.items():
     _add_method(f"__{_name}__", _function)
-    _add_method(f"__r{_name}__", lambda symbol, other, of=_function: of(other, symbol))
+    _add_method(f"__r{_name}__", lambda symbol, other, record=_function: record(other, symbol))
 for _name in _OF_BITS:  # the symbol comes first in any order
     _add_method(f"__{_name}__", partial(_of_conditions, f"logical_{_name}"))
     _add_method(f"__r{_name}__", partial(_of_conditions, f"logical_{_name}"))
