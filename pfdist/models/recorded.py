@@ -122,9 +122,7 @@ def check_same_functions(model: StateSpaceModel, other: StateSpaceModel, instant
             of_formula = instants_of_twin(name, instants)
             for t in (of_formula[0], of_formula[-1]):
                 try:
-                    values, others = (
-                        _values(each.model, name, t, slice(None)) for each in (part, of_other)
-                    )
+                    values, others = (_values(each.model, name, t) for each in (part, of_other))
                 except ModelError:  # these numbers may be impossible
                     break
                 if not np.array_equal(values, others, equal_nan=True):
@@ -151,8 +149,8 @@ def is_of_any_time(model: StateSpaceModel) -> bool:
 
     def same(name: str, number: int, other: StateSpaceModel, at: int, shift: int) -> bool:
         parts = own.parts[number].model, other.parts[number].model
-        here = _values(parts[0], name, at, slice(None))
-        return np.array_equal(here, _values(parts[1], name, at + shift, slice(None)), True)
+        here = _values(parts[0], name, at)
+        return np.array_equal(here, _values(parts[1], name, at + shift), True)
 
     names = [name for name in ARGUMENTS if name not in ("initial", "error")]
     tried = {0, (last - 1) // 2, max(0, last - 2)} if last > 1 else set()
@@ -164,20 +162,18 @@ def is_of_any_time(model: StateSpaceModel) -> bool:
     )
 
 
-def _values(model: StateSpaceModel, name: str, t: int, entries: slice) -> Array:
+def _values(model: StateSpaceModel, name: str, t: int) -> Array:
     formula, column = formula_of(model, name), 0
     given: dict[str, Any] = {"t": t, "p": model.p}
     for argument, count in formula.arguments.items():
         if argument not in given:
             columns = _NUMBERS.T[np.arange(column, column + count) % _NUMBERS.shape[1]]
-            arrays = (np.roll(each, k)[entries] for k, each in enumerate(columns))
-            given[argument] = tuple(each.copy() for each in arrays)
+            given[argument] = tuple(np.roll(each, k) for k, each in enumerate(columns))
             column += count
     with np.errstate(all="ignore"):
         value = formula.function(*(given[each] for each in formula.arguments))
     parts = value if isinstance(value, tuple) else np.atleast_2d(value)
-    size = len(_NUMBERS[entries])
-    return np.array([np.broadcast_to(np.asarray(each, float), size) for each in parts])
+    return np.array([np.broadcast_to(np.asarray(each, float), len(_NUMBERS)) for each in parts])
 
 
 # --- what differs ---------------------------------------------------------------------------------
