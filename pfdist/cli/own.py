@@ -116,7 +116,8 @@ def plan(
         Also write the plan into this file: ``.csv`` for a spreadsheet, ``.ics`` for a diary.
     dry_run : bool
         Print the particle-steps that are foreseen, by what they are for, and about how many minutes
-        a core of this machine takes for them; compute nothing.
+        a core of this machine takes for them; compute nothing. A proof that `plan` would leave to
+        `pfdist bound` does not count.
     options
         See `Options`.
     """

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
 
 PLAIN, GUIDED = "plain", "guided"
+GUIDED_COST = 8  # plain particle-steps in the time of a guided one: 3 to 19, see docs/benchmarks.md
 """Ways to draw the particles' noise: from the model, or given the next measurement."""
 
 BLOCK = 24

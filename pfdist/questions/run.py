@@ -12,7 +12,7 @@ from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.engines import AUTO
 from pfdist.filters.formulas import operations_of
-from pfdist.filters.work import GUIDED
+from pfdist.filters.work import GUIDED, GUIDED_COST
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -46,9 +46,8 @@ from pfdist.store import (
 from pfdist.store.folder import REPORT
 
 _OF_FIGURES = ("pfdist.questions.pictures", "pfdist.pages.html", "scipy.special")
-_PATIENCE = 5  # minutes of one core that a bound may take where nobody asked for it alone
+PATIENCE = 5  # minutes of one core that a bound may take where nobody asked for it alone
 _OPERATIONS = 2e10  # of compiled formulas in a second of a quick core, about
-_OF_GUIDED = 5  # times the operations of a plain filter, about
 
 
 @with_options
@@ -210,7 +209,7 @@ def compute(
         return
     forget_pages(path, *[] if unfinished else [REPORT])
     note_machine(path, built, say)
-    foreseen = prover.steps if prover and _minutes(built, prover) <= _PATIENCE else 0.0
+    foreseen = prover.steps if prover and minutes_of_bound(built, prover) <= PATIENCE else 0.0
     session.reporter.foresee(foreseen, foreseen)
     with noted(session):
         yield from drive(session)
@@ -257,11 +256,11 @@ def _prover(session: RunSession, settings: BoundSettings | None) -> Prover | Non
 
 def _is_long(session: RunSession, run: Run, prover: Prover) -> bool:
     """Whether a bound would take too long beside other results; a message says so."""
-    minutes = _minutes(session.built, prover)
-    if minutes > _PATIENCE and "bound" not in run.tables:
+    minutes = minutes_of_bound(session.built, prover)
+    if minutes > PATIENCE and "bound" not in run.tables:
         command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
         _unproved(session, f"{command} takes about {minutes:,.0f} minutes of one core")
-    return minutes > _PATIENCE
+    return minutes > PATIENCE
 
 
 def _note_few_lines(built: Built, run: Run) -> None:
@@ -302,11 +301,11 @@ def _unproved(session: RunSession, reason: str) -> None:
     heard(session.say, Detail(f"Not proved: {reason}."))  # the answer says so, too
 
 
-def _minutes(built: Built, prover: Prover) -> float:
+def minutes_of_bound(built: Built, prover: Prover) -> float:
     """Minutes of one core that a bound takes, about: by counted work, the same on each machine."""
     evaluator, seconds = built.evaluator, built.evaluator.seconds_a_step
     if evaluator.has_particles and evaluator.computed_by.compiled:
         operations = operations_of(evaluator.believed, range(evaluator.horizon + 1))
-        of_guided = _OF_GUIDED if built.comparing.proposal == GUIDED else 1
+        of_guided = GUIDED_COST if built.comparing.proposal == GUIDED else 1
         seconds = max(seconds, operations * of_guided / _OPERATIONS)
     return prover.steps * seconds / 60

@@ -22,6 +22,7 @@ from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.plan import draws_of_bound
 from pfdist.questions.points_at_work import PointsAtWork
 from pfdist.questions.report import tried, try_report
+from pfdist.questions.run import PATIENCE, minutes_of_bound
 from pfdist.questions.run_of_job import folder_of, searched_by
 from pfdist.questions.runs import lowest_text, table_page
 from pfdist.questions.subject import Subject
@@ -249,6 +250,7 @@ def foreseen_work(
     with contextlib.suppress(JobError, ModelError):  # no bound is known
         if draws := draws_of_bound(wanted, bound_draws):
             prover = prover_of(built, BoundSettings(draws=draws))
+            prover = prover if minutes_of_bound(built, prover) <= PATIENCE else None
     minutes = _seconds_a_step(built) / 60
     work = foreseen_by_part(built, prover).items()
     rows = [{"part": part, "steps": steps, "minutes": steps * minutes} for part, steps in work]

@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import GUIDED, PLAIN, Estimation, FilterWork, Result, cut, with_truth
+from pfdist.filters.work import (
+    GUIDED,
+    GUIDED_COST,
+    PLAIN,
+    Estimation,
+    FilterWork,
+    Result,
+    cut,
+    with_truth,
+)
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.results import Moments
 from pfdist.results.particle_loss import SMALL, ParticleLoss, particle_loss
@@ -26,7 +35,6 @@ NUMBERS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
 _DRAWS = (1000, 4000, 16_000)  # more are filtered only if fewer leave it open
 _TRIED = 480  # draws with which proposals are compared, or fewer: at most 5 % of the work, where
 _LEAST_TRIED = 24
-_COST = 8  # plain particle-steps in the time of a guided one: 3 to 19, see docs/benchmarks.md
 _TIMES_A_DRAW = 2 * 2 * (1 + 1)  # two sets, two filters in the same time
 _SHARE = 0.05
 _FILTERS = 4  # of a draw behind a loss
@@ -104,7 +112,7 @@ def why_plain(
     filter whose loss is not proved to exceed 1 % is not replaced. Unless `in_words`, the text has
     no losses, and half of the work is saved.
     """
-    guided = replace(plain, particles=-(-plain.particles // _COST), proposal=GUIDED)
+    guided = replace(plain, particles=-(-plain.particles // GUIDED_COST), proposal=GUIDED)
     for times in sets:
         work = work_of_loss(evaluator, times, seed, plain, min(draws, _TRIED), "proposal")
         loss, _ = measured_loss(evaluator, work, by_two_filters=in_words)

@@ -101,3 +101,14 @@ def test_a_plan_is_foreseen_about_as_it_is_done(
     assert 0 < done["scan"] <= foreseen["scan"]
     assert main(["status", str(run)]) == 0
     assert f"particle-steps: {done.total():.3g} (" in capsys.readouterr().out
+
+
+def test_a_proof_that_a_plan_leaves_to_a_question_of_its_own_is_not_foreseen(
+    small_job: Job,
+) -> None:
+    """Five minutes of a core are the most that a proof takes where nobody asked for it alone."""
+    many = ["filter.particles=500", "comparison.draws=8000", "problem.measurement_budget=10"]
+    for horizon, is_foreseen in ((20, True), (200, False)):
+        changes = [f"problem.horizon={horizon}", *many]
+        rows = foreseen_work(small_job.path, "relaxation", changes, None)
+        assert ("proof" in set(rows["part"])) is is_foreseen
