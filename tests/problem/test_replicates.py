@@ -94,6 +94,17 @@ def test_times_beside_the_clock_make_a_clock_of_the_replicate(tmp_path: Path) ->
     assert own.measured(MODEL) == (1, 2)
 
 
+def test_a_clock_of_the_replicate_may_have_more_instants_than_covariates_of_the_job(
+    tmp_path: Path,
+) -> None:
+    """As a rate of infusion at each time of a patient, where the job has a few instants."""
+    model = replace(MODEL, parameters={**MODEL.parameters, "rate": (1.0, 0.0)})
+    text = "t,y0,rate,day\n0,1,5,a\n1,2,4,a\n2,2,3,a\n5,2,1,a\n6,1,1,a\n"
+    (only,) = read(text, tmp_path, Clock.regular(6, 6, "h"), model, "day")
+    assert only.clock.times == (0, 1, 2, 5, 6)
+    assert only.parameters == {"rate": (5.0, 4.0, 3.0, 1.0, 1.0)}
+
+
 def test_sensors_have_a_row_each(tmp_path: Path) -> None:
     text = "day,t,sensor,y0\na,6,still,1\na,6,moving,2\na,0,still,3\nb,1.5,moving,4\n"
     a, b = read(text, tmp_path, HOURS, two_platforms())

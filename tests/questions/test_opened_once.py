@@ -50,7 +50,7 @@ def test_a_run_reads_files_json_and_validates_a_job_at_most_three_times(
     assert listing.read_listing(run.path) == changed  # what is in memory is what is in the file
 
 
-@pytest.mark.parametrize(("model", "proposal"), [("ungm", PLAIN), (sharp_walk(3), GUIDED)])
+@pytest.mark.parametrize(("model", "proposal"), [("ungm", PLAIN), (sharp_walk(6), GUIDED)])
 def test_a_command_that_chooses_the_proposal_records_its_models_once(
     model: Any, proposal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,7 +68,7 @@ def test_a_command_that_chooses_the_proposal_records_its_models_once(
     monkeypatch.setattr(builds, "_choices", {})
     monkeypatch.setattr(builds, "recorded_evaluator", recording)
     monkeypatch.setattr(builds, "few_draws", drawing)
-    problem = Problem(model, horizon=8, measurement_budget=2, particles=60)
+    problem = Problem(model, horizon=8, measurement_budget=2, particles=120)
     job = problem.job(search=[{"method": "random", "evaluations": 2}], comparison={"draws": 9000})
     run = pfdist.run(job, tmp_path / "run", bound_draws=0, pool="serial", figures=False)
     assert run.job["filter"]["proposal"] == proposal

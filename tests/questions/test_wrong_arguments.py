@@ -64,7 +64,15 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
 ]
 NO_CASES = {"Run", "Job", "Evaluation", "StateSpaceModel", "PfdistError", "Sweep", "plots"}
 NO_CASES |= {"ode", "sde", "BatchedModel", "Rule"}  # see test_continuous, test_batched, test_rule
-NO_CASES |= {"clip", "densities", "take", "where", "linear_gaussian", "Sensor"}  # what makes models
+NO_CASES |= {
+    "clip",
+    "densities",
+    "take",
+    "where",
+    "linear_gaussian",
+    "Sensor",
+    "Options",
+}  # what makes models
 
 
 @in_turn(("name", "arguments", "options"), CASES)
