@@ -219,8 +219,9 @@ def read_measurements(
             if censored.any():
                 columns[below[name]][censored] = reading.low
         table = np.stack([columns[name] for name in wanted], axis=1)
-        asked = {name: own[name] for name in reading.given}
-        own_values = parameters_at(asked, clock, of_rows.times)
+        own_values = parameters_at(
+            {name: own[name] for name in reading.given}, clock, of_rows.times
+        )
         given_values = {
             name: given_at(name, columns[name], instants, of_rows, own_values)
             for name in reading.given
