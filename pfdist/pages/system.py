@@ -91,7 +91,7 @@ def system_figure(tables: Tables) -> Plot:
             _draw_band(band, tables.trajectories, k)
             label_quantity(band, quantities, k.number)
             what = "typical error" if angles else "expected error"
-            errors.set_ylabel(f"{what} [{verbatim(k.unit)}]" if k.unit and angles else what)
+            errors.set_ylabel(f"{what}\n[{verbatim(k.unit)}]" if k.unit and angles else what)
             _draw_errors(errors, run, sets, k, [profiles[each.name, k.number] for each in sets])
             for t in (t for of_sensor in sets[0].times.values() for t in of_sensor):
                 for ax in (band, errors):

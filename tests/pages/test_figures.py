@@ -246,7 +246,7 @@ def test_each_component_has_a_column_and_an_angle_is_drawn_around_its_mean(tmp_p
     band, errors, _ = plots.system(run)
     low, high = band.dataLim.intervaly
     assert high - low <= 2 * np.pi
-    assert errors.get_ylabel() == "typical error [rad]"
+    assert errors.get_ylabel() == "typical error\n[rad]"
     [(_, plot)] = FIGURES["system"].plots(Tables(run))
     assert re.search(r"falls most at .* to \S+ rad\.$", plot.title)
     pair = ["model.name=constant_velocity", "problem.horizon=10"]
