@@ -265,14 +265,15 @@ def _guided(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
 def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -> float:
     """The seconds of a particle-step, from as many draws as take long enough.
 
-    A first draw, whose code may still be loaded, does not count.
+    First draws, whose code may still be loaded, do not count.
     """
     particles = max(50, min(500, _MOST_STEPS // 10 // (evaluator.horizon + 1)))
     # Processor time, which other processes do not lengthen; a black box may compute elsewhere.
     clock = time.process_time if evaluator.computed_by.compiled else time.perf_counter
-    work = evaluator.work((times,), 3, 3, (0, 1), replace(estimation, particles=particles))
+    least = max(1, len(evaluator.scenarios))  # each has an evaluator of its own
+    work = evaluator.work((times,), 3, 3, (0, least), replace(estimation, particles=particles))
     evaluator(work)
-    for draws in (1, 10, 100, _DRAWS):
+    for draws in (least, 10 * least, 100 * least, _DRAWS * least):
         start = clock()
         evaluator(replace(work, draws=(0, draws)))
         seconds = clock() - start

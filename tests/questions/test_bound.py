@@ -22,7 +22,7 @@ from pfdist.models import installed_models
 from pfdist.pools.base import SerialPool
 from pfdist.questions.bound import Bound
 from pfdist.questions.bound import bound as bound_of
-from pfdist.questions.run import _minutes
+from pfdist.questions.run import minutes_of_bound
 from pfdist.questions.run_page import page_of
 from pfdist.results.stored_run import last_bounds, statistics_of
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
@@ -480,7 +480,7 @@ def test_the_work_of_a_bound_is_counted_not_timed(small_job: Job) -> None:
     for changes in ([], ["problem.horizon=120"], ["model.name=lorenz63"]):
         built = build(small_job.with_changes(changes), Path("none"))
         prover = prover_of(built, BoundSettings(draws=LEAST_DRAWS))
-        minutes.append(_minutes(built, prover) / prover.steps)
+        minutes.append(minutes_of_bound(built, prover) / prover.steps)
     assert minutes[0] == pytest.approx(minutes[1])
     assert minutes[2] / minutes[0] == pytest.approx(13, abs=2)  # as 848 operations to 64
 
