@@ -119,7 +119,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working directory with the jobs, and with the finished run of jobs/quick.toml."""
     monkeypatch.chdir(tmp_path)
     # A plan leaves a bound out that takes long, as on a busy machine.
-    monkeypatch.setattr("pfdist.questions.run._PATIENCE", 10**6)
+    monkeypatch.setattr("pfdist.questions.run.PATIENCE", 10**6)
     shutil.copytree(ROOT / "jobs", "jobs")
     shutil.copytree(ROOT / "results" / "example", "results/quick")
     return tmp_path

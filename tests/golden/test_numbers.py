@@ -70,7 +70,7 @@ def test_the_numbers_of_the_tables_are_those_that_were_kept(
     job: str, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A plan leaves a bound out that takes long, as on a busy machine.
-    monkeypatch.setattr("pfdist.questions.run._PATIENCE", 10**6)
+    monkeypatch.setattr("pfdist.questions.run.PATIENCE", 10**6)
     for command in COMMANDS[job].split("; "):
         words = [word.format(jobs=ROOT / "jobs") for word in shlex.split(command)]
         words += ["--no-report"] * (words[0] != "rule")

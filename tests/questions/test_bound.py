@@ -458,7 +458,7 @@ def test_work_that_may_be_left_out_is_told_apart(
     assert phases["proof, step 3 of 3"].optional == 0
     assert seen[-1].done == seen[-1].total
     seen.clear()
-    monkeypatch.setattr("pfdist.questions.run._PATIENCE", 0.0)  # the bound would take too long
+    monkeypatch.setattr("pfdist.questions.run.PATIENCE", 0.0)  # the bound would take too long
     with pytest.warns(PfdistWarning, match="Not proved: `pfdist bound"):
         pfdist.run(job, walk.parent / "without", bound_draws=LEAST_DRAWS, **again)
     assert {each.optional for each in seen} == {0}
