@@ -25,7 +25,7 @@ from pfdist.filters.criterion import (
     criterion,
 )
 from pfdist.kernels.estimators import EVIDENCE, INFORMATION
-from pfdist.kernels.schemes import CONDITIONAL, SYSTEMATIC
+from pfdist.kernels.schemes import CONDITIONAL, MULTINOMIAL
 
 if TYPE_CHECKING:
     from pfdist.filters.work import Estimation
@@ -52,7 +52,7 @@ def information_estimation(own: "Estimation") -> "Estimation":
 
 def evidence_estimation(own: "Estimation") -> "Estimation":
     """The estimation of the log evidence; its control is that of a filter beside the truth."""
-    return own.another(EVIDENCE.name, SYSTEMATIC.name)
+    return own.another(EVIDENCE.name, MULTINOMIAL.name)
 
 
 LOWER_SIDE = Aspect(
