@@ -99,8 +99,8 @@ class FilteredSets:
             result = evaluator.filtered(work)
             return SetErrors(result.mse[:, 0], result.degenerate[:, 0], np.empty(0))
         result = evaluator.filtered(replace(work, trajectories=True))
-        off = result.estimates[0] - result.z
-        at = np.where(evaluator.model.is_angle, 1.0 - np.cos(off), off**2)
+        deviation = result.estimates[0] - result.z
+        at = np.where(evaluator.model.is_angle, 1.0 - np.cos(deviation), deviation**2)
         return SetErrors(result.mse[:, 0], result.degenerate[:, 0], at)
 
     def evaluations(self, sets: Sequence[Times], draws: int) -> list[Evaluation]:

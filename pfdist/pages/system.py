@@ -224,9 +224,9 @@ def _draw_times(ax: Axes, run: Run, sets: Sequence[_Set], *, named: bool) -> Non
             for window in windows if each is sets[0] else ():
                 if window.sensor == sensor:
                     [ends] = [run for run in runs_of(window.inside) if window.t in run]
-                    difference = [[window.t - ends[0]], [ends[-1] - window.t]]
+                    reach = [[window.t - ends[0]], [ends[-1] - window.t]]
                     ax.errorbar(
-                        window.t, len(names), xerr=difference, c=style["color"], lw=thin(),
+                        window.t, len(names), xerr=reach, c=style["color"], lw=thin(),
                         capsize=marker(0.8), capthick=thin(),
                     )  # fmt: skip
             names.append(", ".join(filter(None, [each.label, verbatim(sensor)])))

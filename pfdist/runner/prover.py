@@ -40,7 +40,7 @@ from pfdist.runner.proof import Gap, GapParts, Sums, best_shares, consistent, ga
 from pfdist.runner.ranks import RankWork, wrong_likelihood
 from pfdist.search.first_windows import WINDOW, relaxation_for
 from pfdist.search.gaps import gaps_for
-from pfdist.search.relaxation import Relaxation
+from pfdist.search.relaxation import Indices, Relaxation
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
 
@@ -49,6 +49,7 @@ _ROUNDS = 1000  # of growing windows, at most
 _PATHS = 16  # whose windows grow in a round
 _THRESHOLD = 0.5  # of its resampling
 _LINES = 1000  # particles of a bound for estimates that use later measurements, at least
+_MOST_GROUPS = 64  # of instants, each with a share in the bound for the worst instant
 _FEWER, _LEAST_GROWING = 4, 50  # particles while windows grow: a fourth of all, and at least
 # Windows grow until the relaxed errors lie below those of the sets by so small a share:
 _GROWN, _GROWN_EXACTLY = 1e-3, 1e-11
@@ -73,9 +74,9 @@ class Prover:
 
     Before a proof, `relaxation` is the one from which its windows grow; afterwards the final one.
     `particles` is 0 for an exact engine. `confidence` is that of the limit of a gap: 95 %, or more
-    if the proof may end after several numbers of draws. `shares` are those of the
-    scenarios or instants in the bound, if the worst of them decides. Raises `JobError` or
-    `ModelError` if no bound is known for the job's problem, or if its relaxation is too large.
+    if the proof may end after several numbers of draws. `shares` are those of the scenarios or
+    instants in the bound, if the worst of them decides. Raises `JobError` or `ModelError` if no
+    bound is known for the job's problem, or if its relaxation is too large.
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
@@ -180,9 +181,7 @@ class Prover:
         feasible = {name: times for name, times in sets.items() if satisfies(constraints, times)}
         wrong = self._fails_check(session)
         if feasible and self._built.job.criterion.bound == "mixture" and not wrong:
-            by_instant = self._built.job.criterion.by_instant
-            errors = (self._of_instants if by_instant else self._of_scenarios)(session)
-            yield from self._weigh(session, errors, max(self._spent(feasible)))
+            yield from self._weigh(session, max(self._spent(feasible)))
         parts = yield from self._parts(session, run, sets)
         if wrong:
             gaps = [Gap(name, sets[name], parts[name].expected_mse, wrong) for name in sets]
@@ -279,21 +278,26 @@ class Prover:
             parts[name] = replace(parts[name], expected_mse=value, weighting=weighting)
         return parts
 
-    def _weigh(
-        self, session: RunSession, errors: Generator[WorkBatch, None, Array], spent: int
-    ) -> Generator[WorkBatch, None, None]:
+    def _weigh(self, session: RunSession, spent: int) -> Generator[WorkBatch, None, None]:
         """Give the scenarios, or the instants, the shares for which the bound is largest.
 
         The largest of several errors is at least their mean with any shares. Separate draws choose
         these.
         """
-        built = self._built
+        built, evaluator = self._built, self._built.evaluator
         session.reporter.begin("weights of the bound")
-        of_each = yield from errors
-        self.shares = best_shares(self.relaxation, of_each, spent)
-        by_instant = built.job.criterion.by_instant
-        weighted = built.evaluator.with_weights if by_instant else built.evaluator.with_shares
-        session.built = self._built = replace(built, evaluator=weighted(self.shares))
+        if built.job.criterion.by_instant:
+            groups = self._groups
+            errors = yield from self._of_groups(session, groups)
+            shares = np.array(best_shares(self.relaxation, errors, spent))
+            sizes = np.bincount(groups[groups >= 0])
+            self.shares = tuple(np.where(groups < 0, 0.0, (shares / sizes)[groups]).tolist())
+            weighted = evaluator.with_weights(self.shares)
+        else:
+            errors = yield from self._of_scenarios(session)
+            self.shares = best_shares(self.relaxation, errors, spent)
+            weighted = evaluator.with_shares(self.shares)
+        session.built = self._built = replace(built, evaluator=weighted)
 
     def _of_scenarios(self, session: RunSession) -> Generator[WorkBatch, None, Array]:
         """The errors of all windows in each scenario, (C, E)."""
@@ -305,15 +309,26 @@ class Prover:
             )
         return np.stack(errors)
 
-    def _of_instants(self, session: RunSession) -> Generator[WorkBatch, None, Array]:
-        """The errors of all windows, each only at one instant, (T+1, E); 0 if it does not count."""
-        relaxation, evaluator = self.relaxation, self._built.evaluator
-        counts = evaluator.relative_weights > 0.0
-        alone = evaluator.with_weights(counts.astype(float).tolist())
+    @property
+    def _groups(self) -> Indices:
+        """The group of each instant, (T+1,), whose share it has; -1 if the instant does not count.
+
+        Few groups keep the memory small. On a short horizon, each instant is a group.
+        """
+        counts = self._built.evaluator.relative_weights > 0.0
+        number = counts.sum()
+        groups = (np.cumsum(counts) - 1) * min(number, _MOST_GROUPS) // number
+        return np.where(counts, groups, -1)
+
+    def _of_groups(self, session: RunSession, groups: Indices) -> Generator[WorkBatch, None, Array]:
+        """The errors of all windows at the instants of each group, as means of these, (C, E)."""
+        relaxation, counts = self.relaxation, groups >= 0
+        alone = self._built.evaluator.with_weights(counts.astype(float).tolist())
         errors = yield from self._windows(session, alone, CHOICE_BLOCKS)
         ends = zip(relaxation.first.tolist(), relaxation.ends.tolist(), strict=True)
-        at = np.concatenate([np.arange(first, last + 1) for first, last in ends])
-        return np.where(at == np.arange(counts.size)[:, None], errors * counts.sum(), 0.0)
+        at = groups[np.concatenate([np.arange(first, last + 1) for first, last in ends])]
+        parts = counts.sum() / np.bincount(groups[counts])
+        return np.stack([np.where(at == g, errors * part, 0.0) for g, part in enumerate(parts)])
 
     def _windows(
         self, session: RunSession, evaluator: Evaluator, blocks: int
@@ -332,9 +347,10 @@ class Prover:
         if exact is not None:
             return dict(zip(sets, map(Estimate, exact.tolist()), strict=True))
         if not built.job.criterion.by_instant:
-            return values_of(run)
-        criterion = other_criteria(run)[built.job.criterion.name]
-        judged = {name: criterion.of_sample(sample) for name, sample in samples_of(run).items()}
+            values = values_of(run)
+            return {name: values[name] for name in sets}
+        criterion, samples = other_criteria(run)[built.job.criterion.name], samples_of(run)
+        judged = {name: criterion.of_sample(samples[name]) for name in sets}
         return {name: Estimate(each.value, each.standard_error) for name, each in judged.items()}
 
     def _spent(self, sets: Mapping[str, Times]) -> list[int]:

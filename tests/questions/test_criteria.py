@@ -241,6 +241,30 @@ def test_the_bound_of_the_worst_instant_is_the_best_weighted_mean(tmp_path: Path
         assert "expected error at the worst instant" in " ".join(str(answer_of(run)).split())
 
 
+def test_the_bound_of_the_worst_instant_has_shares_of_few_groups_on_a_long_horizon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Instants of a group have equal shares, those without weight none: still a lower bound."""
+    monkeypatch.setattr("pfdist.runner.prover._MOST_GROUPS", 3)
+    counted = slice(2, None)
+    problem = pfdist.Problem(
+        RESTLESS, horizon=HORIZON, measurement_budget=2, engine="kalman", criterion="worst_instant",
+        instant_weights=[0, 0] + [1] * (HORIZON - 1),
+    )  # fmt: skip
+    job = problem.job(search=[{"method": "exhaustive"}], comparison={"draws": 24})
+    run = pfdist.run(job, tmp_path / "run", figures=False, pool="serial")
+    found = pfdist.bound(run)
+    (gap,) = (each for each in found.gaps if each.name == "exhaustive")
+    errors = expected_errors(RESTLESS, HORIZON, SETS)[:, counted]
+    assert errors.mean(axis=1).min() * (1 + 1e-9) < gap.bound.value <= errors.max(axis=1).min()
+    shares = np.array(found.shares)
+    assert shares.sum() == pytest.approx(1.0)
+    assert not shares[:2].any()
+    assert len({*shares[counted].round(12)}) <= 3
+    weighted = (errors @ shares[counted]).min()
+    assert gap.bound.value == pytest.approx(weighted, rel=1e-9)
+
+
 def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> None:
     changes = ["problem.criterion=worst_instant"]
     said = list[str]()

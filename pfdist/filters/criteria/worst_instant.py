@@ -66,9 +66,9 @@ class WorstInstant(OtherCriterion):
     def _between(self, sample: Sample, limits: int) -> CriterionValue:
         if not sample.errors.size:
             return CriterionValue(math.nan, *UNKNOWN)
-        differences = sample.standard_errors
-        if differences.any():
+        half = sample.standard_errors  # of the interval's width
+        if half.any():
             share = (1 - CONFIDENCE) / 2 / limits  # Bonferroni
-            differences = -student_quantile(share, sample.degrees) * differences
-        ends = sample.errors, sample.errors - differences, sample.errors + differences
+            half = -student_quantile(share, sample.degrees) * half
+        ends = sample.errors, sample.errors - half, sample.errors + half
         return CriterionValue(*(float(each.max()) for each in ends))
