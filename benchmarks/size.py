@@ -1,33 +1,69 @@
-"""The seconds and the memory of large problems: whole commands with many draws or long horizons.
+"""The processor time and the memory of large problems: whole commands, on one core.
 
 The memory is the largest of the process. Kernels are on disk: a small problem runs first.
 """
 
+import json
 import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
-from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
+from pfdist.pages.style import COLUMN_INCHES
 
 TITLE = "Large problems"
 TABLES: tuple[str, ...] = ("size",)
 
-JOB = Path(__file__).parents[1] / "jobs" / "plan.toml"
+JOBS = Path(__file__).parents[1] / "jobs"
 _MIB = 1024  # the kernel counts in KiB
 # A process keeps the largest memory of the one that it was forked from, so a small one starts it.
 _LARGEST = """
-import resource, subprocess, sys
+import json, resource, subprocess, sys
 quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 subprocess.run(sys.argv[1:], check=True, **quiet)
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps([used.ru_utime + used.ru_stime, used.ru_maxrss]))
+"""
+_MODEL = """
+import numpy as np
+from pfdist import Sensor, StateSpaceModel
+
+COMPONENTS, SENSORS = {components}, {sensors}
+
+
+def sensor_of(number):
+    i, sd = number % COMPONENTS, 0.5 + 0.1 * number
+    return Sensor(
+        lambda x, t, v, p: (x[i] + sd * v[0],),
+        lambda y, x, t, p: -0.5 * ((y[0] - x[i]) / sd) ** 2,
+        ("normal",),
+    )
+
+
+model = StateSpaceModel(
+    name="ring",
+    initial=lambda w, p: tuple(w),
+    transition=lambda x, t, w, p: tuple(
+        0.9 * x[i] + 0.3 * np.sin(x[i - 1]) + 0.5 * w[i] for i in range(COMPONENTS)
+    ),
+    quantity_of_interest=lambda x, t, p: tuple(x),
+    initial_noise=("normal",) * COMPONENTS,
+    process_noise=("normal",) * COMPONENTS,
+    sensors={{f"s{{number}}": sensor_of(number) for number in range(SENSORS)}},
+)
+"""
+"""Components in a ring, each of which is driven by the one before."""
+_RING = """
+seed = 1
+model.name = "ring.py:model"
+problem = {{ horizon = 60, measurement_budget = 12, sensors = {sensors} }}
 """
 
 
@@ -38,37 +74,45 @@ class Case:
     varied: str
     value: int
     command: str
-    words: tuple[str, ...]
+    job: str
+    changes: tuple[str, ...]
+    ring: tuple[int, int] | None = None  # components and sensors, if the job is one of a ring
 
 
 def cases(quick: bool) -> list[Case]:
-    """Give all cases, the small ones first."""
-    draws = [100, 200] if quick else [100_000, 1_000_000, 10_000_000]
+    """Give all cases, the small ones of each kind first."""
     horizons = [20] if quick else [60, 200, 600, 2000]
-    compared = [
-        _case(
-            "draws", count, "compare", "problem.horizon=15", "problem.measurement_budget=6",
-            "filter.particles=50", f"comparison.draws={count}",
-        )
-        for count in draws
+    long = {10: [20] if quick else [1000, 3000], 50: [] if quick else [1000, 3000, 10_000]}
+    fewer = "comparison.draws=2000"
+    return [
+        *(Case("draws of two sets", count, "compare", "plan.toml",
+               ("problem.horizon=15", "problem.measurement_budget=6", "filter.particles=50",
+                f"comparison.draws={count}"))
+          for count in ([100, 200] if quick else [100_000, 1_000_000, 10_000_000])),
+        *(Case("instants, a tenth measured", horizon, "plan", "plan.toml",
+               (f"problem.horizon={horizon}", f"problem.measurement_budget={horizon // 10}", fewer))
+          for horizon in horizons),
+        *(Case(f"instants, {number} measured", horizon, "plan", "plan.toml",
+               (f"problem.horizon={horizon}", f"problem.measurement_budget={number}", fewer))
+          for number, values in long.items() for horizon in values),
+        *(Case("particles", count, "plan", "plan.toml", (f"filter.particles={count}", fewer))
+          for count in ([100] if quick else [100, 1000, 10_000])),
+        *(Case("components", count, "plan", "ring.toml", (fewer,), (count, 1))
+          for count in ([2] if quick else [2, 8, 32])),
+        *(Case("sensors", count, "plan", "ring.toml", (fewer,), (4, count))
+          for count in ([2] if quick else [1, 4, 16])),
+        *(Case("scenarios", count, "plan", "two_compartments.toml",
+               (f"scenarios.count={count}", fewer))
+          for count in ([] if quick else [4, 16, 64])),
+        *(Case("visits of 200 instants, each of 4 measurements", count, "plan", "ring.toml",
+               ("problem.horizon=199", f"problem.measurement_budget={4 * count}",
+                f"problem.visits={{ within = 5, most = {count} }}", fewer), (4, 1))
+          for count in ([] if quick else [2, 5, 20])),
     ]  # fmt: skip
-    planned = [
-        _case(
-            "horizon", horizon, "plan", f"problem.horizon={horizon}",
-            f"problem.measurement_budget={horizon // 10}", "comparison.draws=2000",
-        )
-        for horizon in horizons
-    ]  # fmt: skip
-    return compared + planned
-
-
-def _case(varied: str, value: int, command: str, *changes: str) -> Case:
-    times = ["--times", "mine=0:15:3", "--times", "early=0:5:1"] if command == "compare" else []
-    return Case(varied, value, command, (*times, *(w for each in changes for w in ("--set", each))))
 
 
 def measure(quick: bool, say: Say) -> Tables:
-    """Time all cases on threads, each in a process of its own.
+    """Measure all cases on one core, each in a process of its own.
 
     Parameters
     ----------
@@ -80,53 +124,85 @@ def measure(quick: bool, say: Say) -> Tables:
     Returns
     -------
     dict of DataFrames
-        size: a row for each case, with varied, value, seconds and mebibytes.
+        size: a row for each case, with varied, value, seconds of processor time and mebibytes.
     """
     rows = []
     with tempfile.TemporaryDirectory(prefix="size-") as folder:
-        for number, case in enumerate([cases(True)[0], cases(True)[-1], *cases(quick)]):
-            seconds, mebibytes = _timed(case, Path(folder, str(number)))
-            if number > 1:
+        small = cases(True)
+        for number, case in enumerate([*small, *cases(quick)]):
+            seconds, mebibytes = _measured(case, Path(folder, str(number)))
+            if number >= len(small):
                 row = {"varied": case.varied, "value": case.value}
                 rows.append(row | {"seconds": seconds, "mebibytes": mebibytes})
                 say(f"{case.varied} {case.value:,}: {seconds:.1f} s, {mebibytes:,.0f} MiB")
     return {"size": pd.DataFrame(rows)}
 
 
-def _timed(case: Case, results: Path) -> tuple[float, float]:
-    """Seconds of a command, and the largest memory of its process."""
-    words = (case.command, str(JOB), *case.words, "--results", str(results), "--no-report")
+def _measured(case: Case, folder: Path) -> tuple[float, float]:
+    """Seconds of processor time of a command, and the largest memory of its process."""
+    folder.mkdir()
+    job = JOBS / case.job
+    if case.ring is not None:
+        job, (components, sensors) = folder / case.job, case.ring
+        job.write_text(_RING.format(sensors=[f"s{number}" for number in range(sensors)]))
+        model = _MODEL.format(components=components, sensors=sensors)
+        job.with_name("ring.py").write_text(model)
+    times = ("--times", "mine=0:15:3", "--times", "early=0:5:1") * (case.command == "compare")
+    changes = (word for each in case.changes for word in ("--set", each))
+    words = (case.command, str(job), *times, *changes, "--results", str(folder / "run"))
     program = (sys.executable, "-c", _LARGEST, sys.executable, "-m", "pfdist")
-    start = perf_counter()
-    done = subprocess.run([*program, *words], check=True, stdout=subprocess.PIPE)  # noqa: S603  our own text
-    return perf_counter() - start, int(done.stdout) / _MIB
+    done = subprocess.run(  # noqa: S603  our own text
+        [*program, *words, "--no-report", "--pool", "serial"], check=True, stdout=subprocess.PIPE
+    )
+    seconds, largest = json.loads(done.stdout)
+    return seconds, largest / _MIB
+
+
+def exponents(rows: pd.DataFrame) -> pd.Series:
+    """The exponents with which seconds and memory grow, from the first to the last row."""
+    first, last = rows.iloc[0], rows.iloc[-1]
+    columns = ["seconds", "mebibytes"]
+    ratio = np.log((last[columns] / first[columns]).astype(float))
+    return ratio / np.log(last["value"] / first["value"])
 
 
 def summary(tables: Tables) -> str:
     """Give the table in Markdown."""
+    head = ["what grows", "sizes", "processor time, s", "largest memory, MiB", "exponents of both"]
     lines = [
-        [row["varied"], f"{row['value']:,}", f"{row['seconds']:.1f}", f"{row['mebibytes']:,.0f}"]
-        for _, row in tables["size"].iterrows()
-    ]
+        [
+            str(varied), _listed(rows["value"]), _listed(rows["seconds"]),
+            _listed(rows["mebibytes"]), ", ".join(f"{each:.2f}" for each in exponents(rows)),
+        ]
+        for varied, rows in tables["size"].groupby("varied", sort=False)
+    ]  # fmt: skip
     return "\n\n".join(
         [
-            "On threads. Draws: a set is compared with regular times, T = 15, 50 particles. "
-            "Horizon: `plan` of the growth model with T / 10 measurements, 500 particles, 2,000 "
-            "draws.",
-            markdown(["what is varied", "value", "seconds", "largest memory, MiB"], lines),
+            "One core, with 2,000 draws in the comparison of a plan. Instants and particles: the "
+            "growth model. Draws of two sets: T = 15, 50 particles. Components, sensors and "
+            "visits: a ring of components, each driven by the one before; scenarios: "
+            "`two_compartments`. The exponents are between the first and the last size.",
+            markdown(head, lines),
         ]
     )
 
 
+def _listed(values: pd.Series) -> str:
+    return "; ".join(f"{value:,.0f}" for value in values)
+
+
 def plot(tables: Tables) -> Figure:
-    """Draw seconds and memory against each number."""
+    """Draw processor time and memory against each number, as multiples of its first size."""
     figure = Figure(figsize=(2 * COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
-    panels = figure.subplots(1, 2)
-    for axes, (varied, rows) in zip(panels, tables["size"].groupby("varied"), strict=True):
-        axes.plot(rows["value"], rows["seconds"], color=RED, marker="o", label="seconds")
-        axes.plot(rows["value"], rows["mebibytes"], color=BLUE, marker="s", label="MiB")
+    panels = figure.subplots(1, 2, sharex=True)
+    for varied, rows in tables["size"].groupby("varied", sort=False):
+        times = rows["value"] / rows["value"].iloc[0]
+        panels[0].plot(times, rows["seconds"], marker="o", label=str(varied))
+        panels[1].plot(times, rows["mebibytes"], marker="o")
+    for axes, label in zip(panels, ("processor time [s]", "largest memory [MiB]"), strict=True):
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_xlabel(str(varied))
-    panels[0].legend()
+        axes.set_xlabel("size, as a multiple of the first")
+        axes.set_ylabel(label)
+    figure.legend(loc="outside right upper")
     return figure
