@@ -139,7 +139,7 @@ class ProblemSection(JobSection):
         "total_price", "total_cost"
     )
     sensors: (
-        Annotated[dict[str, SensorSection], Field(min_length=2, json_schema_extra=_OR_NAMES)] | None
+        Annotated[dict[str, SensorSection], Field(min_length=1, json_schema_extra=_OR_NAMES)] | None
     ) = None
     sensor: SensingSection | None = None
     given: dict[str, str] | None = None

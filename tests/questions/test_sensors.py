@@ -74,6 +74,31 @@ def test_draws_of_one_sensor_are_those_of_a_model_with_this_sensor_alone() -> No
     assert np.array_equal(simulate(model, HORIZON, range(5), 3).y[:, :, :1], alone.y)
 
 
+def test_a_model_whose_only_sensor_has_a_name_has_the_errors_of_one_without_a_name() -> None:
+    measuring = (
+        lambda x, t, v, p: (x[0] + 0.5 * v[0],),
+        lambda y, x, t, p: -2.0 * (y[0] - x[0]) ** 2,
+        ("normal",),
+    )
+    walk = {
+        "name": "walk", "initial": lambda w, p: (w[0],), "initial_noise": ("normal",),
+        "transition": lambda x, t, w, p: (x[0] + 0.5 * w[0],), "process_noise": ("normal",),
+        "quantity_of_interest": lambda x, t, p: (x[0],),
+    }  # fmt: skip
+    own = ("measurement", "log_likelihood", "measurement_noise")
+    alone = pfdist.StateSpaceModel(**walk, **dict(zip(own, measuring, strict=True)))
+    named = pfdist.StateSpaceModel(**walk, sensors={"level": pfdist.Sensor(*measuring)})
+    given = {"horizon": 6, "measurement_budget": 2, "particles": 50}
+    mse = [
+        pfdist.evaluate(pfdist.Problem(model, **given, **keys), times, draws=240).expected_mse
+        for model, keys, times in (
+            (alone, {}, [2, 5]),
+            (named, {"sensors": ["level"]}, ["2 level", "5 level"]),
+        )
+    ]
+    assert mse[0] == mse[1]
+
+
 def test_a_filter_that_stops_at_each_measurement_has_the_bits_of_one_that_does_not() -> None:
     """Sensors of one instant are given together, with NaN for those that do not measure."""
     model, times = SYSTEMS[0].as_model(), (0, 2, 9, 10, 11, 20)
