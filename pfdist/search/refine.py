@@ -60,7 +60,7 @@ class Refine:
 
     def done(self, state: RefineState) -> bool:
         """Whether no line is left, or the last level was evaluated."""
-        return bool(state.known) and (not state.lines or state.level > _LEVELS)
+        return not state.lines or state.level > _LEVELS
 
     def finalists(self, state: RefineState) -> tuple[Evaluation, ...]:
         """All evaluated sets, the best first."""

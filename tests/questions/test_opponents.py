@@ -123,3 +123,21 @@ def test_labels_name_given_sets() -> None:
     problem = pfdist.Problem("random_walk", horizon=11, measurement_budget=4)
     with pytest.raises(pfdist.PfdistError, match=r"comparison.labels must name sets .* 'mine'"):
         problem.job().with_changes(["comparison.labels={mine='hers'}"])
+
+
+@pytest.mark.parametrize("engine", ["kalman", "compiled"])
+def test_where_no_evenly_spaced_set_is_possible_the_plan_is_still_found(
+    engine: str, tmp_path: Path
+) -> None:
+    """Four measurements at three instants: all of one sensor, and the only one of the other."""
+    problem = pfdist.Problem(
+        TWO, horizon=T, measurement_budget=4, allowed=[20, 21, 22], engine=engine, particles=50,
+        sensors={"a": {"most": 1}, "b": {}},
+    )  # fmt: skip
+    run = pfdist.plan(
+        problem, tmp_path / "run", pool="serial", bound_draws=0,
+        changes=["comparison.draws=240"], figures=False, report=False,
+    )  # fmt: skip
+    assert run.best is not None
+    measured = sorted(run.best.measurement_times)
+    assert [each for each in measured if "b" in each] == ["20 b", "21 b", "22 b"]
