@@ -148,9 +148,12 @@ def _measured(case: Case, folder: Path) -> tuple[float, float]:
         job.write_text(_RING.format(sensors=[f"s{number}" for number in range(sensors)]))
         model = _MODEL.format(components=components, sensors=sensors)
         job.with_name("ring.py").write_text(model)
-    times = ("--times", "mine=0:15:3", "--times", "early=0:5:1") * (case.command == "compare")
+    own = {
+        "compare": ("--times", "mine=0:15:3", "--times", "early=0:5:1"),
+        "plan": ("--bound-draws", "0"),
+    }
     changes = (word for each in case.changes for word in ("--set", each))
-    words = (case.command, str(job), *times, *changes, "--results", str(folder / "run"))
+    words = (case.command, str(job), *own[case.command], *changes, "--results", str(folder / "run"))
     program = (sys.executable, "-c", _LARGEST, sys.executable, "-m", "pfdist")
     done = subprocess.run(  # noqa: S603  our own text
         [*program, *words, "--no-report", "--pool", "serial"], check=True, stdout=subprocess.PIPE
@@ -179,7 +182,7 @@ def summary(tables: Tables) -> str:
     ]  # fmt: skip
     return "\n\n".join(
         [
-            "One core, with 2,000 draws in the comparison of a plan. Instants and particles: the "
+            "One core; plans without a proof, with 2,000 draws in the comparison. Instants and particles: the "
             "growth model. Draws of two sets: T = 15, 50 particles. Components, sensors and "
             "visits: a ring of components, each driven by the one before; scenarios: "
             "`two_compartments`. The exponents are between the first and the last size.",
