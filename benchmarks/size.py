@@ -182,8 +182,8 @@ def summary(tables: Tables) -> str:
     ]  # fmt: skip
     return "\n\n".join(
         [
-            "One core; plans without a proof, with 2,000 draws in the comparison. Instants and particles: the "
-            "growth model. Draws of two sets: T = 15, 50 particles. Components, sensors and "
+            "One core; plans without a proof, with 2,000 draws in the comparison. Instants and "
+            "particles: the growth model. Draws of two sets: T = 15, 50 particles. Components, sensors and "
             "visits: a ring of components, each driven by the one before; scenarios: "
             "`two_compartments`. The exponents are between the first and the last size.",
             markdown(head, lines),
