@@ -167,26 +167,31 @@ def exponents(rows: pd.DataFrame) -> pd.Series:
     first, last = rows.iloc[0], rows.iloc[-1]
     columns = ["seconds", "mebibytes"]
     ratio = np.log((last[columns] / first[columns]).astype(float))
-    return ratio / np.log(last["value"] / first["value"])
+    return pd.Series(ratio / np.log(last["value"] / first["value"]))
+
+
+def lines(tables: Tables) -> tuple[list[str], list[list[str]]]:
+    """The head and the rows of the table: what grows, and how fast."""
+    head = ["what grows", "sizes", "processor time, s", "largest memory, MiB", "exponents of both"]
+    rows = [
+        [
+            str(varied), _listed(own["value"]), _listed(own["seconds"]),
+            _listed(own["mebibytes"]), ", ".join(f"{each:.2f}" for each in exponents(own)),
+        ]
+        for varied, own in tables["size"].groupby("varied", sort=False)
+    ]  # fmt: skip
+    return head, rows
 
 
 def summary(tables: Tables) -> str:
     """Give the table in Markdown."""
-    head = ["what grows", "sizes", "processor time, s", "largest memory, MiB", "exponents of both"]
-    lines = [
-        [
-            str(varied), _listed(rows["value"]), _listed(rows["seconds"]),
-            _listed(rows["mebibytes"]), ", ".join(f"{each:.2f}" for each in exponents(rows)),
-        ]
-        for varied, rows in tables["size"].groupby("varied", sort=False)
-    ]  # fmt: skip
     return "\n\n".join(
         [
             "One core; plans without a proof, with 2,000 draws in the comparison. Instants and "
-            "particles: the growth model. Draws of two sets: T = 15, 50 particles. Components, sensors and "
-            "visits: a ring of components, each driven by the one before; scenarios: "
+            "particles: the growth model. Draws of two sets: T = 15, 50 particles. Components, "
+            "sensors and visits: a ring of components, each driven by the one before; scenarios: "
             "`two_compartments`. The exponents are between the first and the last size.",
-            markdown(head, lines),
+            markdown(*lines(tables)),
         ]
     )
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 from cyclopts.argument import Argument
@@ -415,12 +416,16 @@ def guided() -> str:
 
 def size() -> str:
     """Give the table of the time and memory of large problems, from their benchmark."""
-    cases = pd.read_csv(BENCHMARKS / "size.csv", comment="#")
-    rows = [
-        [row.varied, f"{row.value:,}", f"{row.seconds:.0f}", f"{row.mebibytes:,.0f}"]
-        for row in cases.itertuples()
-    ]
-    return _table(["what is large", "size", "s", "MiB"], rows)
+    rows = list[list[str]]()
+    for varied, own in pd.read_csv(BENCHMARKS / "size.csv", comment="#").groupby(
+        "varied", sort=False
+    ):
+        columns = own[["value", "seconds", "mebibytes"]]
+        steps = np.log(columns.iloc[-1] / columns.iloc[0])
+        listed = ["; ".join(f"{each:,.0f}" for each in own[name]) for name in columns]
+        rows.append([str(varied), *listed, *(f"{each / steps.iloc[0]:.2f}" for each in steps[1:])])
+    head = ["what grows", "sizes", "processor time, s", "MiB", "exponent of time", "of memory"]
+    return _table(head, rows)
 
 
 def ways() -> str:
