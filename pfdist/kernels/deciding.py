@@ -5,6 +5,8 @@ the sensors that measured it. `Thresholds.chosen` is the twin of a decision, and
 `pfdist.kernels.left.Left` that of what may follow.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +31,7 @@ from pfdist.kernels.rules import Ruling, Thresholds
 def ruling_of(
     rule: Thresholds, limits: StepLimits, flipped: int | None, planned: Plan, draws: range,
     instants: range, sensors: int,
-) -> tuple[Plan, Ruling, dict[str, NDArray]]:  # fmt: skip
+) -> tuple[Plan, Ruling, dict[str, NDArray[Any]]]:  # fmt: skip
     """A rule for the filter of a plan's only set, that plan, and the results that the rule fills.
 
     The set has the points that may be measured. The filter fills the plan: each draw has a set.
