@@ -31,6 +31,7 @@ def test_no_other_threshold_has_a_smaller_sum(price: float) -> None:
 
 POINTS, DRAWS = 24, 4000
 GAINS = np.linspace(0.2, 1.0, POINTS)
+ENDS = (POINTS - 1,) * POINTS
 
 
 def evaluated(trial: Trial, generation: int) -> Tried:
@@ -42,13 +43,13 @@ def evaluated(trial: Trial, generation: int) -> Tried:
         measured[:, trial.flipped] ^= True
         at = deviation[:, trial.flipped]
     error = (deviation**2 * np.where(measured, 1.0 - GAINS, 1.0)).sum(axis=1)
-    return Tried(error, measured.sum(axis=1).astype(float), at)
+    return Tried(error[None], measured.sum(axis=1).astype(float)[None], at)
 
 
 def test_a_sweep_finds_the_thresholds_at_which_a_measurement_is_worth_its_price() -> None:
     price = 0.5
     sweep = ThresholdSweep(
-        Thresholds((2.0,) * POINTS), point_groups(tuple(range(POINTS)), 1, 64), price
+        Thresholds((2.0,) * POINTS), point_groups(tuple(range(POINTS)), 1, 64), price, ENDS
     )
     state, rng, trials = sweep.init(), np.random.default_rng(1), 0
     while not sweep.done(state):
@@ -65,7 +66,7 @@ def test_a_sweep_finds_the_thresholds_at_which_a_measurement_is_worth_its_price(
 def test_points_of_a_group_share_a_threshold() -> None:
     groups = point_groups(tuple(range(POINTS)), 2, 8)
     assert sorted(point for group in groups for point in group) == [*range(POINTS)]
-    sweep = ThresholdSweep(Thresholds((2.0,) * POINTS), groups, 0.5)
+    sweep = ThresholdSweep(Thresholds((2.0,) * POINTS), groups, 0.5, ENDS)
     state, rng = sweep.init(), np.random.default_rng(1)
     while not sweep.done(state):
         state = sweep.ask(state, rng)
