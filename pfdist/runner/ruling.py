@@ -131,11 +131,11 @@ def work_of(
         particles=particles or built.comparing.particles, flipped=flipped,
     )  # fmt: skip
     parts = feasible.allowed, noise, of_draws
+    # A work is stored or lacking as a whole, so no other work has one of its ids.
+    own = [(*ends, end) for end in ends] or [()]
+    columns = [(what, *end) for what in ("mse", "spent") for end in own]
+    columns += [("deviation",)] * (flipped is not None)
     ends = ends or (evaluator.horizon,)
-    at_ends = [
-        (what, *[end] * (end < evaluator.horizon)) for what in ("mse", "spent") for end in ends
-    ]
-    columns = [*at_ends, *[("deviation",)] * (flipped is not None)]
     ids = tuple(evaluator.id_of(estimation, *parts, *what) for what in columns)
     of_columns = (*ends, *ends, ends[-1])[: len(columns)]
     firsts = [feasible.points.first(end + 1) for end in of_columns]
