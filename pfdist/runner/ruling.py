@@ -27,6 +27,7 @@ from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES
 from pfdist.results import Moments
+from pfdist.results.stored_run import StoredRun, measured_of, provenance_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.row_formats import PER_DRAW
@@ -39,7 +40,7 @@ from pfdist.search.thresholds import (
     point_groups,
     priced,
 )
-from pfdist.store import RULE_PHASE, Store
+from pfdist.store import RULE_PHASE, Store, add_to_provenance
 
 TUNING_DRAWS = 3000
 ONE_SIDED = 1.645
@@ -224,23 +225,34 @@ def look_work(built: Built, most: float) -> tuple[int, int]:
     return (draws, draws * a_draw) if draws >= fewest else (0, 0)
 
 
-def look(session: RunSession, plan: Times, draws: int) -> Generator[WorkBatch, None, str]:
-    """A sentence if one threshold for all instants is clearly better than a plan; else empty."""
-    search, criterion = (
-        _Search(session, _FEW * draws, len(plan), is_hard=False),
-        session.built.job.criterion,
-    )
+def look_at_a_rule(
+    session: RunSession, run: StoredRun, most: float
+) -> Generator[WorkBatch, None, None]:
+    """Keep a sentence about what deciding on the way may win, for every answer of the run.
+
+    It is empty unless one threshold for all instants is clearly better than the plan.
+    """
+    key, built, criterion = "on_the_way", session.built, session.built.job.criterion
+    draws, steps = look_work(built, most)
+    if not draws or key in provenance_of(run):
+        return
+    plan = measured_of(run)[built.searches[0].name]
+    session.reporter.foresee(steps)
+    search = _Search(session, _FEW * draws, len(plan), is_hard=False)
     session.reporter.begin("rule")
     _, rule = yield from search.constant(())
-    pair = yield from search.compared(rule, rule_of_set(plan, session.built.feasible))
-    if not criterion.difference(*pair).is_negative(_CLEARLY):
-        return ""
-    own, planned = (criterion.value(each).value for each in pair)
-    return (
-        "Decided on the way, as many measurements have less error: about "
-        f"{100 * (1 - own / planned):.0f} % less with a single threshold for all times (quick "
-        "estimate; `pfdist rule` tunes one for each)."
-    )
+    pair = yield from search.compared(rule, rule_of_set(plan, built.feasible))
+    sentence = ""
+    if criterion.difference(*pair).is_negative(_CLEARLY):
+        own, planned = (criterion.value(each).value for each in pair)
+        sentence = (
+            "Decided on the way, as many measurements have less error: about "
+            f"{100 * (1 - own / planned):.0f} % less with a single threshold for all times (quick "
+            "estimate; `pfdist rule` tunes one for each)."
+        )
+    session.commit()
+    settle_rules(session.store)
+    add_to_provenance(run.path, {key: sentence})
 
 
 def tuned(

@@ -25,9 +25,9 @@ from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES
+from pfdist.questions.next_by_rule import NextByRule
 from pfdist.questions.planned_run import filter_of
 from pfdist.questions.rule import (
-    NextByRule,
     Ruled,
     _draw,
     unit_of,
