@@ -63,8 +63,10 @@ _LOOKED = 100, 300  # draws of a look that seek the threshold: fewest and most
 _TRIALS_OF_LOOK = 2 + _HALVINGS + 2 * _FEW  # of so many draws each
 _CLEARLY = 2.0  # standard errors by which a rule must be better than the plan
 _AROUND, _NARROW = (0.4, 2.5), 8  # factors of thresholds: ends, halvings
-_SLOPE = 1.14  # factor of constant thresholds that shows the usual price
-_CHEAPER, _DEARER = 32, 4  # ends of the prices that are tried, as parts and multiples of it
+_PRICES = (
+    1 / 32,
+    4.0,
+)  # ends of the prices of a measurement, in errors of one with constant thresholds
 _GAPS = 3  # a change of a sweep counts for so many mean distances between measurements
 _GUESSES = 200  # draws that show how large z is
 
@@ -309,11 +311,12 @@ class _Search:
     def best(self, planned: Thresholds) -> Generator[WorkBatch, None, Thresholds]:
         """The rule of least error that keeps the budget, or the limit."""
         error, best = yield from self.constant(_RATIOS)
+        self._sweeps = self._sweeps if math.isfinite(error) else ()
         found, constant = {best: error}, self._of_points(best)
         is_worse = self._sweeps and (yield from self._tried(planned, self._few))[0] >= error
         rule = constant if is_worse else planned
         changes: Mapping[Points, Any] = {}
-        usual = price = (yield from self._usual_price(constant)) if self._sweeps else 0.0
+        usual = price = error / self._budget
         for number in range(len(self._sweeps)):
             left = len(self._sweeps) - number
             if self._is_hard and left == _LAST:  # these sweeps know the limit
@@ -420,14 +423,6 @@ class _Search:
                  for each in trials)  # fmt: skip
         return (yield from self._values(works, f"sweep{number}"))
 
-    def _usual_price(self, constant: Thresholds) -> Generator[WorkBatch, None, float]:
-        """The change of the error by a measurement, about: by higher and lower thresholds."""
-        trials = (Trial(constant.scaled(factor)) for factor in (1 / _SLOPE, _SLOPE))
-        lower, higher = yield from self._on_draws(0, *trials)
-        fewer = float(lower.spent.mean() - higher.spent.mean())
-        worse = float(higher.mse.mean() - lower.mse.mean())
-        return worse / fewer if fewer > 0.0 < worse else float(lower.mse.mean()) / self._budget
-
     def _swept(
         self,
         number: int,
@@ -445,7 +440,7 @@ class _Search:
             state = sweep.tell(state, (yield from self._on_draws(number, *state.trials)))
         if rule.limit:
             return state.rule, price, state.changes
-        low, high = usual / _CHEAPER, usual * _DEARER
+        low, high = (usual * factor for factor in _PRICES)
         for _ in range(_NARROW):
             middle = math.sqrt(low * high)
             trial = Trial(priced(state.rule, state.changes, middle))
