@@ -16,7 +16,7 @@ from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Reading, read_measurements
 from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
-from pfdist.questions.planned_run import PlannedRun, followed, instant_now
+from pfdist.questions.planned_run import PlannedRun, instant_now, system_of_table
 from pfdist.questions.rule import level_text
 from pfdist.questions.rule_file import rule_json, rule_of
 from pfdist.questions.subject import number_of
@@ -83,7 +83,7 @@ def next_by_rule(
     rule, clock = rule_of(run, feasible), points.clock
     start = 0 if plan.prior is None else plan.prior.t
     rows = read_measurements(table, plan.built.evaluator.believed, clock, start, reading)
-    filtering, taken, measured = followed(plan, rows)
+    filtering, taken, measured = system_of_table(plan, rows)
     estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
     at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
     passed = max([start - 1, *(k for k in range(len(clock.times)) if at[k] <= last)])

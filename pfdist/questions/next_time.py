@@ -28,10 +28,10 @@ from pfdist.questions.planned_run import (
     Columns,
     PlannedRun,
     UserTable,
-    followed,
     instant_now,
     planned_run,
     reading_of,
+    system_of_table,
     table_argument,
 )
 from pfdist.questions.planner import Planner
@@ -350,6 +350,6 @@ def _tell_all(
         until -= 1
     if now is not None and (instant := instant_now(now, until - (not passed), clock)) >= until:
         until, passed = instant, True
-    filtering, taken, _ = followed(plan, rows)
+    filtering, taken, _ = system_of_table(plan, rows)
     estimates = planner._follow(filtering, rows, taken, until, passed=passed)
     return until - (not passed), surprise_of(estimates)

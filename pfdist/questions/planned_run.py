@@ -230,7 +230,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
     )
 
 
-def followed(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times, tuple[Any, ...]]:
+def system_of_table(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times, tuple[Any, ...]]:
     """The filter of a table's system, the job's points nearest to those measured, and their texts.
 
     A measurement without a value is spent, too.

@@ -37,8 +37,8 @@ from pfdist.search.thresholds import (
     ThresholdSweep,
     Trial,
     Tried,
+    at_price,
     point_groups,
-    priced,
 )
 from pfdist.store import RULE_PHASE, Store, add_to_provenance
 
@@ -443,10 +443,10 @@ class _Search:
         low, high = (usual * factor for factor in _PRICES)
         for _ in range(_NARROW):
             middle = math.sqrt(low * high)
-            trial = Trial(priced(state.rule, state.changes, middle))
+            trial = Trial(at_price(state.rule, state.changes, middle))
             (found,) = yield from self._on_draws(number, trial)
             low, high = (middle, high) if found.spent.mean() > self._budget else (low, middle)
-        return priced(state.rule, state.changes, high), high, state.changes
+        return at_price(state.rule, state.changes, high), high, state.changes
 
     def _ends(self, rule: Thresholds) -> list[int]:
         """For each point, the last instant whose error counts in a sweep.

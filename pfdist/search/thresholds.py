@@ -133,7 +133,7 @@ class ThresholdSweep:
             each = tried.deviation, sign * mse, sign * spent
             own = Changes(*(values[is_open] for values in each))
             changes[group] = (*changes.get(group, ()), own)[-self.pooled :]
-        rule = priced(state.rule, {group: changes[group] for group in groups}, self.price)
+        rule = at_price(state.rule, {group: changes[group] for group in groups}, self.price)
         return SweepState(rule, tuple(left), changes)
 
     def done(self, state: SweepState) -> bool:
@@ -141,7 +141,7 @@ class ThresholdSweep:
         return not state.left
 
 
-def priced(
+def at_price(
     rule: Thresholds, changes: Mapping[Points, tuple[Changes, ...]], price: float
 ) -> Thresholds:
     """The rule with the best thresholds of some groups for a price."""

@@ -9,9 +9,9 @@ from pfdist.search.thresholds import (
     ThresholdSweep,
     Trial,
     Tried,
+    at_price,
     best_threshold,
     point_groups,
-    priced,
 )
 
 
@@ -62,10 +62,10 @@ def test_a_sweep_finds_the_thresholds_at_which_a_measurement_is_worth_its_price(
     np.testing.assert_allclose(state.rule.thresholds, exact, rtol=3 * DRAWS ** (-1 / 3))
     assert trials == POINTS + 8
     assert len(state.changes) == POINTS
-    dear = priced(state.rule, state.changes, 2.0)  # another price needs no other trials
+    dear = at_price(state.rule, state.changes, 2.0)  # another price needs no other trials
     exact = np.sqrt(2.0 / GAINS)
     np.testing.assert_allclose(dear.thresholds, exact, rtol=6 * DRAWS ** (-1 / 3))
-    assert priced(state.rule, state.changes, price) == state.rule
+    assert at_price(state.rule, state.changes, price) == state.rule
 
 
 def test_points_of_a_group_share_a_threshold() -> None:
