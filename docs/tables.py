@@ -510,7 +510,8 @@ def rules() -> str:
         f"With {row['budget']:g} measurements at most, replanning has "
         f"{with_error(row['online_mse'], row['online_error'])} on {row['draws']:,} draws; the "
         "rule's error is "
-        f"{with_error(100 * row['online_excess'], 100 * row['online_excess_error'])} % above."
+        f"{with_error(100 * abs(row['online_excess']), 100 * row['online_excess_error'])} % "
+        f"{'above' if row['online_excess'] > 0 else 'below'}."
         for row in table.dropna(subset="online_mse").to_dict("records")
     ]
     return "\n\n".join([_table(head, rows), *replanned])
