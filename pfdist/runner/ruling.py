@@ -303,7 +303,10 @@ class _Search:
         ratios = sum(map(len, _RATIOS)) * ways * (ways > 1)
         grid = is_hard * sum(len(steps) * len(factors) for steps, factors in _HARD)
         trials = (1 + _HALVINGS) * (1 + ratios) + _NARROW * len(self._sweeps) + grid
-        sweeps = sum(number for number, _ in self._sweeps) * (len(self._groups) + TURNS + _NARROW)
+        ends = self._ends(self._even)
+        until_ends = float(np.mean(ends) + 1) / (max(ends) + 1)
+        a_sweep = until_ends * len(self._groups) + TURNS + _NARROW
+        sweeps = sum(number for number, _ in self._sweeps) * a_sweep
         of_all = sweeps * self._particles / first.estimation.particles / TUNING_DRAWS
         session.reporter.foresee(first.steps * (trials / _FEW + _NARROW + 4 + of_all))
         session.reporter.begin("rule")  # after the forecast: at 0 %
