@@ -138,7 +138,8 @@ def summary(tables: Tables) -> str:
     told = [
         f"Replanning, on {row['draws']:,} draws with at most {row['budget']:g} measurements: "
         f"{with_error(row['online_mse'], row['online_error'])}; the rule's error is "
-        f"{with_error(100 * row['online_excess'], 100 * row['online_excess_error'])} % above."
+        f"{with_error(100 * abs(row['online_excess']), 100 * row['online_excess_error'])} % "
+        f"{'above' if row['online_excess'] > 0 else 'below'}."
         for row in tables["rules"].dropna(subset="online_mse").to_dict("records")
     ]
     each = tables["decisions"].to_dict("records")

@@ -25,11 +25,12 @@ from pfdist.filters.interface import SUMS, all_or_none, checking, weighed
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import FilterArrays, FilterRequest
+from pfdist.kernels.deciding import ruling_of, with_points
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan_prefixes
-from pfdist.kernels.rules import Thresholds
+from pfdist.kernels.rules import Ruling
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
@@ -130,23 +131,11 @@ def _filter(
 ) -> FilterArrays:
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
-    rule, sensors = settings.rule or Thresholds(()), len(model.parts)
-    thresholds, turns, flipped = np.empty((0, 0)), np.empty((0, 0), np.int64), -1
-    follows = settings.follows.arrays(sensors, draws.instants)
-    if settings.rule is not None:  # the filter fills the set of each draw itself
-        own = np.unpackbits(planned.measured[0], axis=1, count=sensors, bitorder="little")
-        follows = follows._replace(prices=follows.prices * own.ravel())
-        points = np.arange(draws.start * sensors, (draws.start + len(own)) * sensors)
-        thresholds = np.reshape(rule.thresholds_of(points), own.shape)
-        arrives = np.arange(len(own))[:, None] + follows.delays
-        of_instant = np.pad(thresholds, ((0, follows.longest_delay), (0, 0)))
-        turns = np.argsort(-of_instant[arrives, range(sensors)], axis=1, kind="stable")
-        planned = planned._replace(measured=np.zeros_like(planned.measured))
-        shape = len(draws.index), *planned.measured.shape[1:]
-        others["measured"] = np.zeros(shape, np.uint8)
-        if settings.flipped is not None:
-            flipped = settings.flipped - draws.start * sensors
-            others["deviation"] = np.full(shape[0], np.nan)
+    sensors, ruling = len(model.parts), Ruling()
+    if settings.rule is not None:
+        rule = settings.rule, settings.follows, settings.flipped
+        planned, ruling, filled = ruling_of(*rule, planned, draws.index, draws.instants, sensors)
+        others |= filled
     mse = np.empty((len(draws.index), len(planned.measured)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
@@ -193,21 +182,14 @@ def _filter(
         kinds=kinds,
         lag=int(np.max(settings.lag)),
         first_smoothed=first_smoothed(settings.lag, draws.instants),
-        exponent=rule.exponent,
-        limit=float(rule.limit),
-        thresholds=thresholds,
-        turns=turns,
-        flipped=flipped,
-        follows=follows,
     )
-    filter_all(blocks, request, planned, results, scheme.name)
+    filter_all(blocks, request, planned, results, scheme.name, ruling)
     callbacks.raise_callback_error()
     degenerate = results.degenerate.view(np.bool_)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     if settings.rule is not None:
-        bits = np.unpackbits(results.measured, axis=2, count=sensors, bitorder="little")
-        results = results._replace(measured=bits.reshape(len(bits), sensors * bits.shape[1]))
+        results = with_points(results, sensors)
     return results._replace(degenerate=degenerate)
 
 

@@ -64,17 +64,14 @@ class Estimation:
     @property
     def recorded(self) -> dict[str, Any]:
         """The fields by name, without those of an evaluator, unused fields and defaults."""
-        recorded = {**vars(self)}
-        del recorded["prior"], recorded["lag"]
+        recorded = {name: value for name, value in vars(self).items() if value is not None}
+        recorded.pop("prior", None)
+        del recorded["lag"]
         if not self.carries:
             del recorded["threshold"]
-        if self.rule is None:
-            del recorded["rule"]
-        recorded |= recorded.pop("follows").recorded
         if self.proposal == PLAIN:
             del recorded["proposal"]
-        if self.flipped is None:
-            del recorded["flipped"]
+        recorded |= recorded.pop("follows").recorded
         return recorded
 
     def another(self, estimator: str, resampling: str) -> "Estimation":

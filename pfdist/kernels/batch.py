@@ -14,9 +14,9 @@ from pfdist.kernels.ancestors import Resampling, sum_of_first, sum_of_squares, w
 from pfdist.kernels.blocks import Blocks, call_block
 from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
-from pfdist.kernels.left import StepArrays
 from pfdist.kernels.memory import ahead, call
 from pfdist.kernels.prefixes import Plan
+from pfdist.kernels.rules import Ruling
 from pfdist.kernels.variates import Key, VariateRow
 
 INITIAL, TRANSITION, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
@@ -96,14 +96,6 @@ class FilterRequest(NamedTuple):
     lag: int
     # (T+1,): the first instant whose estimate uses the measurement at each instant
     first_smoothed: NDArray[np.int64]
-    # of a rule, see `Rule`
-    exponent: float
-    limit: float
-    thresholds: NDArray[np.float64]  # (T+1, sensors); empty without a rule
-    # (T+1, sensors): the sensors, from the highest threshold at an instant to the lowest
-    turns: NDArray[np.int64]
-    flipped: int  # the point at which the rule decides the opposite; -1: none
-    follows: StepArrays
 
 
 INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
@@ -202,8 +194,6 @@ class CloudBatch(NamedTuple):
     weighs: NDArray[np.uint8]  # whether the last measurement of the instant gave the weights
     resamples: NDArray[np.uint8]
     degenerate: NDArray[np.uint8]
-    left: NDArray[np.float64]  # (draws, n): with a rule, records, see `pfdist.kernels.filter`
-    trial: NDArray[np.float64]  # (n,): another one
     first_means: NDArray[np.float64]  # (U, T+1, q, row) of two filters; else empty
 
 
@@ -228,7 +218,6 @@ class Steps(NamedTuple):
     save: int
     move: int
     put_truth: int
-    decide: int
     forget: int
     weigh: int
     tell: int
@@ -286,6 +275,7 @@ class FilterCall(NamedTuple):
     saved: SavedBatches
     steps: Steps
     lines: Lines
+    rule: Ruling
 
 
 class At(NamedTuple):
@@ -446,6 +436,37 @@ def fill_mean(at, values, mean, weighed):
         else:
             value = sum_of_first(values, origin, request.particles)
         mean[d] = value / batch.total[d]
+
+
+@compiled
+def fill_mean_of_z(at, t, mean, weighed):
+    """Fill rows of draws with the weighted mean of each component of z; see `fill_mean`."""
+    request, batch, cloud = at.work.request, at.work.batch, present(at)
+    if request.is_state:
+        for r in range(request.means):
+            values = ahead(cloud, request.components_of_state[r] * batch.stride)
+            fill_mean(at, values, ahead(batch.means, r * batch.row), weighed)
+    else:
+        of_particles(at, QUANTITY, t, cloud, batch.quantity)
+        _fill_means(at, batch.means, request.means, weighed)
+    of_draws(at, ESTIMATE, t, batch.means, mean)
+
+
+@compiled
+def fill_variances(at, t, mean, variance):
+    """Fill rows of draws with the variance of each component of z around a mean."""
+    batch = at.work.batch
+    with_given(at, DEVIATIONS, t, present(at), batch.quantity, mean, 1, batch.row)
+    _fill_means(at, variance, at.work.request.quantities, False)
+
+
+@compiled
+def _fill_means(at, means, rows, weighed):
+    """Fill rows of draws with the weighted means of z, or of squared deviations."""
+    batch = at.work.batch
+    for r in range(rows):
+        values = ahead(batch.quantity, r * batch.stride)
+        fill_mean(at, values, ahead(means, r * batch.row), weighed)
 
 
 @compiled

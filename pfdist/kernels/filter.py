@@ -15,7 +15,6 @@ from pfdist.kernels.ancestors import (
     Drawn,
     Search,
     resampling_scratch,
-    sum_of_deviations,
     sum_of_squares,
     sum_of_weights,
     take_ancestors,
@@ -23,8 +22,6 @@ from pfdist.kernels.ancestors import (
     weighted_sum,
 )
 from pfdist.kernels.batch import (
-    DEVIATIONS,
-    ESTIMATE,
     INITIAL,
     INITIAL_NOISE,
     LOGARITHM,
@@ -47,23 +44,23 @@ from pfdist.kernels.batch import (
     add_squared_errors,
     add_variances,
     copy_numbers,
-    fill_mean,
+    fill_mean_of_z,
     fill_noise,
+    fill_variances,
     is_drawn_again,
     measuring,
-    of_draws,
     of_particles,
     other,
     present,
     record_sizes,
     sensors_at,
-    with_given,
 )
 from pfdist.kernels.blocks import Compiled, call_block
 from pfdist.kernels.cached import Entry, compiled, entry
-from pfdist.kernels.left import ROUNDING
+from pfdist.kernels.deciding import is_measured, with_measured
 from pfdist.kernels.memory import ahead, call, read, zeros
 from pfdist.kernels.prefixes import Plan
+from pfdist.kernels.rules import Ruling
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, number_of_words
 from pfdist.kernels.vectors import LANES
 
@@ -143,8 +140,8 @@ def _predict(instant):
         call(steps.move, instant)
     if steps.put_truth != 0:
         call(steps.put_truth, instant)
-    if steps.decide != 0:
-        call(steps.decide, instant)
+    if instant.at.work.rule.decide != 0:
+        call(instant.at.work.rule.decide, instant)
 
 
 @compiled
@@ -267,175 +264,6 @@ def _put_truth(instant):
             cloud[c * batch.stride + d * batch.width] = x[c]
 
 
-@entry(Instant)
-def _decide(instant):
-    """Choose the sensors that measure each draw, by the standard deviation of z; see `Rule`.
-
-    The results have the set of each draw, and the plan has what some draw of the batch measures.
-    """
-    at, s, t, _, _ = read(instant)
-    request, batch, row = at.work.request, at.work.batch, at.work.batch.row
-    mean = ahead(batch.moments, request.quantities * row)
-    variance = ahead(mean, request.quantities * row)
-    width = (request.sensors + 7) // 8
-    some = ahead(at.work.plan.measured, (s * request.instants + t) * width)
-    _fill_mean_of_z(at, t, mean, False)
-    for place in range(width):
-        some[place] = 0
-    has_variance = False
-    for d in range(at.draws):
-        left = _with_arrived(at, t, d)
-        if not left > 0.0:
-            continue
-        total = 0.0
-        if request.is_state and batch.weighted[d] == 0:  # the same, in one pass
-            for c in range(request.quantities):
-                values = ahead(present(at), request.components_of_state[c] * batch.stride)
-                origin = d * batch.width
-                total += sum_of_deviations(values, origin, request.particles, mean[c * row + d])
-            total /= request.particles
-        else:
-            if not has_variance:
-                _fill_variances(at, t, mean, variance)
-            has_variance = True
-            for c in range(request.quantities):
-                total += variance[c * row + d]
-        _choose(at, t, d, np.sqrt(total))
-    for d in range(at.draws):
-        own = ahead(at.work.results.measured, _set_of(at, t, d))
-        for place in range(width):
-            some[place] |= own[place]
-
-
-@compiled
-def _choose(at, t, d, deviation):
-    """Choose the sensors of a draw, from the highest threshold to the lowest."""
-    request, batch = at.work.request, at.work.batch
-    follows, factor = request.follows, 1.0
-    if request.limit > 0.0:
-        spent = batch.left[d * (4 + 2 * request.sensors)]
-        if follows.longest_delay > 0:
-            _may_follow(at, t, d, -1, False)
-            spent = batch.trial[0]
-        factor = ((request.instants - t) / (request.limit - spent)) ** request.exponent
-    for turn in range(request.sensors):
-        sensor = request.turns[t * request.sensors + turn]
-        arrives = t + follows.delays[sensor]
-        point = arrives * request.sensors + sensor
-        if arrives >= request.instants or not follows.prices[point] > 0.0:
-            continue
-        exceeds = deviation > request.thresholds[point] * factor or follows.required[point] != 0
-        is_flipped = point == request.flipped
-        if not (exceeds or is_flipped) or not _may_follow(at, t, d, point, True):
-            continue
-        if is_flipped:
-            at.work.results.deviation[at.first + d] = deviation / factor
-        if exceeds != is_flipped:
-            own = ahead(at.work.results.measured, _set_of(at, arrives, d))
-            own[sensor // 8] |= 1 << sensor % 8
-
-
-# The constraints on the measurements that may follow in a draw; `pfdist.kernels.left.Left` is the
-# twin. A record has what is spent, the first instant that may be measured, the first point after
-# the last visit, and the number of visits; then, for each sensor, the number of measurements and
-# the last instant.
-
-
-@compiled
-def _with_arrived(at, t, d):
-    """Bring the record of a draw to an instant; what is left to spend, 0 if nothing may follow."""
-    request, batch = at.work.request, at.work.batch
-    record = ahead(batch.left, d * (4 + 2 * request.sensors))
-    if t == 0:
-        for place in range(4 + request.sensors):
-            record[place] = 0.0
-        for sensor in range(request.sensors):
-            record[4 + request.sensors + sensor] = -1.0
-    else:
-        for sensor in range(request.sensors):
-            if _has(at, t - 1, d, sensor):
-                _add(at, record, t - 1, sensor)
-    if t + request.follows.longest_delay < record[1]:
-        return 0.0
-    return request.limit - record[0] if request.limit > 0.0 else np.inf
-
-
-@compiled
-def _may_follow(at, t, d, added, requires):
-    """Whether a point may be added to what a draw has measured, with the required ones or not.
-
-    The trial record then has all that was measured, so that it tells what is spent.
-    """
-    request, batch = at.work.request, at.work.batch
-    follows, count = request.follows, 4 + 2 * request.sensors
-    copy_numbers(ahead(batch.left, d * count), batch.trial, count)
-    last = max(t + follows.longest_delay, follows.last_required if requires else t)
-    for at_instant in range(t, min(last + 1, request.instants)):
-        for sensor in range(request.sensors):
-            point = at_instant * request.sensors + sensor
-            is_wanted = point == added or (requires and follows.required[point] != 0)
-            is_wanted |= _has(at, at_instant, d, sensor)
-            if is_wanted and not _add(at, batch.trial, at_instant, sensor):
-                return False
-    return True
-
-
-@compiled
-def _add(at, record, t, sensor):
-    """Add a measurement, the latest so far, to a record; whether it breaks no constraint."""
-    request = at.work.request
-    follows, sensors = request.follows, request.sensors
-    point, number, latest = t * sensors + sensor, ahead(record, 4), ahead(record, 4 + sensors)
-    fits = t >= record[1] and number[sensor] < follows.most[sensor]
-    if latest[sensor] >= 0.0:
-        fits &= t >= follows.own_apart[sensor * request.instants + np.int64(latest[sensor])]
-    price, before, group = follows.prices[point], 0.0, follows.group[sensor]
-    for way in range(sensors):
-        if follows.alike[way] == follows.alike[sensor]:
-            before += number[way]
-        elif group > 0 and follows.group[way] == group:
-            fits &= latest[way] != t
-    if before == 0.0:
-        price += follows.install[sensor]
-    if point >= record[2]:
-        fits &= record[3] < follows.most_visits
-        price += follows.visit_price
-        record[2] = follows.visit_ends[point]
-        record[3] += 1.0
-    if request.limit > 0.0:
-        fits &= price <= request.limit - record[0] + ROUNDING * request.limit
-    record[0] += price
-    record[1] = follows.apart[t]
-    number[sensor] += 1.0
-    latest[sensor] = t
-    return fits
-
-
-@compiled
-def _has(at, t, d, sensor):
-    """Whether a sensor measures a draw, so that its value arrives at an instant."""
-    own = ahead(at.work.results.measured, _set_of(at, t, d))
-    return ((own[sensor // 8] >> sensor % 8) & 1) != 0
-
-
-@compiled
-def _set_of(at, t, d):
-    """Where the results have the sensors that measure a draw at an instant."""
-    request = at.work.request
-    return ((at.first + d) * request.instants + t) * ((request.sensors + 7) // 8)
-
-
-@compiled
-def _is_measured(at, t, d):
-    """Whether a draw of a batch is measured, and not only others, by a rule."""
-    if at.work.steps.decide == 0:
-        return True
-    own, some = ahead(at.work.results.measured, _set_of(at, t, d)), False
-    for place in range((at.work.request.sensors + 7) // 8):
-        some |= own[place] != 0
-    return some
-
-
 # --- measurements ---------------------------------------------------------------------------------
 
 
@@ -458,7 +286,7 @@ def _weigh(instant):
     request, batch = at.work.request, at.work.batch
     _fill_log_weights(read(instant))
     for d in range(at.draws):
-        if not _is_measured(at, t, d):
+        if not is_measured(at, t, d):
             continue
         total = weigh(
             batch.log_weight, d * batch.width, batch.width, request.particles, batch.weight,
@@ -494,7 +322,7 @@ def _tell(instant):
         (1, batch.row),
     )
     for d in range(at.draws):
-        if not _is_measured(at, t, d):
+        if not is_measured(at, t, d):
             continue
         origin = d * batch.width
         highest = -np.inf
@@ -520,14 +348,7 @@ def _fill_log_weights(instant):
     cloud, used = present(at), at.draws * batch.width
     y = sensors_at(at, t, request.first_components[sensor])
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
-    if at.work.steps.decide == 0:
-        with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
-    else:
-        for d in range(at.draws):
-            if _is_measured(at, t, d):
-                alone, origin = At(at.work, at.stream, at.number, at.first + d, 1), d * batch.width
-                source, target = ahead(cloud, origin), ahead(batch.log_weight, origin)
-                with_given(alone, block, t, source, target, ahead(y, d * of_draw), of_draw, 1)
+    with_measured(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
     if is_drawn_again(instant):
         guide = ahead(cloud, request.states * batch.stride)
         for i in range(used):
@@ -570,7 +391,7 @@ def _resample(instant):
     """
     at, _, t, _, sensor = read(instant)
     request, batch, scratch = at.work.request, at.work.batch, at.work.scratch
-    some = False
+    some, every = False, True
     for d in range(at.draws):
         weighs = batch.weighs[d] > 0
         uneven = _is_uneven(request, batch, d)
@@ -578,6 +399,7 @@ def _resample(instant):
             uneven or (sensor < request.sensors and request.threshold < np.inf)
         )
         some |= batch.resamples[d] > 0
+        every &= batch.resamples[d] > 0
     if not some:
         return
     key = (request.start + t) * request.sensors + sensor - 1
@@ -585,20 +407,17 @@ def _resample(instant):
     drawn = Drawn(at.stream, key, first, at.draws, batch.width, request.particles)
     search = Search(batch.cumulative, batch.resamples, request.holds_truth, drawn, scratch)
     call(at.work.steps.scheme, search)
-    by_rule = at.work.steps.decide != 0  # few draws are resampled together, and stay in place
     for d in range(at.draws):
-        if by_rule and not batch.resamples[d]:
+        if not batch.resamples[d]:
             continue
         for c in range(request.states):
-            row = c * batch.stride
+            row, origin = c * batch.stride, d * batch.width
             source, target = ahead(present(at), row), ahead(other(at), row)
             take_ancestors(scratch, source, target, d, batch.width)
-            if by_rule:
-                origin = d * batch.width
+            if not every:  # the other draws stay in place
                 copy_numbers(ahead(target, origin), ahead(source, origin), batch.width)
-        if batch.resamples[d]:
-            batch.weighted[d], batch.total[d] = 0, float(request.particles)
-    if not by_rule:
+        batch.weighted[d], batch.total[d] = 0, float(request.particles)
+    if every:
         batch.half[0] = 1 - batch.half[0]
 
 
@@ -611,43 +430,12 @@ def _estimate(instant):
     instant = read(instant)
     at, s, t, sensors, _ = instant
     request, steps, batch = at.work.request, at.work.steps, at.work.batch
-    by_rule = steps.decide != 0  # which has filled the mean of a draw that it does not measure
+    by_rule = at.work.rule.decide != 0  # which has filled the mean of draws that are not measured
     if sensors != 0 or not by_rule:
-        _fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row), by_rule)
+        fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row), by_rule)
     if steps.estimate_variance != 0:
         call(steps.estimate_variance, instant)
     add_squared_errors(at, s, t)
-
-
-@compiled
-def _fill_mean_of_z(at, t, mean, weighed):
-    """Fill rows of draws with the weighted mean of each component of z; see `fill_mean`."""
-    request, batch, cloud = at.work.request, at.work.batch, present(at)
-    if request.is_state:
-        for r in range(request.means):
-            values = ahead(cloud, request.components_of_state[r] * batch.stride)
-            fill_mean(at, values, ahead(batch.means, r * batch.row), weighed)
-    else:
-        of_particles(at, QUANTITY, t, cloud, batch.quantity)
-        _fill_means(at, batch.means, request.means, weighed)
-    of_draws(at, ESTIMATE, t, batch.means, mean)
-
-
-@compiled
-def _fill_variances(at, t, mean, variance):
-    """Fill rows of draws with the variance of each component of z around a mean."""
-    batch = at.work.batch
-    with_given(at, DEVIATIONS, t, present(at), batch.quantity, mean, 1, batch.row)
-    _fill_means(at, variance, at.work.request.quantities, False)
-
-
-@compiled
-def _fill_means(at, means, rows, weighed):
-    """Fill rows of draws with the weighted means of z, or of squared deviations."""
-    batch = at.work.batch
-    for r in range(rows):
-        values = ahead(batch.quantity, r * batch.stride)
-        fill_mean(at, values, ahead(means, r * batch.row), weighed)
 
 
 @entry(Instant)
@@ -658,7 +446,7 @@ def _estimate_variance(instant):
     quantities, row = request.quantities, batch.row
     mean = ahead(batch.moments, quantities * row)
     variance = ahead(mean, quantities * row)
-    _fill_variances(at, t, mean, variance)
+    fill_variances(at, t, mean, variance)
     if at.work.wanted.moments and sensors != 0:
         record_sizes(at, t)
     add_variances(at, s, t, mean, variance)
@@ -672,7 +460,7 @@ def _rank_truth(instant):
     half = request.draws * request.instants * request.quantities
     of_particles(at, QUANTITY, t, present(at), batch.quantity)
     for d in range(at.draws):
-        if not _is_measured(at, t, d):
+        if not is_measured(at, t, d):
             continue
         origin, total = d * batch.width, batch.total[d]
         first = ((at.first + d) * request.instants + t) * request.quantities
@@ -728,8 +516,9 @@ _MOST_SAVED = 2**22  # numbers of all saved batches and of the noise of paths, a
 
 
 def filter_all(
-    compiled: Compiled, request: FilterRequest, plan: Plan, results: FilterArrays, scheme: str
-) -> None:
+    compiled: Compiled, request: FilterRequest, plan: Plan, results: FilterArrays, scheme: str,
+    rule: Ruling,
+) -> None:  # fmt: skip
     """Filter all draws, in arrays that each call allocates, so that threads can run in parallel.
 
     The number of particles that a Python function receives does not depend on the rest of the
@@ -745,7 +534,7 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    if request.thresholds.size and (request.sensors > 1 or request.rows.size or request.lag):
+    if rule.decide and (request.sensors > 1 or request.rows.size or request.lag):
         draws = 1  # by a rule, each draw has a separate set
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
@@ -756,7 +545,7 @@ def filter_all(
     steps = _needed(request, plan, results, scheme)
     blocks = compiled.blocks
     filter_draws(
-        FilterCall(blocks, request, plan, results, wanted, batch, scratch, saved, steps, kept)
+        FilterCall(blocks, request, plan, results, wanted, batch, scratch, saved, steps, kept, rule)
     )
 
 
@@ -777,7 +566,6 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         save=address(_save, saves),
         move=address(_move),
         put_truth=address(_put_truth, request.holds_truth),
-        decide=address(_decide, request.thresholds.size > 0),
         forget=address(_forget),
         weigh=address(_weigh),
         tell=address(_tell, request.weights.evidence != 0.0),
@@ -812,8 +600,7 @@ def _arrays(
     sets = request.sets if request.filters > 1 else 0
     steps, most = 0, int(request.rows.max(initial=0))
     if request.rows.size:
-        by_rule = request.thresholds.size > 0  # which may leave any gap
-        steps = (request.instants if by_rule else guided.longest_gap(plan)) + 1
+        steps = guided.longest_gap(plan) + 1
     memory, arrays = zeros(
         CloudBatch,
         half=1,
@@ -838,8 +625,6 @@ def _arrays(
         weighs=row,
         resamples=row,
         degenerate=row,
-        left=draws * (4 + 2 * request.sensors),
-        trial=4 + 2 * request.sensors,
         first_means=sets * request.instants * quantities * row,
     )
     kept, places = zeros(

@@ -1,6 +1,6 @@
 """The constraints of a job in the order of time: whether a measurement may follow those before.
 
-The compiled filter takes the same steps, see `pfdist.kernels.filter`.
+The compiled filter takes the same steps, see `pfdist.kernels.deciding`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

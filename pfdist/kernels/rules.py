@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.kernels.left import ROUNDING, Left
+from pfdist.kernels.left import ROUNDING, UNLIMITED, Left, StepArrays
 
 ALWAYS, NEVER = -1.0, float("inf")
 """Thresholds with which each draw is measured, even if its particles agree; and none."""
@@ -78,3 +78,18 @@ class Thresholds(NamedTuple):
         """The rule whose thresholds are so many times as high; "always" remains "always"."""
         thresholds = (float(f"{c * factor:.4g}") if c > 0 else c for c in self.thresholds)
         return self._replace(thresholds=tuple(thresholds))
+
+
+class Ruling(NamedTuple):
+    """A rule in the form that the compiled filter reads; by default there is none."""
+
+    decide: int = 0  # address of `pfdist.kernels.deciding.decide`
+    exponent: float = 0.0
+    limit: float = 0.0
+    thresholds: NDArray[np.float64] = np.empty(0)  # (T+1, sensors)
+    # (T+1, sensors): the sensors, from the highest threshold at an instant to the lowest
+    turns: NDArray[np.int64] = np.empty(0, np.int64)
+    flipped: int = -1  # the point at which it decides the opposite; -1: none
+    follows: StepArrays = UNLIMITED.arrays(1, range(1))
+    left: NDArray[np.float64] = np.empty(0)  # (D, n): records of the draws of a batch
+    trial: NDArray[np.float64] = np.empty(0)  # (n,): another one

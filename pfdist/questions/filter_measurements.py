@@ -59,6 +59,9 @@ _TIMES = ("measured", "missing", "extra", "to_come")
 _FACTS = ("surprise_of_all", "is_improbable", "collapsed", "log_evidence", "why_no_evidence")
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
 _SIZE = "Effective sample size of the filter's particles at each instant."
+SEE_SURPRISE = (
+    "The model may be wrong about this system: look at the surprise that pfdist filter shows."
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -411,6 +414,12 @@ def _estimate(answer: FilteredMeasurements) -> str:
     made = number_of(len(answer.measured), "measurement")
     said = f" The {made} {fits if len(answer.measured) > 1 else fits.replace('do', 'does')}"
     return f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * bool(answer.measured)
+
+
+def surprise_of(estimates: Iterable[FilterEstimate]) -> float | None:
+    """The p-value of the most surprising among all measurements (Bonferroni)."""
+    surprises = [each.surprise for each in estimates if each.surprise is not None]
+    return min(1.0, len(surprises) * min(surprises)) if surprises else None
 
 
 def few_at(t: Time | None, clock: Clock) -> list[str]:

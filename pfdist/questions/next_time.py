@@ -1,54 +1,45 @@
 """The time to measure next, from a run and the measurements so far."""
 
-import math
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import chain
-from numbers import Real
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from pfdist.common.estimate import Estimate
-from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Facts, Page, Section, Text
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.shown import Shown
-from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
+from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.problem.clock import Clock, Time
-from pfdist.problem.measurements import Measurements, Reading, read_measurements
+from pfdist.problem.measurements import Measurements, read_measurements
 from pfdist.problem.problem import JobSource
-from pfdist.questions.filter_measurements import IMPROBABLE, few_at
+from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
+from pfdist.questions.next_by_rule import NextByRule, next_by_rule
 from pfdist.questions.planned_run import (
     Columns,
     PlannedRun,
     UserTable,
-    filter_of,
-    on_clock_of,
+    instant_now,
     planned_run,
     reading_of,
+    system_of_table,
     table_argument,
 )
 from pfdist.questions.planner import Planner
-from pfdist.questions.rule import NextByRule
-from pfdist.questions.rule_file import rule_of
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
 
 _SHOWN = 4  # planned times that are named
-_SEE_SURPRISE = (
-    "The model may be wrong about this system: look at the surprise that pfdist filter shows."
-)
 
 
 @dataclass(frozen=True, repr=False)
@@ -173,7 +164,7 @@ class NextTime(Shown):
         else:
             said = f"No further measurement is possible after {number}"
         section = Section("", [Text(f"{said}.", prominent=True), Facts(facts)])
-        alarms = [*few_at(self.collapsed, clock), *[_SEE_SURPRISE] * self.is_improbable]
+        alarms = [*few_at(self.collapsed, clock), *[SEE_SURPRISE] * self.is_improbable]
         return Page("", "", [section], alarms=alarms)
 
     def _before(self) -> list[tuple[str, str]]:
@@ -267,7 +258,7 @@ def next_time(
     believed = plan.built.evaluator.believed
     clock, points = plan.built.job.problem.clock, plan.built.job.problem.points
     if rule and plan.path is not None:
-        by_rule = _by_rule(
+        by_rule = next_by_rule(
             plan, plan.path, table, now, reading_of(plan.built, columns, within, say)
         )
         for line in by_rule.doubts if say is silent else ():
@@ -288,7 +279,7 @@ def next_time(
         if not is_own:
             last, surprise = _tell_all(planner, plan, rows, now)
         elif now is not None:
-            instant = _instant_now(now, max(last, start), clock)
+            instant = instant_now(now, max(last, start), clock)
             if instant > last:
                 planner.missed(clock.time(instant))
             last = instant
@@ -323,42 +314,6 @@ def next_time(
     return result
 
 
-def _by_rule(
-    plan: PlannedRun, run: Path, table: Path | pd.DataFrame, now: Any, reading: Reading
-) -> NextByRule:
-    """The first instant at which the spread exceeds a level of the run's rule."""
-    feasible, points = plan.built.feasible, plan.built.feasible.points
-    rule, clock = rule_of(run, feasible), points.clock
-    start = 0 if plan.prior is None else plan.prior.t
-    rows = read_measurements(table, plan.built.evaluator.believed, clock, start, reading)
-    filtering, taken, measured = _followed(plan, rows)
-    estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
-    at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
-    passed = max([start - 1, *(k for k in range(len(clock.times)) if at[k] <= last)])
-    if now is not None:
-        passed = _instant_now(now, max(passed, start), clock)
-    waiting = tuple(point for point in rows.in_flight if points.instant(point) > passed)
-    left = feasible.left(taken, passed + 1, waiting, rule.limit)
-    following, spread, level = None, math.nan, math.nan
-    for k in range(passed + 1, len(clock.times)):
-        left.wait(k)
-        here, spent = left.made_at(k), float(left.spent[0])
-        if not any(left.may(point)[0] for point in here):
-            continue
-        spread = filtering.predict(at[k]).spread
-        chosen = rule.chosen(spread, k, left)
-        level = min(rule.levels(chosen or here, len(clock.times) - k, spent))
-        if chosen:
-            written = points.written_of(sorted(chosen))
-            following = ", ".join(written) if points.sensors else written[0]
-            break
-    surprise = _surprise_of(estimates)
-    few = next((each.collapsed for each in estimates if each.collapsed is not None), None)
-    doubts = few_at(None if few is None else rows.clock.time(few), clock)
-    doubts += [_SEE_SURPRISE] * (surprise is not None and surprise < IMPROBABLE)
-    return NextByRule(run, rule, measured, following, spread, level, feasible, doubts)
-
-
 def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     """Add all measurements to a planner in the order of time.
 
@@ -378,7 +333,7 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
             planner.missed(clock.time(t))
         else:
             estimates.append(planner.update(y, clock.time(t)))
-    return instants[-1][0] if instants else -1, _surprise_of(estimates)
+    return instants[-1][0] if instants else -1, surprise_of(estimates)
 
 
 def _tell_all(
@@ -393,48 +348,8 @@ def _tell_all(
     until = len(clock.between(clock.times[0], end))
     if passed := abs(clock.times[until - 1] - end) <= clock.slack:
         until -= 1
-    if now is not None and (instant := _instant_now(now, until - (not passed), clock)) >= until:
+    if now is not None and (instant := instant_now(now, until - (not passed), clock)) >= until:
         until, passed = instant, True
-    filtering, taken, _ = _followed(plan, rows)
+    filtering, taken, _ = system_of_table(plan, rows)
     estimates = planner._follow(filtering, rows, taken, until, passed=passed)
-    return until - (not passed), _surprise_of(estimates)
-
-
-def _followed(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times, tuple[Any, ...]]:
-    """The filter of a table's system, the job's points nearest to those measured, and their texts.
-
-    A measurement without a value is spent, too.
-    """
-    points = plan.built.job.problem.points
-    on, fine = replace(points, clock=rows.clock), on_clock_of(plan, rows)
-    made = sorted({*rows.made_with(plan.built.evaluator.believed), *rows.failed})
-    near = points.clock.nearest(rows.clock.times[on.instant(point)] for point in made)
-    taken = sorted(points.first(k) + points.way(t) for k, t in zip(near, made, strict=True))
-    filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
-    return filtering, tuple(taken), tuple(on.written_of(made))
-
-
-def _surprise_of(estimates: Iterable[FilterEstimate]) -> float | None:
-    """The p-value of the most surprising among all measurements (Bonferroni)."""
-    surprises = [each.surprise for each in estimates if each.surprise is not None]
-    return min(1.0, len(surprises) * min(surprises)) if surprises else None
-
-
-def _instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
-    """The instant of the last time that has passed, after checking it."""
-    number: Any = now
-    is_number = isinstance(now, Real) and not isinstance(now, bool)
-    if clock.counts and not (is_number and float(number).is_integer()):
-        raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
-    first = clock.times[last]
-    try:
-        number = number if is_number else clock.times[clock.instant(number, "now")]
-        if not first <= number <= clock.times[-1]:
-            raise MeasurementsError(
-                f"now must lie in {clock.text(first)}..{clock.text(clock.times[-1])}, got "
-                f"{clock.text(number)}",
-                argument="now",
-            )
-        return int(number) if clock.counts else clock.instant(number, "now")
-    except MeasurementTimesError as error:
-        raise MeasurementsError(str(error), argument="now") from error
+    return until - (not passed), surprise_of(estimates)

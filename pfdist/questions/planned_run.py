@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime
 from functools import cache, partial
+from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,11 +15,12 @@ from numpy.typing import ArrayLike
 from pfdist.common.arguments import columns_argument, path_argument
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import must_be
-from pfdist.errors import JobError
+from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
+from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, as_job
@@ -225,3 +228,37 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
         draw=draw,
         horizon=built.evaluator.horizon,
     )
+
+
+def system_of_table(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times, tuple[Any, ...]]:
+    """The filter of a table's system, the job's points nearest to those measured, and their texts.
+
+    A measurement without a value is spent, too.
+    """
+    points = plan.built.job.problem.points
+    on, fine = replace(points, clock=rows.clock), on_clock_of(plan, rows)
+    made = sorted({*rows.made_with(plan.built.evaluator.believed), *rows.failed})
+    near = points.clock.nearest(rows.clock.times[on.instant(point)] for point in made)
+    taken = sorted(points.first(k) + points.way(t) for k, t in zip(near, made, strict=True))
+    filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
+    return filtering, tuple(taken), tuple(on.written_of(made))
+
+
+def instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
+    """The instant of the last time that has passed, after checking it."""
+    number: Any = now
+    is_number = isinstance(now, Real) and not isinstance(now, bool)
+    if clock.counts and not (is_number and float(number).is_integer()):
+        raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
+    first = clock.times[last]
+    try:
+        number = number if is_number else clock.times[clock.instant(number, "now")]
+        if not first <= number <= clock.times[-1]:
+            raise MeasurementsError(
+                f"now must lie in {clock.text(first)}..{clock.text(clock.times[-1])}, got "
+                f"{clock.text(number)}",
+                argument="now",
+            )
+        return int(number) if clock.counts else clock.instant(number, "now")
+    except MeasurementTimesError as error:
+        raise MeasurementsError(str(error), argument="now") from error

@@ -20,7 +20,6 @@ from pfdist.filters.criterion import Criterion, CriterionValue, OtherCriterion, 
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.models import StateSpaceModel
-from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES
 from pfdist.problem.problem import JobSource
@@ -401,58 +400,3 @@ def level_text(rule: Thresholds, feasible: Feasible, unit: str = "") -> str:
     limit = rule.limit
     paid = f"a price of {unrounded(limit)}" if feasible.price else number_of(int(limit), "time")
     return ", ".join(levels) + power + f", at most {paid}" * (limit > 0)
-
-
-# --- real measurements ----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, repr=False)
-class NextByRule(Shown):
-    """Result of `next_time` with a rule.
-
-    Parameters
-    ----------
-    run : Path
-    rule : Thresholds
-        That of the file ``rule.json`` in the folder of the run.
-    measured : tuple of int or float
-        Times with a measurement.
-    next : int, float, str or None
-        The first time, on the clock of the job, at which the rule measures if nothing is measured
-        before, with sensors as ``12 x-ray``; None if there is none.
-    standard_deviation, level : float
-        Predicted standard deviation of z at that time, and the lowest level that it exceeds;
-        without such a time, both at the last instant that is left, or NaN.
-    feasible : Feasible
-        The constraints of the job.
-    doubts : sequence of str
-        Sentences that put the answer in doubt.
-    """
-
-    run: Path
-    rule: Thresholds
-    measured: tuple[Time, ...]
-    next: Time | str | None
-    standard_deviation: float
-    level: float
-    feasible: Feasible
-    doubts: Sequence[str]
-
-    def as_json(self) -> dict[str, Any]:
-        """The result as JSON values."""
-        names = ("measured", "next", "standard_deviation", "level")
-        values = {name: getattr(self, name) for name in names}
-        return finite({"run": str(self.run), "rule": rule_json(self.rule, self.feasible), **values})
-
-    def _page(self) -> Page:
-        said = f"The rule measures no more after {number_of(len(self.measured), 'measurement')}"
-        level = level_text(self.rule, self.feasible)
-        facts = [("rule", f"standard deviation of z above {level}")]
-        if self.next is not None:
-            is_written = isinstance(self.next, str)
-            when = self.next if is_written else self.feasible.points.clock.listed([self.next])
-            said = f"Measure next at t = {when}"
-            spread = f"{rounded(self.standard_deviation)}, above {rounded(self.level)}"
-            facts.append(("predicted standard deviation", spread))
-        blocks = Text(f"{said}.", prominent=True), Facts(facts)
-        return Page("", "", [Section("", blocks)], alarms=self.doubts)

@@ -1,6 +1,7 @@
 """The file rule.json: a tuned rule as it is written and read, and used for one system."""
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from pathlib import Path
@@ -18,7 +19,7 @@ from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.results import finite
 from pfdist.store import RULE as FILE
-from pfdist.store import read_rule, run_key, write_about
+from pfdist.store import read_listed, run_key, write_about
 from pfdist.store.files import reading
 
 ALONE = "y"  # name of the sensor of a model without sensors
@@ -189,9 +190,12 @@ def keep_rule(run: Path, answer: Mapping[str, Any]) -> None:
 
 def rule_of(run: Path, feasible: Feasible) -> Thresholds:
     """The rule that was tuned last for a run; a `StoreError` if there is none."""
-    answer, sensors = read_rule(run), feasible.points.sensors or [""]
+    if not os.path.lexists(run / FILE):
+        raise StoreError(f"{run} has no rule: `pfdist rule {run}` tunes one")
+    content, sensors = read_listed(run, FILE), feasible.points.sensors or [""]
     try:
-        return _Written.read(answer["rule"]).rule(sensors, feasible.horizon + 1)
+        written = _Written.read(parse_json(content)["rule"])
+        return written.rule(sensors, feasible.horizon + 1)
     except (ValueError, TypeError, KeyError) as error:
         raise _damaged(run / FILE, error) from error
 

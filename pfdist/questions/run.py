@@ -21,7 +21,7 @@ from pfdist.questions.run_of_job import folder_of
 from pfdist.questions.subject import Subject
 from pfdist.results import Run, open_run
 from pfdist.results.sets import publish_sets
-from pfdist.results.stored_run import measured_of, problem_of, provenance_of
+from pfdist.results.stored_run import measured_of, problem_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.door import RunSession, WorkBatch, complete
@@ -33,7 +33,7 @@ from pfdist.runner.opponent import SHARE
 from pfdist.runner.progress import Detail, Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
-from pfdist.runner.ruling import look, look_work, settle_rules
+from pfdist.runner.ruling import look_at_a_rule
 from pfdist.runner.searches import RANKING
 from pfdist.store import (
     EVEN_PHASE,
@@ -224,7 +224,7 @@ def compute(
                 for phase in (EVEN_PHASE, RANKING):
                     session.store.settle(table, phase)
         if proves or is_alone:
-            yield from _look_at_a_rule(session, run, prover)
+            yield from look_at_a_rule(session, run, SHARE * core_steps(built, prover))
         if prover is not None and proves:
             publish_sets(run)
             if "budget" in run.job:
@@ -275,22 +275,6 @@ def _note_few_lines(built: Built, run: Run) -> None:
     text, is_few = fewest_lines(evaluator, work, built.job.problem.clock.formatted)
     if text:
         add_to_provenance(run.path, {"few_lines": text * is_few})
-
-
-def _look_at_a_rule(
-    session: RunSession, run: Run, prover: Prover | None
-) -> Generator[WorkBatch, None, None]:
-    """Keep a sentence about what deciding on the way may win, for every answer of the run."""
-    key, built = "on_the_way", session.built
-    draws, steps = look_work(built, SHARE * core_steps(built, prover))
-    if not draws or key in provenance_of(run):
-        return
-    plan = measured_of(run)[built.searches[0].name]
-    session.reporter.foresee(steps)
-    sentence = yield from look(session, plan, draws)
-    session.commit()
-    settle_rules(session.store)
-    add_to_provenance(run.path, {key: sentence})
 
 
 def _unproved(session: RunSession, reason: str) -> None:

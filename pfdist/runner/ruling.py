@@ -6,10 +6,11 @@ and the noise of their filters.
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,25 +20,27 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.interface import EACH_DRAW, weighed
 from pfdist.filters.work import FilterWork, Result
 from pfdist.kernels.left import ROUNDING, Left
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES
 from pfdist.results import Moments
+from pfdist.results.stored_run import StoredRun, measured_of, provenance_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.search.thresholds import (
     TURNS,
     Points,
-    SweepState,
     ThresholdSweep,
     Trial,
     Tried,
+    at_price,
     point_groups,
 )
-from pfdist.store import RULE_PHASE, Store
+from pfdist.store import RULE_PHASE, Store, add_to_provenance
 
 TUNING_DRAWS = 3000
 ONE_SIDED = 1.645
@@ -59,7 +62,12 @@ _LAST = 2  # so many sweeps give a rule each, between which errors decide
 _LOOKED = 100, 300  # draws of a look that seek the threshold: fewest and most
 _TRIALS_OF_LOOK = 2 + _HALVINGS + 2 * _FEW  # of so many draws each
 _CLEARLY = 2.0  # standard errors by which a rule must be better than the plan
-_AROUND, _NARROW, _SLOPE = (0.4, 2.5), 8, 1.14  # factors of thresholds: ends, halvings, for a price
+_AROUND, _NARROW = (0.4, 2.5), 8  # factors of thresholds: ends, halvings
+_PRICES = (
+    1 / 32,
+    4.0,
+)  # ends of the prices of a measurement, in errors of one with constant thresholds
+_GAPS = 3  # a change of a sweep counts for so many mean distances between measurements
 _GUESSES = 200  # draws that show how large z is
 
 Array = NDArray[np.float64]
@@ -67,27 +75,36 @@ Candidates = Callable[[Thresholds], Iterable[Thresholds]]
 
 
 class RuleWork(FilterWork):
-    """Draws with a rule; the second column has what it spends: a number, or a price.
+    """Draws with a rule: their errors, and what it spends for them, a number or a price.
 
     So all columns are stored by the draw, as errors are. The sets are the points that may be
-    measured.
+    measured; the ends are those of the columns.
     """
 
     def result(self, evaluator: Evaluator) -> Result:
-        """The MSE of each draw, and what the rule spends for it, (D, 2)."""
+        """For E ends, the MSE of each draw, and what the rule spends for it: (D, 2 E)."""
         if evaluator.scenarios:
             return evaluator.filtered(self)
         draws = evaluator.draws(range(*self.draws), self.draws_stream)
-        sets, ends, (stream, *_) = self.measurement_times[:1], self.ends[:1], self.filter_streams
-        found = evaluator.filter_sets(draws, sets, ends, stream, self.estimation)
+        ends, wanted = self.ends[: len(self.ids) // 2], EACH_DRAW if len(self.ids) > 3 else ""
+        largest = self.measurement_times[len(ends) - 1 : len(ends)], ends[-1:]
+        given = *largest, self.filter_streams[0], self.estimation
+        found = evaluator.filter_sets(draws, *given, wanted)
+        columns, points, spent = [found.mse], evaluator.points, list[Array]()
+        if wanted:
+            sums = np.cumsum(weighed(found.errors[:, 0], draws.instant_weights), axis=1)
+            columns = [sums[:, [end - evaluator.start for end in ends]] / sums.shape[1]]
         left = Left(
-            self.estimation.follows, evaluator.points.ways, (), evaluator.horizon + 1,
-            draws=len(found.mse),
-        )  # fmt: skip
-        for point, measured in enumerate(found.measured.T, evaluator.points.first(evaluator.start)):
-            left.take(point, measured > 0)
-        columns = [found.mse, left.spent, found.deviation]
-        values = np.column_stack(columns[: len(self.ids)])
+            self.estimation.follows, points.ways, (), evaluator.horizon + 1, draws=len(found.mse)
+        )
+        measured = [*enumerate(found.measured.T, points.first(evaluator.start))]
+        for before, end in pairwise((-1, *ends)):
+            for point, each in measured:
+                if before < points.instant(point) <= end:
+                    left.take(point, each > 0)
+            spent.append(left.spent)
+        columns += [np.transpose(spent), found.deviation]
+        values = np.column_stack(columns[: 2 + (self.estimation.flipped is not None)])
         return Result(values, degenerate=np.repeat(found.degenerate, len(self.ids), axis=1))
 
 
@@ -99,10 +116,12 @@ def work_of(
     particles: int = 0,
     sweep: int | None = None,
     flipped: int | None = None,
+    ends: Points = (),
 ) -> RuleWork:
     """The work of a rule on the first draws of a purpose, by default of the comparison.
 
     Each sweep has separate draws. With a flipped point, the deviations there are a column, too.
+    Errors and measurements count up to each of some ends, by default the horizon.
     """
     purpose, evaluator, feasible = purpose or built.study.purpose, built.evaluator, built.feasible
     number = [] if sweep is None else [sweep]
@@ -115,11 +134,17 @@ def work_of(
         particles=particles or built.comparing.particles, flipped=flipped,
     )  # fmt: skip
     parts = feasible.allowed, noise, of_draws
-    columns = ("mse", "spent", "deviation")[: 2 + (flipped is not None)]
-    ids = tuple(evaluator.id_of(estimation, *parts, what) for what in columns)
-    sets = [feasible.allowed] * len(columns)
-    work = evaluator.work(sets, noise, of_draws, (0, draws), estimation, ids=ids)
-    return RuleWork(**vars(work))
+    # A work is stored or lacking as a whole, so no other work has one of its ids.
+    own = [(*ends, end) for end in ends] or [()]
+    columns = [(what, *end) for what in ("mse", "spent") for end in own]
+    columns += [("deviation",)] * (flipped is not None)
+    ends = ends or (evaluator.horizon,)
+    ids = tuple(evaluator.id_of(estimation, *parts, *what) for what in columns)
+    of_columns = (*ends, *ends, ends[-1])[: len(columns)]
+    firsts = [feasible.points.first(end + 1) for end in of_columns]
+    sets = [feasible.allowed[: bisect_left(feasible.allowed, first)] for first in firsts]
+    given = sets, noise, of_draws, (0, draws), estimation
+    return RuleWork(**vars(evaluator.work(*given, ids=ids, ends=of_columns)))
 
 
 class RuledDraw(NamedTuple):
@@ -202,20 +227,34 @@ def look_work(built: Built, most: float) -> tuple[int, int]:
     return (draws, draws * a_draw) if draws >= fewest else (0, 0)
 
 
-def look(session: RunSession, plan: Times, draws: int) -> Generator[WorkBatch, None, str]:
-    """A sentence if one threshold for all instants is clearly better than a plan; else empty."""
-    search, criterion = _Search(session, _FEW * draws, is_hard=False), session.built.job.criterion
+def look_at_a_rule(
+    session: RunSession, run: StoredRun, most: float
+) -> Generator[WorkBatch, None, None]:
+    """Keep a sentence about what deciding on the way may win, for every answer of the run.
+
+    It is empty unless one threshold for all instants is clearly better than the plan.
+    """
+    key, built, criterion = "on_the_way", session.built, session.built.job.criterion
+    draws, steps = look_work(built, most)
+    if not draws or key in provenance_of(run):
+        return
+    plan = measured_of(run)[built.searches[0].name]
+    session.reporter.foresee(steps)
+    search = _Search(session, _FEW * draws, len(plan), is_hard=False)
     session.reporter.begin("rule")
     _, rule = yield from search.constant(())
-    pair = yield from search.compared(rule, rule_of_set(plan, session.built.feasible))
-    if not criterion.difference(*pair).is_negative(_CLEARLY):
-        return ""
-    own, planned = (criterion.value(each).value for each in pair)
-    return (
-        "Decided on the way, as many measurements have less error: about "
-        f"{100 * (1 - own / planned):.0f} % less with a single threshold for all times (quick "
-        "estimate; `pfdist rule` tunes one for each)."
-    )
+    pair = yield from search.compared(rule, rule_of_set(plan, built.feasible))
+    sentence = ""
+    if criterion.difference(*pair).is_negative(_CLEARLY):
+        own, planned = (criterion.value(each).value for each in pair)
+        sentence = (
+            "Decided on the way, as many measurements have less error: about "
+            f"{100 * (1 - own / planned):.0f} % less with a single threshold for all times (quick "
+            "estimate; `pfdist rule` tunes one for each)."
+        )
+    session.commit()
+    settle_rules(session.store)
+    add_to_provenance(run.path, {key: sentence})
 
 
 def tuned(
@@ -227,7 +266,7 @@ def tuned(
     expected MSE, sweeps give each point its threshold, from the better of this and of the plan.
     The answer is the plan if no rule is clearly better, on draws that chose none.
     """
-    search = _Search(session, draws, is_hard=is_hard)
+    search = _Search(session, draws, len(plan), is_hard=is_hard)
     search.foresee()
     planned = rule_of_set(plan, session.built.feasible)
     best = yield from search.best(planned)
@@ -240,8 +279,9 @@ def tuned(
 class _Search:
     """The search for a rule, on the first draws of the purpose "rule", and on those of sweeps."""
 
-    def __init__(self, session: RunSession, draws: int, *, is_hard: bool) -> None:
+    def __init__(self, session: RunSession, draws: int, planned: int, *, is_hard: bool) -> None:
         self._session, self._built, self._draws = session, session.built, draws
+        self._number = max(1, planned)
         feasible, evaluator = session.built.feasible, session.built.evaluator
         self._budget, self._is_hard = feasible.budget, is_hard
         self._few, self._every = max(2, draws // _FEW), range(feasible.possible)
@@ -263,7 +303,10 @@ class _Search:
         ratios = sum(map(len, _RATIOS)) * ways * (ways > 1)
         grid = is_hard * sum(len(steps) * len(factors) for steps, factors in _HARD)
         trials = (1 + _HALVINGS) * (1 + ratios) + _NARROW * len(self._sweeps) + grid
-        sweeps = sum(number for number, _ in self._sweeps) * (len(self._groups) + TURNS + _NARROW)
+        ends = self._ends(self._even)
+        until_ends = float(np.mean(ends) + 1) / (max(ends) + 1)
+        a_sweep = until_ends * len(self._groups) + TURNS + _NARROW
+        sweeps = sum(number for number, _ in self._sweeps) * a_sweep
         of_all = sweeps * self._particles / first.estimation.particles / TUNING_DRAWS
         session.reporter.foresee(first.steps * (trials / _FEW + _NARROW + 4 + of_all))
         session.reporter.begin("rule")  # after the forecast: at 0 %
@@ -271,16 +314,18 @@ class _Search:
     def best(self, planned: Thresholds) -> Generator[WorkBatch, None, Thresholds]:
         """The rule of least error that keeps the budget, or the limit."""
         error, best = yield from self.constant(_RATIOS)
+        self._sweeps = self._sweeps if math.isfinite(error) else ()
         found, constant = {best: error}, self._of_points(best)
         is_worse = self._sweeps and (yield from self._tried(planned, self._few))[0] >= error
-        rule, changes = (constant if is_worse else planned), dict[Points, Any]()
+        rule = constant if is_worse else planned
+        changes: Mapping[Points, Any] = {}
+        usual = price = error / self._budget
         for number in range(len(self._sweeps)):
             left = len(self._sweeps) - number
             if self._is_hard and left == _LAST:  # these sweeps know the limit
                 error, best = yield from self._limited(min(found, key=found.__getitem__))
-                found, rule, changes = {best: error}, self._of_points(best), {}
-            state = yield from self._swept(number, rule, constant, changes)
-            rule, changes = state.rule, {**state.changes}
+                found, rule, price, changes = {best: error}, self._of_points(best), 0.0, {}
+            rule, price, changes = yield from self._swept(number, rule, price, usual, changes)
             if rule.limit:
                 found[rule] = yield from self._error_of(rule)
             elif left <= _LAST + self._is_hard:
@@ -300,7 +345,7 @@ class _Search:
         works = (work_of(self._built, each, self._draws, "rule", sweep=-1)
                  for each in rules)  # fmt: skip
         values = yield from self._values(works, "choice")
-        return [Evaluation((), each.mse) for each in values]
+        return [Evaluation((), each.mse[0]) for each in values]
 
     def constant(
         self, rounds: Iterable[Iterable[float]]
@@ -336,7 +381,9 @@ class _Search:
         self, works: Iterable[RuleWork], part: str
     ) -> Generator[WorkBatch, None, list[Tried]]:
         found = yield from filtered_by(self._session, *works, phase=f"{RULE_PHASE}.{part}")
-        return [Tried(*each[:-1], *[each[0]] * (len(each) == 3)) for each in found]
+        ends = [(len(each) - 1) // 2 for each in found]
+        return [Tried(each[:number], each[number : 2 * number], each[-2])
+                for each, number in zip(found, ends, strict=True)]  # fmt: skip
 
     def _tried(
         self, rule: Thresholds, number: int
@@ -346,9 +393,9 @@ class _Search:
         # One phase for all numbers of draws, because its rows are unique: whether those of fewer
         # draws are found or computed again depends on when they were committed.
         (found,) = yield from self._values(works, "tuning")
-        mean = Moments.of_values(found.spent)
+        mean = Moments.of_values(found.spent[0])
         most = mean.mean + ONE_SIDED * mean.standard_error
-        error = self._built.job.criterion.value(Evaluation((), found.mse)).value
+        error = self._built.job.criterion.value(Evaluation((), found.mse[0])).value
         return error, most <= self._budget * (1 + ROUNDING)
 
     def _lowest(
@@ -371,41 +418,50 @@ class _Search:
         found = self._tried(*given) if rule.limit else self._lowest(*given, self._wide, _HALVINGS)
         return (yield from found)[0]
 
+    def _on_draws(self, number: int, *trials: Trial) -> Generator[WorkBatch, None, list[Tried]]:
+        """Results of trials on the separate draws of a sweep, with few particles."""
+        draws = max(2, self._draws * self._sweeps[number][0] // TUNING_DRAWS)
+        given = draws, "rule", self._particles, number
+        works = (work_of(self._built, each.rule, *given, each.flipped, each.ends)
+                 for each in trials)  # fmt: skip
+        return (yield from self._values(works, f"sweep{number}"))
+
     def _swept(
-        self, number: int, rule: Thresholds, constant: Thresholds, changes: Mapping[Points, Any]
-    ) -> Generator[WorkBatch, None, SweepState]:
-        """A rule after a sweep, on separate draws with few particles."""
-        share, pooled = self._sweeps[number]
-        draws = max(2, self._draws * share // TUNING_DRAWS)
-
-        def on_draws(*trials: Trial) -> Generator[WorkBatch, None, list[Tried]]:
-            given = draws, "rule", self._particles, number
-            works = (work_of(self._built, each.rule, *given, each.flipped) for each in trials)
-            return (yield from self._values(works, f"sweep{number}"))
-
-        price = 0.0
-        if not rule.limit:
-            if any(ALWAYS < threshold < NEVER for threshold in rule.thresholds):
-                low, high = _AROUND
-                for _ in range(_NARROW):
-                    middle = math.sqrt(low * high)
-                    (found,) = yield from on_draws(Trial(rule.scaled(middle)))
-                    is_more = found.spent.mean() > self._budget
-                    low, high = (middle, high) if is_more else (low, middle)
-                rule = constant = rule.scaled(high)
-            ends = (Trial(constant.scaled(factor)) for factor in (1 / _SLOPE, _SLOPE))
-            lower, higher = yield from on_draws(*ends)
-            fewer, worse = (
-                lower.spent.mean() - higher.spent.mean(),
-                higher.mse.mean() - lower.mse.mean(),
-            )
-            price = max(0.0, float(worse / fewer)) if fewer > 0 else 0.0
-        sweep = ThresholdSweep(rule, self._groups, price, pooled, changes)
+        self,
+        number: int,
+        rule: Thresholds,
+        price: float,
+        usual: float,
+        changes: Mapping[Points, Any],
+    ) -> Generator[WorkBatch, None, tuple[Thresholds, float, Mapping[Points, Any]]]:
+        """A rule after a sweep, its price, and all changes; a rule with a limit has no price."""
+        *_, pooled = self._sweeps[number]
+        sweep = ThresholdSweep(rule, self._groups, price, self._ends(rule), pooled, changes)
         state, rng = sweep.init(), np.random.default_rng([self._built.job.seed, number])
         while not sweep.done(state):
             state = sweep.ask(state, rng)
-            state = sweep.tell(state, (yield from on_draws(*state.trials)))
-        return state
+            state = sweep.tell(state, (yield from self._on_draws(number, *state.trials)))
+        if rule.limit:
+            return state.rule, price, state.changes
+        low, high = (usual * factor for factor in _PRICES)
+        for _ in range(_NARROW):
+            middle = math.sqrt(low * high)
+            trial = Trial(at_price(state.rule, state.changes, middle))
+            (found,) = yield from self._on_draws(number, trial)
+            low, high = (middle, high) if found.spent.mean() > self._budget else (low, middle)
+        return at_price(state.rule, state.changes, high), high, state.changes
+
+    def _ends(self, rule: Thresholds) -> list[int]:
+        """For each point, the last instant whose error counts in a sweep.
+
+        A limit leaves what is not spent to all later instants, and a smoothed estimate uses later
+        measurements.
+        """
+        evaluator, points = self._built.evaluator, self._built.feasible.points
+        window = math.ceil(_GAPS * (evaluator.horizon + 1 - evaluator.start) / self._number)
+        if rule.limit or evaluator.lag:
+            window = evaluator.horizon + 1
+        return [min(evaluator.horizon, points.instant(p) + window - 1) for p in self._every]
 
 
 def rule_of_set(times: Times, feasible: Feasible) -> Thresholds:

@@ -4,12 +4,14 @@ A draw depends on the threshold of a point only through whether it is measured t
 evaluations, as the rule decides and with the opposite at this point, give the errors of all
 thresholds at this point: sorted by the deviation with which the draws come to it, the changes add
 up, and the best threshold stands where their sum is least. A price of a measurement, the Lagrange
-multiplier of the budget, weighs errors against measurements. Points far apart hardly depend on each
-other, so they change together.
+multiplier of the budget, weighs errors against measurements; after a sweep, each price gives a
+rule, and one of them keeps the budget. Points far apart hardly depend on each other, so they change
+together. Errors count only until a change has little effect: what follows is mostly noise.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -29,14 +31,16 @@ class Trial(NamedTuple):
 
     rule: Thresholds
     flipped: int | None = None
+    ends: Points = ()  # last instants whose errors and measurements count; by default the horizon
 
 
 class Tried(NamedTuple):
-    """Results of a trial for each draw, (D,)."""
+    """Results of a trial with E ends for each of D draws."""
 
-    mse: Array
-    spent: Array
-    deviation: Array  # with which the draw comes to the flipped point; NaN if it cannot be measured
+    mse: Array  # (E, D)
+    spent: Array  # (E, D)
+    # (D,): with which the draw comes to the flipped point; NaN if it cannot be measured
+    deviation: Array
 
 
 class Changes(NamedTuple):
@@ -89,6 +93,8 @@ class ThresholdSweep:
         Points that share a threshold, in order; one, drawn at random, stands for all of a group.
     price : float
         The price of a unit of the budget, in errors.
+    ends : sequence of int
+        For each point, the last instant whose error counts.
     pooled : int
         How many sweeps decide together: this one, and the last ones before it.
     changes : mapping
@@ -98,6 +104,7 @@ class ThresholdSweep:
     rule: Thresholds
     groups: tuple[Points, ...]
     price: float
+    ends: Sequence[int]
     pooled: int = 1
     changes: Mapping[Points, tuple[Changes, ...]] = field(default_factory=dict)
 
@@ -109,28 +116,41 @@ class ThresholdSweep:
     def ask(self, state: SweepState, rng: np.random.Generator) -> SweepState:
         """The state with the next trials: the rule, and the rule flipped in groups far apart."""
         left = [state.left[place] for place in rng.permutation(len(state.left))]
-        points = (group[int(rng.integers(len(group)))] for group in left[0])
-        trials = Trial(state.rule), *(Trial(state.rule, point) for point in points)
-        return replace(state, left=tuple(left), trials=trials)
+        points = [group[int(rng.integers(len(group)))] for group in left[0]]
+        flipped = [Trial(state.rule, point, (self.ends[point],)) for point in points]
+        base = Trial(state.rule, None, tuple(sorted({*chain(*(each.ends for each in flipped))})))
+        return replace(state, left=tuple(left), trials=(base, *flipped))
 
     def tell(self, state: SweepState, results: Sequence[Tried]) -> SweepState:
         """Take the best threshold of each group that was tried."""
         (base, *flipped), (groups, *left) = results, state.left
-        thresholds, changes = [*state.rule.thresholds], {**state.changes}
+        changes = {**state.changes}
         for group, trial, tried in zip(groups, state.trials[1:], flipped, strict=True):
             was = tried.deviation > state.rule.thresholds[trial.flipped or 0]
             sign, is_open = np.where(was, -1.0, 1.0), np.isfinite(tried.deviation)
-            each = tried.deviation, sign * (tried.mse - base.mse), sign * (tried.spent - base.spent)
+            end = state.trials[0].ends.index(*trial.ends)
+            mse, spent = tried.mse[0] - base.mse[end], tried.spent[0] - base.spent[end]
+            each = tried.deviation, sign * mse, sign * spent
             own = Changes(*(values[is_open] for values in each))
             changes[group] = (*changes.get(group, ()), own)[-self.pooled :]
-            pooled = Changes(*map(np.concatenate, zip(*changes[group], strict=True)))
-            for point in group:
-                thresholds[point] = best_threshold(pooled, self.price)
-        return SweepState(state.rule._replace(thresholds=tuple(thresholds)), tuple(left), changes)
+        rule = at_price(state.rule, {group: changes[group] for group in groups}, self.price)
+        return SweepState(rule, tuple(left), changes)
 
     def done(self, state: SweepState) -> bool:
         """Whether every group has a new threshold."""
         return not state.left
+
+
+def at_price(
+    rule: Thresholds, changes: Mapping[Points, tuple[Changes, ...]], price: float
+) -> Thresholds:
+    """The rule with the best thresholds of some groups for a price."""
+    thresholds = [*rule.thresholds]
+    for group, each in changes.items():
+        pooled = Changes(*map(np.concatenate, zip(*each, strict=True)))
+        for point in group:
+            thresholds[point] = best_threshold(pooled, price)
+    return rule._replace(thresholds=tuple(thresholds))
 
 
 def point_groups(allowed: Points, ways: int, most: int) -> tuple[Points, ...]:

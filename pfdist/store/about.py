@@ -79,38 +79,30 @@ def read_models(path: Path) -> tuple["StateSpaceModel", "StateSpaceModel"]:
         raise unusable(path, MODELS, str(error)) from error
 
 
-def check_models(path: Path) -> bytes:
-    """The undamaged content of a run's model.json.
+def read_listed(path: Path, name: str, most: int = MOST_BYTES) -> bytes:
+    """The undamaged content of a run's model.json or rule.json.
 
-    Raises `StoreError` if it is missing, damaged or too large.
+    Raises `StoreError` if it is missing, damaged, too large or not listed.
     """
-    content: bytes = _read(path, MODELS, MOST_BYTES_OF_MODELS, bytes)
+    content: bytes = _read(path, name, most, bytes)
     listing = read_listing(path)
-    if listing is not None and _hash_of(content) not in listing.about.get(MODELS, ()):
-        raise unreadable(path, MODELS, "its content has another hash")
+    if listing is not None and _hash_of(content) not in listing.about.get(name, ()):
+        raise unreadable(path, name, "its content has another hash")
     return content
 
 
-def read_rule(path: Path) -> Any:
-    """The data of a run's rule.json; a `StoreError` if it is missing, damaged or not listed."""
-    remedy = f"`pfdist rule {path}` tunes one"
-    with files.reading(path / RULE):
-        try:
-            content = files.read_plain(path / RULE, MOST_BYTES)
-            listing = read_listing(path)
-            if listing is None or _hash_of(content) not in listing.about.get(RULE, ()):
-                raise ValueError("its content has another hash than files.json lists")
-            return parse_json(text_of(content))
-        except (FileNotFoundError, NotADirectoryError) as error:
-            raise StoreError(f"{path} has no rule: {remedy}") from error
-        except ValueError as error:
-            raise StoreError(f"{path / RULE} is damaged: {error}; {remedy}") from error
+def check_models(path: Path) -> bytes:
+    """The undamaged content of a run's model.json."""
+    return read_listed(path, MODELS, MOST_BYTES_OF_MODELS)
 
 
 def unreadable(path: Path, name: str, reason: str) -> StoreError:
-    """The error for a run with a damaged job.toml, model.json or run.json."""
-    remedy = "remove it, and resume the run by its job" if name == MODELS else REMEDY
-    return StoreError(f"{path / name} is damaged: {reason}; {remedy}")
+    """The error for a run with a damaged job.toml, model.json, run.json or rule.json."""
+    remedies = {
+        MODELS: "remove it, and resume the run by its job",
+        RULE: f"`pfdist rule {path}` tunes one",
+    }
+    return StoreError(f"{path / name} is damaged: {reason}; {remedies.get(name, REMEDY)}")
 
 
 def unusable(path: Path, name: str, reason: str) -> StoreError:

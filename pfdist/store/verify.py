@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.about import check_models, check_version_of, read_rule, read_run
+from pfdist.store.about import check_models, check_version_of, read_listed, read_run
 from pfdist.store.folder import REPORT, RULE, SUMMARY, check_entries
 from pfdist.store.listing import read_listing
 from pfdist.store.lock import check_not_held
@@ -39,7 +39,7 @@ def verify_run(path: Path) -> Iterator[str]:
     listing = read_listing(path)
     if listing is not None and RULE in listing.about:
         try:
-            read_rule(path)
+            read_listed(path, RULE)
         except StoreError as error:
             yield str(error)
     for name, sha256 in listing.pages.items() if listing is not None else ():

@@ -43,7 +43,7 @@ UNITS = {
     "questions/fit.py _Fitting.fitted": "starts of one fit: starts",
     "questions/fit.py _Fitting._likelihood": "repetition: repeat",
     "questions/next_time.py next_time": "nothing, it is one system:",
-    "questions/next_time.py _followed": "nothing, it is one system:",
+    "questions/planned_run.py system_of_table": "nothing, it is one system:",
     "questions/planned_run.py filter_of": "system: draw",
     "questions/planner.py Planner.__init__": "system: draw",  # `plan` gives it to the Replanner
     "questions/simulate.py _simulated": "draws:",

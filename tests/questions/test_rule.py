@@ -25,9 +25,9 @@ from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES
+from pfdist.questions.next_by_rule import NextByRule
 from pfdist.questions.planned_run import filter_of
 from pfdist.questions.rule import (
-    NextByRule,
     Ruled,
     _draw,
     unit_of,
@@ -161,6 +161,27 @@ def test_the_draw_of_the_figure_is_measured_where_its_deviation_exceeds_the_leve
         assert sorted(high) == shown.measured
         assert len(high) == spent[draw]
     assert spent.any()
+
+
+@pytest.mark.parametrize("weights", [[1] * 13, [1, 0, 2] * 4 + [1]])
+def test_errors_and_measurements_count_up_to_each_end(small_job: Job, weights: list[int]) -> None:
+    """They are those of a filter that stops there, and no two works share an id."""
+    built = build(small_job.with_changes([f"problem.instant_weights={weights}"]))
+    given = built, Thresholds((3.0,)), 20
+    several = ruling.work_of(*given, ends=(0, 4, 9))
+    mse, spent = np.split(several.result(built.evaluator).mse, 2, axis=1)
+    ids = {*several.ids}
+    for place, end in enumerate((0, 4, 9)):
+        alone = ruling.work_of(*given, ends=(end,))
+        found = alone.result(built.evaluator).mse.T
+        np.testing.assert_allclose(mse[:, place], found[0], rtol=1e-12)
+        np.testing.assert_array_equal(spent[:, place], found[1])
+        assert alone.steps_a_draw == (end + 1) * built.comparing.particles
+        assert ids.isdisjoint(alone.ids)
+        ids |= {*alone.ids}
+    assert several.steps_a_draw == alone.steps_a_draw
+    assert ids.isdisjoint(ruling.work_of(*given).ids)
+    assert 0 < spent[:, 1].mean() < spent[:, 2].mean()
 
 
 def test_where_no_rule_is_better_than_the_plan_the_answer_is_the_plan(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pfdist.search.thresholds import (
     ThresholdSweep,
     Trial,
     Tried,
+    at_price,
     best_threshold,
     point_groups,
 )
@@ -31,6 +32,7 @@ def test_no_other_threshold_has_a_smaller_sum(price: float) -> None:
 
 POINTS, DRAWS = 24, 4000
 GAINS = np.linspace(0.2, 1.0, POINTS)
+ENDS = (POINTS - 1,) * POINTS
 
 
 def evaluated(trial: Trial, generation: int) -> Tried:
@@ -42,13 +44,13 @@ def evaluated(trial: Trial, generation: int) -> Tried:
         measured[:, trial.flipped] ^= True
         at = deviation[:, trial.flipped]
     error = (deviation**2 * np.where(measured, 1.0 - GAINS, 1.0)).sum(axis=1)
-    return Tried(error, measured.sum(axis=1).astype(float), at)
+    return Tried(error[None], measured.sum(axis=1).astype(float)[None], at)
 
 
 def test_a_sweep_finds_the_thresholds_at_which_a_measurement_is_worth_its_price() -> None:
     price = 0.5
     sweep = ThresholdSweep(
-        Thresholds((2.0,) * POINTS), point_groups(tuple(range(POINTS)), 1, 64), price
+        Thresholds((2.0,) * POINTS), point_groups(tuple(range(POINTS)), 1, 64), price, ENDS
     )
     state, rng, trials = sweep.init(), np.random.default_rng(1), 0
     while not sweep.done(state):
@@ -60,12 +62,16 @@ def test_a_sweep_finds_the_thresholds_at_which_a_measurement_is_worth_its_price(
     np.testing.assert_allclose(state.rule.thresholds, exact, rtol=3 * DRAWS ** (-1 / 3))
     assert trials == POINTS + 8
     assert len(state.changes) == POINTS
+    dear = at_price(state.rule, state.changes, 2.0)  # another price needs no other trials
+    exact = np.sqrt(2.0 / GAINS)
+    np.testing.assert_allclose(dear.thresholds, exact, rtol=6 * DRAWS ** (-1 / 3))
+    assert at_price(state.rule, state.changes, price) == state.rule
 
 
 def test_points_of_a_group_share_a_threshold() -> None:
     groups = point_groups(tuple(range(POINTS)), 2, 8)
     assert sorted(point for group in groups for point in group) == [*range(POINTS)]
-    sweep = ThresholdSweep(Thresholds((2.0,) * POINTS), groups, 0.5)
+    sweep = ThresholdSweep(Thresholds((2.0,) * POINTS), groups, 0.5, ENDS)
     state, rng = sweep.init(), np.random.default_rng(1)
     while not sweep.done(state):
         state = sweep.ask(state, rng)
@@ -74,3 +80,20 @@ def test_points_of_a_group_share_a_threshold() -> None:
         assert len({state.rule.thresholds[point] for point in group}) == 1
         assert len({point % 2 for point in group}) == 1
     assert len({*state.rule.thresholds}) == len(groups)
+
+
+def test_a_change_counts_up_to_the_end_of_its_point() -> None:
+    """A measurement at t takes 1 from the error at t, and adds 3 at t + 2, which may not count."""
+    for window, best in ((2, ALWAYS), (3, NEVER)):
+        ends = tuple(min(POINTS - 1, t + window - 1) for t in range(POINTS))
+        sweep = ThresholdSweep(Thresholds((NEVER,) * POINTS), ((5,), (9,)), 0.0, ends)
+        state = sweep.init()
+        while not sweep.done(state):
+            state = sweep.ask(state, np.random.default_rng(1))
+            results = list[Tried]()
+            for trial in state.trials:
+                at = () if trial.flipped is None else (trial.flipped,)
+                mse = [[sum(3.0 * (t + 2 <= end) - 1.0 for t in at)] * 4 for end in trial.ends]
+                results.append(Tried(np.array(mse), np.zeros((len(mse), 4)), np.ones(4)))
+            state = sweep.tell(state, results)
+        assert {state.rule.thresholds[t] for t in (5, 9)} == {best}

@@ -1,0 +1,254 @@
+"""Deciding on the way, in the compiled filter: at each instant, the spread of a draw decides.
+
+A draw of a batch that is not measured keeps its place, so its bits are those with the fixed set of
+the sensors that measured it. `Thresholds.chosen` is the twin of a decision, and
+`pfdist.kernels.left.Left` that of what may follow.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.kernels.ancestors import sum_of_deviations
+from pfdist.kernels.batch import (
+    At,
+    FilterArrays,
+    Instant,
+    copy_numbers,
+    fill_mean_of_z,
+    fill_variances,
+    present,
+    with_given,
+)
+from pfdist.kernels.cached import compiled, entry
+from pfdist.kernels.left import ROUNDING, StepLimits
+from pfdist.kernels.memory import ahead, read
+from pfdist.kernels.prefixes import Plan
+from pfdist.kernels.rules import Ruling, Thresholds
+
+
+def ruling_of(
+    rule: Thresholds, limits: StepLimits, flipped: int | None, planned: Plan, draws: range,
+    instants: range, sensors: int,
+) -> tuple[Plan, Ruling, dict[str, NDArray[Any]]]:  # fmt: skip
+    """A rule for the filter of a plan's only set, that plan, and the results that the rule fills.
+
+    The set has the points that may be measured. The filter fills the plan: each draw has a set.
+    """
+    follows = limits.arrays(sensors, instants)
+    own = np.unpackbits(planned.measured[0], axis=1, count=sensors, bitorder="little")
+    follows = follows._replace(prices=follows.prices * own.ravel())
+    points = np.arange(instants.start * sensors, instants.stop * sensors)
+    thresholds = np.reshape(rule.thresholds_of(points), own.shape)
+    arrives = np.arange(len(own))[:, None] + follows.delays
+    of_instant = np.pad(thresholds, ((0, follows.longest_delay), (0, 0)))
+    turns = np.argsort(-of_instant[arrives, range(sensors)], axis=1, kind="stable")
+    measured = np.zeros_like(planned.measured)
+    measured[:, -1] = 1  # any gap may come before a measurement
+    filled = {"measured": np.zeros((len(draws), *measured.shape[1:]), np.uint8)}
+    if flipped is not None:
+        filled["deviation"] = np.full(len(draws), np.nan)
+    ruling = Ruling(
+        decide.address,
+        rule.exponent,
+        float(rule.limit),
+        thresholds,
+        turns,
+        -1 if flipped is None else flipped - instants.start * sensors,
+        follows,
+        np.empty((len(draws), 4 + 2 * sensors)),
+        np.empty(4 + 2 * sensors),
+    )
+    return planned._replace(measured=measured), ruling, filled
+
+
+def with_points(results: FilterArrays, sensors: int) -> FilterArrays:
+    """The results with the points of each draw in the place of bits."""
+    bits = np.unpackbits(results.measured, axis=2, count=sensors, bitorder="little")
+    return results._replace(measured=bits.reshape(len(bits), sensors * bits.shape[1]))
+
+
+@entry(Instant)
+def decide(instant):
+    """Choose the sensors that measure each draw, by the standard deviation of z; see `Thresholds`.
+
+    The results have the set of each draw, and the plan has what some draw of the batch measures.
+    """
+    at, s, t, _, _ = read(instant)
+    request, batch, row = at.work.request, at.work.batch, at.work.batch.row
+    mean = ahead(batch.moments, request.quantities * row)
+    variance = ahead(mean, request.quantities * row)
+    width = (request.sensors + 7) // 8
+    some = ahead(at.work.plan.measured, (s * request.instants + t) * width)
+    fill_mean_of_z(at, t, mean, False)
+    for place in range(width):
+        some[place] = 0
+    has_variance = False
+    for d in range(at.draws):
+        left = _with_arrived(at, t, d)
+        if not left > 0.0:
+            continue
+        total = 0.0
+        if request.is_state and batch.weighted[d] == 0:  # the same, in one pass
+            for c in range(request.quantities):
+                values = ahead(present(at), request.components_of_state[c] * batch.stride)
+                origin = d * batch.width
+                total += sum_of_deviations(values, origin, request.particles, mean[c * row + d])
+            total /= request.particles
+        else:
+            if not has_variance:
+                fill_variances(at, t, mean, variance)
+            has_variance = True
+            for c in range(request.quantities):
+                total += variance[c * row + d]
+        _choose(at, t, d, np.sqrt(total))
+    for d in range(at.draws):
+        own = ahead(at.work.results.measured, _set_of(at, t, d))
+        for place in range(width):
+            some[place] |= own[place]
+
+
+@compiled
+def _choose(at, t, d, deviation):
+    """Choose the sensors of a draw, from the highest threshold to the lowest."""
+    request, rule = at.work.request, at.work.rule
+    follows, factor = rule.follows, 1.0
+    if rule.limit > 0.0:
+        spent = rule.left[d * (4 + 2 * request.sensors)]
+        if follows.longest_delay > 0:
+            _may_follow(at, t, d, -1, False)
+            spent = rule.trial[0]
+        factor = ((request.instants - t) / (rule.limit - spent)) ** rule.exponent
+    for turn in range(request.sensors):
+        sensor = rule.turns[t * request.sensors + turn]
+        arrives = t + follows.delays[sensor]
+        point = arrives * request.sensors + sensor
+        if arrives >= request.instants or not follows.prices[point] > 0.0:
+            continue
+        exceeds = deviation > rule.thresholds[point] * factor or follows.required[point] != 0
+        is_flipped = point == rule.flipped
+        if not (exceeds or is_flipped) or not _may_follow(at, t, d, point, True):
+            continue
+        if is_flipped:
+            at.work.results.deviation[at.first + d] = deviation / factor
+        if exceeds != is_flipped:
+            own = ahead(at.work.results.measured, _set_of(at, arrives, d))
+            own[sensor // 8] |= 1 << sensor % 8
+
+
+# The constraints on the measurements that may follow in a draw; `pfdist.kernels.left.Left` is the
+# twin. A record has what is spent, the first instant that may be measured, the first point after
+# the last visit, and the number of visits; then, for each sensor, the number of measurements and
+# the last instant.
+
+
+@compiled
+def _with_arrived(at, t, d):
+    """Bring the record of a draw to an instant; what is left to spend, 0 if nothing may follow."""
+    request, rule = at.work.request, at.work.rule
+    record = ahead(rule.left, d * (4 + 2 * request.sensors))
+    if t == 0:
+        for place in range(4 + request.sensors):
+            record[place] = 0.0
+        for sensor in range(request.sensors):
+            record[4 + request.sensors + sensor] = -1.0
+    else:
+        for sensor in range(request.sensors):
+            if _has(at, t - 1, d, sensor):
+                _add(at, record, t - 1, sensor)
+    if t + rule.follows.longest_delay < record[1]:
+        return 0.0
+    return rule.limit - record[0] if rule.limit > 0.0 else np.inf
+
+
+@compiled
+def _may_follow(at, t, d, added, requires):
+    """Whether a point may be added to what a draw has measured, with the required ones or not.
+
+    The trial record then has all that was measured, so that it tells what is spent.
+    """
+    request, rule = at.work.request, at.work.rule
+    follows, count = rule.follows, 4 + 2 * request.sensors
+    copy_numbers(ahead(rule.left, d * count), rule.trial, count)
+    last = max(t + follows.longest_delay, follows.last_required if requires else t)
+    for at_instant in range(t, min(last + 1, request.instants)):
+        for sensor in range(request.sensors):
+            point = at_instant * request.sensors + sensor
+            is_wanted = point == added or (requires and follows.required[point] != 0)
+            is_wanted |= _has(at, at_instant, d, sensor)
+            if is_wanted and not _add(at, rule.trial, at_instant, sensor):
+                return False
+    return True
+
+
+@compiled
+def _add(at, record, t, sensor):
+    """Add a measurement, the latest so far, to a record; whether it breaks no constraint."""
+    request, rule = at.work.request, at.work.rule
+    follows, sensors = rule.follows, request.sensors
+    point, number, latest = t * sensors + sensor, ahead(record, 4), ahead(record, 4 + sensors)
+    fits = t >= record[1] and number[sensor] < follows.most[sensor]
+    if latest[sensor] >= 0.0:
+        fits &= t >= follows.own_apart[sensor * request.instants + np.int64(latest[sensor])]
+    price, before, group = follows.prices[point], 0.0, follows.group[sensor]
+    for way in range(sensors):
+        if follows.alike[way] == follows.alike[sensor]:
+            before += number[way]
+        elif group > 0 and follows.group[way] == group:
+            fits &= latest[way] != t
+    if before == 0.0:
+        price += follows.install[sensor]
+    if point >= record[2]:
+        fits &= record[3] < follows.most_visits
+        price += follows.visit_price
+        record[2] = follows.visit_ends[point]
+        record[3] += 1.0
+    if rule.limit > 0.0:
+        fits &= price <= rule.limit - record[0] + ROUNDING * rule.limit
+    record[0] += price
+    record[1] = follows.apart[t]
+    number[sensor] += 1.0
+    latest[sensor] = t
+    return fits
+
+
+@compiled
+def _has(at, t, d, sensor):
+    """Whether a sensor measures a draw, so that its value arrives at an instant."""
+    own = ahead(at.work.results.measured, _set_of(at, t, d))
+    return ((own[sensor // 8] >> sensor % 8) & 1) != 0
+
+
+@compiled
+def _set_of(at, t, d):
+    """Where the results have the sensors that measure a draw at an instant."""
+    request = at.work.request
+    return ((at.first + d) * request.instants + t) * ((request.sensors + 7) // 8)
+
+
+@compiled
+def is_measured(at, t, d):
+    """Whether a draw of a batch is measured, and not only others, by a rule."""
+    if at.work.rule.decide == 0:
+        return True
+    own, some = ahead(at.work.results.measured, _set_of(at, t, d)), False
+    for place in range((at.work.request.sensors + 7) // 8):
+        some |= own[place] != 0
+    return some
+
+
+@compiled
+def with_measured(at, block, t, source, target, given, of_draw, of_component):
+    """Call a block as `with_given` does; by a rule only for measured draws, one after another."""
+    if at.work.rule.decide == 0:
+        with_given(at, block, t, source, target, given, of_draw, of_component)
+        return
+    width = at.work.batch.width
+    for d in range(at.draws):
+        if is_measured(at, t, d):
+            alone, origin = At(at.work, at.stream, at.number, at.first + d, 1), d * width
+            with_given(
+                alone, block, t, ahead(source, origin), ahead(target, origin),
+                ahead(given, d * of_draw), of_draw, of_component,
+            )  # fmt: skip
