@@ -489,11 +489,6 @@ class ProblemSection(JobSection):
         return f"problem.estimate = {self.estimate or FILTERED!r}"
 
     @property
-    def other_estimate(self) -> str:
-        """The estimate whose error answers show, too: smoothed; if this is asked for, filtered."""
-        return FILTERED if self.instants_of_lag else SMOOTHED
-
-    @property
     def of_the_estimate(self) -> str:
         """Which estimate has the expected MSE, in an answer; empty for the filter's."""
         if self.lag is None:
