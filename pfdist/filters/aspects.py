@@ -76,13 +76,13 @@ class Aspect:
         """The column of the table ``compared`` that has its exact values."""
         return self.exact or f"exact_{self.named}"
 
-    def work(self, of: "FilterWork", draws: int) -> "FilterWork":
+    def work(self, errors: "FilterWork", draws: int) -> "FilterWork":
         """The work that gives it on the first draws, from that of the errors."""
         return replace(
-            of,
+            errors,
             draws=(0, draws),
             over_time=0,
-            estimation=self.estimation(of.estimation),
+            estimation=self.estimation(errors.estimation),
             knows_truth=self.knows_truth,
             controlled=self.is_controlled,
         )
@@ -146,10 +146,10 @@ class ErrorBeside(Aspect):
         """The head of its column, which says whether it is an upper limit."""
         return f"{self.head}{', at most' * is_limit} ± standard error"
 
-    def beside(self, evaluator: "Evaluator", of: "FilterWork", draws: int) -> "FilterWork":
+    def beside(self, evaluator: "Evaluator", errors: "FilterWork", draws: int) -> "FilterWork":
         """The work that gives it on the first draws, from that of an evaluator's errors."""
-        estimation = self.settings(evaluator, of.estimation)
-        return replace(self.work(of, draws), beside=self.named, estimation=estimation)
+        estimation = self.settings(evaluator, errors.estimation)
+        return replace(self.work(errors, draws), beside=self.named, estimation=estimation)
 
 
 def _beside_truth(own: "Estimation") -> "Estimation":
