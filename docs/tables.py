@@ -48,8 +48,9 @@ from pfdist.problem.sections import (
     FilterSection,
     Model,
 )
-from pfdist.problem.sensor_section import SensorSection, VisitsSection
+from pfdist.problem.sensor_section import SensorSection
 from pfdist.problem.sweep import SweepFile
+from pfdist.problem.visits_section import VisitsSection
 from pfdist.results.columns import COLUMNS as SET_COLUMNS
 from pfdist.results.run import COMPUTED
 from pfdist.runner.comparison_phase import schema_of_aspect

@@ -28,7 +28,7 @@ from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import calendar_of
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.clock_section import ClockSection, without_units
-from pfdist.problem.constraints import Limit, money
+from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.sections import (
@@ -44,11 +44,12 @@ from pfdist.problem.sensor_section import (
     Prices,
     SensingSection,
     SensorSection,
-    VisitsSection,
     priced,
 )
+from pfdist.problem.shared import Money, Together, money
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.visits import Money
+from pfdist.problem.visits import Installs
+from pfdist.problem.visits_section import VisitsSection
 from pfdist.problem.written import instants_written
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
@@ -329,16 +330,10 @@ class ProblemSection(JobSection):
                 f"{spacing:g}: give each sensor its own"
             )
         points, limits = self.points, self._limits
-        visits = None if self.visits is None else self.visits.on(points)
-        if visits and points.delays:
-            raise MeasurementTimesError(
-                "visits must be left out with sensors that have a delay, unless the estimate waits "
-                "for all values: estimate = 'smoothed'"
-            )
-        installs, groups = self._installs, self._groups
-        if self.total_price is None and (installs or (self.visits and self.visits.price)):
-            name = "visits.price" if not installs else "install"
-            raise MeasurementTimesError(f"{name} needs total_price and prices of measurements")
+        shared = (self.visits.on(points) if self.visits else None, self._installs, self._groups)
+        fees = [name for each in shared if each for name in each.fees]
+        if self.total_price is None and fees:
+            raise MeasurementTimesError(f"{fees[-1]} needs total_price and prices of measurements")
         prices = [sum(prices or (0,)) for prices in self._prices_of_sensors] or [0]
         return Feasible(
             horizon=clock.horizon,
@@ -350,11 +345,9 @@ class ProblemSection(JobSection):
             total_price=None if self.total_price is None else money(self.total_price),
             points=points,
             # To sets within limits, nothing may be left to buy.
-            smaller=bool((limits and self.total_price is not None) or visits or installs or groups),
+            smaller=bool((limits and self.total_price is not None) or any(shared)),
             limits=limits,
-            visits=visits,
-            installs=installs,
-            groups=groups,
+            shared=tuple(filter(None, shared)),
             cheapest=prices.index(min(prices)),  # the first sensor if none has a price
         )
 
@@ -394,21 +387,18 @@ class ProblemSection(JobSection):
         return tuple(limits) if any(limit != Limit() for limit in limits) else ()
 
     @property
-    def _installs(self) -> tuple[tuple[Money, Times], ...]:
+    def _installs(self) -> Installs | None:
         """The price of each sensor's installation, and its ways."""
-        return tuple(
-            (money(each.install), ways)
-            for each, ways in self._ways_of_sensors
-            if each.install is not None
-        )
+        each = tuple((money(s.install), ways) for s, ways in self._ways_of_sensors if s.install)
+        return Installs(each) if each else None
 
     @property
-    def _groups(self) -> tuple[tuple[Times, ...], ...]:
+    def _groups(self) -> Together | None:
         groups = dict[str, list[Times]]()
         for each, ways in self._ways_of_sensors:
             if each.together is not None:
                 groups.setdefault(each.together, []).append(ways)
-        return tuple(map(tuple, groups.values()))
+        return Together(tuple(map(tuple, groups.values()))) if groups else None
 
     @property
     def _ways_of_sensors(self) -> Iterator[tuple[SensorSection, Times]]:

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
+from pfdist.problem.visits import Installs
 from pfdist.search.base import Candidate
 
 NOTHING = -1
@@ -121,8 +122,9 @@ class Relaxation:
 
     def priced(self, moves: Moves) -> Indices:
         """The price of each move, with a visit that it begins, in units, (n,)."""
-        fee = self.constraints.visit_units // self.unit
-        return self.prices[moves.time] + fee * moves.begun
+        visits = self.constraints.visits
+        fee = self.constraints.in_units(visits.price) if visits else 0
+        return self.prices[moves.time] + fee // self.unit * moves.begun
 
     def number(self, limited: int, times: Times) -> int:
         """How often a set does what a key of `Constraints.most` limits; of visits, at least."""
@@ -139,7 +141,9 @@ class Relaxation:
 
         With many prices of installations, or many states, only the highest count.
         """
-        known = sorted(self.constraints.install_units)[-_MOST_INSTALLATIONS:]
+        installs, in_units = self.constraints.shared_of(Installs), self.constraints.in_units
+        each = installs.each if installs else ()
+        known = sorted((in_units(price), ways) for price, ways in each)[-_MOST_INSTALLATIONS:]
         size = len(self.windows) * self.ages * (self.total + 1)
         while known and 2 ** len(known) * size > _MOST_CHOICES:
             known = known[1:]
