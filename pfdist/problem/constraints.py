@@ -83,7 +83,7 @@ class Constraints:
         return bool(self.limits or self.shared)
 
     def shared_of(self, kind: type[S]) -> S | None:
-        """What the measurements share of this kind, if there is any."""
+        """The shared prices and limits of this kind, if there are any."""
         return next((each for each in self.shared if isinstance(each, kind)), None)
 
     @cached_property

@@ -5,9 +5,9 @@ once.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import chain, pairwise, product
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -20,6 +20,9 @@ from pfdist.problem.shared import Money, Shared
 
 if TYPE_CHECKING:
     from pfdist.problem.feasible import Feasible
+
+
+Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,20 @@ class Installs(Shared):
         """Whether some times need each installation."""
         used = {points.way(time) for time in times}
         return [not used.isdisjoint(ways) for _, ways in self.each]
+
+    def choices(
+        self, in_units: Callable[[Money], int], most: int
+    ) -> Iterator[tuple[int, frozenset[int]]]:
+        """For each choice of installed sensors, its price in units, and the ways of the others.
+
+        Only so many installations count, those with the highest prices.
+        """
+        known = sorted((in_units(price), ways) for price, ways in self.each)
+        known = known[max(0, len(known) - most) :]
+        for used in product((True, False), repeat=len(known)):
+            paid = sum(units for (units, _), is_used in zip(known, used, strict=True) if is_used)
+            others = (ways for (_, ways), is_used in zip(known, used, strict=True) if not is_used)
+            yield paid, frozenset(chain.from_iterable(others))
 
     def since(self, points: Points, first: int, taken: Times) -> Self | None:
         """The installations that were not paid yet."""
@@ -115,7 +132,7 @@ class Visits(Shared):
         bounds = pairwise(sorted({0, *starts, len(times)}))
         return [times[start:stop] for start, stop in bounds]
 
-    def begins(self, last: NDArray[np.int64], time: NDArray[np.int64] | int) -> NDArray[np.bool_]:
+    def begins(self, last: Numbers, time: Numbers | int) -> NDArray[np.bool_]:
         """Whether a measurement after a last one (-1: none) begins a visit at the latest.
 
         It does if it lies after a visit that would begin at the last measurement. If ends do not
@@ -124,6 +141,24 @@ class Visits(Shared):
         ends = np.array([*self.ends, 0])[last]  # the last entry is that of no measurement
         begins: NDArray[np.bool_] = np.asarray(time) >= np.maximum(ends, self.open_until)
         return begins
+
+    def at_least(self, times: Times) -> int:
+        """A number of visits that follows from each measurement and the one before."""
+        return int(self.begins(np.array((-1, *times))[:-1], np.array(times)).sum())
+
+    def after(
+        self, points: Points, last: Numbers, age: Numbers, ages: int, time: int
+    ) -> tuple[NDArray[np.bool_], Numbers]:
+        """Whether a measurement after each last one (-1: none) begins a visit, and the age then.
+
+        The age is the number of instants since the visit began; of an impossible one, `ages`. With
+        a single age, 0, a visit begins only if the last measurement says so.
+        """
+        first = np.where(last < 0, last, (points.instant(last) - age) * points.ways)
+        begun = self.begins(last if ages == 1 else first, time)
+        older = np.where(last < 0, 0, age + points.instant(time) - points.instant(last))
+        possible = (last < 0) | (first >= 0)
+        return begun, np.where(possible, np.where(begun | (ages == 1), 0, older), ages)
 
     def longest(self, points: PointNumbers) -> int:
         """The number of instants of the longest visit; 1 if its last measurement tells the end."""
