@@ -39,10 +39,10 @@ from pfdist.problem.sections import (
     Written,
     is_list_of,
 )
+from pfdist.problem.sensing_section import SensingSection
 from pfdist.problem.sensor_section import (
     MeasurementBudget,
     Prices,
-    SensingSection,
     SensorSection,
     priced,
 )
@@ -214,31 +214,16 @@ class ProblemSection(JobSection):
     def sensings(self) -> dict[str, Sensing]:
         """The limits, failures and repeats of each sensor; the only one has the name ""."""
         own: dict[str, Any] = {"": self.sensor} if self.sensor else self.sensors or {}
-        delays = {name: self._instants_of_delay(name, each) for name, each in own.items()}
-        return {name: each.sensing(delays[name]) for name, each in own.items()}
+        keys, waits = {name: f"sensors.{name}" for name in own}, self.estimate == SMOOTHED
+        return {
+            name: each.sensing(keys[name] if name else "sensor", self.clock, waits=waits)
+            for name, each in own.items()
+        }
 
     @property
     def each_sensing(self) -> list[tuple[str, Sensing]]:
         """For each sensor of the model, that of the job, of which it may be a repeat."""
         return [(name, each) for name, each in self.sensings.items() for _ in range(each.repeats)]
-
-    def _instants_of_delay(self, name: str, sensor: SensingSection) -> int:
-        """The delay of a sensor in instants; 0 if the estimate waits for all values.
-
-        Raises `MeasurementTimesError` unless it is a number of steps of an even clock.
-        """
-        delay, key = sensor.delay, f"sensors.{name}.delay" if name else "sensor.delay"
-        if delay is None or self.estimate == SMOOTHED:
-            return 0
-        clock = self.clock
-        step = clock.times[1] - clock.times[0]
-        steps = round(float(delay) / step)
-        if not clock.is_even or abs(steps * step - delay) > clock.slack or steps > clock.horizon:
-            raise MeasurementTimesError(
-                f"{key} must be a number of steps of an even clock, at most {clock.horizon}, got "
-                f"{delay:g}"
-            )
-        return steps
 
     @cached_property
     def each_sensor(self) -> dict[str, SensorSection]:

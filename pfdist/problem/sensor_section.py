@@ -1,17 +1,14 @@
 """The sections of a job file about sensors, `[problem.sensor]` and `[problem.sensors.NAME]`."""
 
-import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, AliasChoices, Field, model_validator
+from pydantic import AfterValidator, AliasChoices, Field
 
-from pfdist.common.section import JobSection, Listed
-from pfdist.common.sensing import REPEATS, Sensing
-from pfdist.errors import shown
+from pfdist.common.section import Listed
 from pfdist.problem.clock import Time, plain_time
-from pfdist.problem.sections import Moment, MomentsAndRanges, Written
+from pfdist.problem.sections import MomentsAndRanges, Written
+from pfdist.problem.sensing_section import Finite, SensingSection
 
-Finite = int | Annotated[float, Field(allow_inf_nan=False)]
 Price = Annotated[Finite, AfterValidator(plain_time)]
 Prices = Listed[Price] | dict[str, Price]
 MeasurementBudget = Annotated[int, Field(ge=1, lt=2**63)]
@@ -20,43 +17,6 @@ MeasurementBudget = Annotated[int, Field(ge=1, lt=2**63)]
 def priced(name: str, former: str) -> Any:
     """A key about money; its former name is still allowed."""
     return Field(None, validation_alias=AliasChoices(name, former))
-
-
-class SensingSection(JobSection):
-    """The limits of a sensor's readings, its failures, and repeated measurements.
-
-    Parameters
-    ----------
-    limit : number, that of y
-        Readings below are known to be below: censored. The model needs `log_tails`.
-    limits : list of two numbers, that of y
-        Readings below the first, and above the second, are known to be so.
-    fails : float
-        Probability that a planned measurement gives nothing.
-    repeats : int
-        Largest number of measurements at one instant, each with its own noise and price.
-    delay : number, clock
-        Time after which a value arrives, as 2 or "2 h". A smoothed estimate waits for it.
-    """
-
-    limit: Finite | None = None
-    limits: Annotated[Listed[Finite], Field(min_length=2, max_length=2)] | None = None
-    fails: Annotated[float, Field(gt=0.0, lt=1.0, strict=False)] | None = None
-    repeats: Annotated[int, Field(ge=2, le=len(REPEATS))] | None = None
-    delay: Annotated[Moment, Field(gt=0), Written] | None = None
-
-    @model_validator(mode="after")
-    def _has_limits(self) -> Self:
-        if self.limits is not None and (self.limit is not None or self.limits[0] >= self.limits[1]):
-            got = f"limits = {shown(list(self.limits))}, limit = {self.limit}"
-            raise ValueError(f"a sensor has a limit, or two limits in ascending order, got {got}")
-        return self
-
-    def sensing(self, delay: int) -> Sensing:
-        """The same for a model, with the delay in instants."""
-        low = -math.inf if self.limit is None else float(self.limit)
-        low, high = self.limits or (low, math.inf)
-        return Sensing(float(low), float(high), self.fails or 0.0, self.repeats or 1, delay)
 
 
 class SensorSection(SensingSection):

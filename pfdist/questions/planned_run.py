@@ -21,6 +21,7 @@ from pfdist.models.base import repeated
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.sensing_section import Sensings
 from pfdist.questions.run_of_job import path_of_run, run_and_job
 from pfdist.results import Run
 from pfdist.results.sets import best_first, rows_of_sets
@@ -174,7 +175,7 @@ def reading_of(built: Built, columns: Columns | None, within: float | None, say:
         within,
         any_time,
         note,
-        sensings=sensings,
+        sensings=Sensings(sensings),
         sensors=sensors,
         given=problem.given or {},
     )
