@@ -25,7 +25,8 @@ from pfdist.common.component_names import Component
 from pfdist.common.rounding import rounded, with_error
 from pfdist.common.section import JobSection, keys_of_section
 from pfdist.densities import DENSITIES
-from pfdist.filters.aspects import DISTANCE, VARIANCE, other_estimate
+from pfdist.filters.aspects import DISTANCE, VARIANCE
+from pfdist.filters.beside import BESIDE
 from pfdist.filters.criterion import CRITERIA
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.schemes import SCHEMES
@@ -48,8 +49,9 @@ from pfdist.problem.sections import (
     FilterSection,
     Model,
 )
-from pfdist.problem.sensor_section import SensorSection, VisitsSection
+from pfdist.problem.sensor_section import SensorSection
 from pfdist.problem.sweep import SweepFile
+from pfdist.problem.visits_section import VisitsSection
 from pfdist.results.columns import COLUMNS as SET_COLUMNS
 from pfdist.results.run import COMPUTED
 from pfdist.runner.comparison_phase import schema_of_aspect
@@ -63,7 +65,7 @@ from pfdist.store.schema import (
 
 FOLDER = Path(__file__).parent
 ASPECTS = (
-    other_estimate("smoothed"), DISTANCE, VARIANCE,
+    *reversed(BESIDE), DISTANCE, VARIANCE,
     *(aspect for form in CRITERIA.values() for aspect in form.aspects),
 )  # fmt: skip
 BENCHMARKS = FOLDER.parent / "benchmarks" / "results"

@@ -27,6 +27,8 @@ from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, StoreError, reason_of
 from pfdist.explorer.filtered import Change, FilteredSets
+from pfdist.filters.aspects import ErrorBeside
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK
 from pfdist.problem.job import job_toml
@@ -49,7 +51,7 @@ JUDGING_SECONDS = 2.0
 YOURS, PLAN, EVEN = "yours", "plan", "even"
 _REGULAR_TIMES = "regular times"
 ON_THESE_DRAWS = "on these draws"
-_FEWER = 10  # times fewer draws for the error of the other estimate
+_FEWER = 10  # times fewer draws for the errors beside that of the job
 _SAME, _ROUNDING = "the same times", 1e-9  # relative error of exact gaps
 
 
@@ -89,9 +91,11 @@ class ExplorerSession:
         stream = stream_of("explore", self.job.seed)
         self.played = FilteredSets(self.built, stream)
         evaluator, own = self.built.evaluator, self.built.comparing
-        estimation = replace(evaluator.other_estimation(own), particles=own.particles)
-        other = replace(self.built, evaluator=evaluator.other_estimate)
-        self._other = FilteredSets(other, stream, estimation)  # with errors of the other estimate
+        self._beside = dict[ErrorBeside, FilteredSets]()
+        for each in errors_beside(evaluator.lag):
+            estimation = replace(each.settings(evaluator, own), particles=own.particles)
+            of_error = replace(self.built, evaluator=evaluator.beside[each.named])
+            self._beside[each] = FilteredSets(of_error, stream, estimation)
         self._lock = threading.Lock()
         self._judged, self._judgements = list[Judgement](), 0
         self.best = self.run.best if self.run and self.job.budget is None else None
@@ -192,24 +196,24 @@ class ExplorerSession:
         found = {name: self.played.errors(each, draws) for name, each in sets.items()}
         known = {name: self.played.evaluation(sets[name], each) for name, each in found.items()}
         finer = min(most, 2 * draws, draws + self._draws_in(FINER_SECONDS))
-        own, fewer = known[YOURS], max(BLOCK, draws // _FEWER)
-        other = {
-            name: self._other.evaluation(each, self._other.errors(each, fewer))
-            for name, each in sets.items()
+        yours, fewer = known[YOURS], max(BLOCK, draws // _FEWER)
+        beside = {
+            error: {name: own.evaluation(e, own.errors(e, fewer)) for name, e in sets.items()}
+            for error, own in self._beside.items()
         }
         typical = {name: self.played.typical(known[name], each) for name, each in found.items()}
         answer = {
             "times": self._shown(chosen),
-            "draws": own.draws,
-            "finer": finer if own.draws and draws < most else None,
+            "draws": yours.draws,
+            "finer": finer if yours.draws and draws < most else None,
             "curves": {
                 name: self.played.curves(known[name], each).T.tolist()
                 for name, each in found.items()
             },
-            "facts": self._facts(chosen, known, typical, other),
+            "facts": self._facts(chosen, known, typical, beside),
             "broken": self.feasible.broken(chosen),
-            "warnings": [text for text in (own.degenerate_text, own.heavy_tail) if text],
-            "mark": self._mark(chosen, own.draws),
+            "warnings": [text for text in (yours.degenerate_text, yours.heavy_tail) if text],
+            "mark": self._mark(chosen, yours.draws),
         }
         json: dict[str, Any] = finite(answer)
         return json
@@ -226,7 +230,7 @@ class ExplorerSession:
         times: Times,
         known: Mapping[str, Evaluation],
         typical: Mapping[str, str],
-        other: Mapping[str, Evaluation],
+        beside: Mapping[ErrorBeside, Mapping[str, Evaluation]],
     ) -> list[tuple[str, str]]:
         own, facts, shown = known[YOURS], list[tuple[str, str]](), [YOURS]
         changes = {name: Change.between(own, known[name]) for name in self._others if name in known}
@@ -234,13 +238,11 @@ class ExplorerSession:
             is_same = times == known[name].measurement_times
             facts.append((f"against {self._others[name]}", _SAME if is_same else change.text()))
             shown += [] if is_same else [name]
-        errors, others = (
-            {name: with_error(e.expected_mse, e.standard_error) for name, e in each.items()}
-            for each in (known, other)
-        )
-        when = "at the moment" if self.job.problem.instants_of_lag else "afterwards"
-        named = f"MSE {when}" + ", at most" * self.built.evaluator.other_is_limit
-        for head, texts in (("expected MSE", errors), ("typical error", typical), (named, others)):
+        texts_of = {"expected MSE": _with_errors(known), "typical error": typical}
+        for error, found in beside.items():
+            limit = ", at most" * self.built.evaluator.is_limit(error)
+            texts_of[f"MSE {error.head}{limit}"] = _with_errors(found)
+        for head, texts in texts_of.items():
             each = (f"{self._others.get(name, YOURS)} {texts[name]}" for name in shown)
             facts.append((head, "; ".join(each)))
         if PLAN in changes and not self.feasible.broken(times):
@@ -380,6 +382,10 @@ class ExplorerSession:
         table = self._points
         made = (table.first(table.made_at(point)) + table.way(point) for point in points)
         return tuple(sorted(made))
+
+
+def _with_errors(found: Mapping[str, Evaluation]) -> dict[str, str]:
+    return {name: with_error(e.expected_mse, e.standard_error) for name, e in found.items()}
 
 
 def _opened(source: JobSource | Run, say: Say) -> tuple[Run | None, Built]:

@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.estimate import Estimate
 from pfdist.kernels.estimators import FILTER_NOISE, FILTER_VARIANCE
 from pfdist.kernels.schemes import CONDITIONAL
 
 if TYPE_CHECKING:
-    from pfdist.filters.work import Estimation
+    from pfdist.common.measurement_times import Lag
+    from pfdist.filters.evaluator import Evaluator
+    from pfdist.filters.work import Estimation, FilterWork
 
 Array = NDArray[np.float64]
 
@@ -34,6 +37,9 @@ class Aspect:
         Its need of the filter: an estimation, from that of the comparison.
     start : str
         Beginning of its columns; by default the name of the table.
+    exact : str
+        The column of the table ``compared`` that has its exact values; by default ``exact_`` and
+        the beginning of its columns.
     unit : str
         Its unit; by default that of errors.
     sign : float
@@ -52,6 +58,7 @@ class Aspect:
     description: str
     estimation: Callable[["Estimation"], "Estimation"]
     start: str = ""
+    exact: str = ""
     unit: str = ""
     sign: float = 1.0
     of_all_draws: bool = False
@@ -67,11 +74,82 @@ class Aspect:
     @property
     def exact_column(self) -> str:
         """The column of the table ``compared`` that has its exact values."""
-        return f"exact_{self.named}"
+        return self.exact or f"exact_{self.named}"
+
+    def work(self, errors: "FilterWork", draws: int) -> "FilterWork":
+        """The work that gives it on the first draws, from that of the errors."""
+        return replace(
+            errors,
+            draws=(0, draws),
+            over_time=0,
+            estimation=self.estimation(errors.estimation),
+            knows_truth=self.knows_truth,
+            controlled=self.is_controlled,
+        )
 
     def values(self, errors: Array, control: Array) -> Array:
         """Its values, from estimated errors and their controls."""
         return self.sign * (errors - control if self.is_controlled else errors)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorBeside(Aspect):
+    """Another error of a set, which answers show beside that of the job, from fewer draws.
+
+    The job's criterion of MSEs makes a number of it. Declared ones are in `pfdist.filters.beside`.
+
+    Parameters
+    ----------
+    fits : callable
+        Whether a job shows it, from the lag of its estimate.
+    evaluator, settings : callable
+        The evaluator of the error, from that of the job, and its estimation, from both of the job.
+    head : str
+        Head of its column, without an error.
+    meaning : str
+        A phrase for the manual.
+    is_raised : bool
+        Whether few particles raise it, so it is an upper limit where their loss is unknown.
+    when : str
+        How answers call it, at the beginning of a sentence.
+    planned : str
+        A sentence that says how to plan for it, after one that begins with `alone`; or empty.
+    """
+
+    estimation: Callable[["Estimation"], "Estimation"] = lambda own: own
+    knows_truth: bool = False
+    fits: Callable[["Lag"], bool]
+    evaluator: Callable[["Evaluator"], "Evaluator"]
+    settings: Callable[["Evaluator", "Estimation"], "Estimation"] = lambda _, own: own
+    head: str
+    meaning: str
+    is_raised: bool = False
+    when: str
+    alone: str = ""
+    planned: str = ""
+
+    @property
+    def mse(self) -> str:
+        """Its column in the table of sets."""
+        return f"{self.named}_mse"
+
+    @property
+    def error(self) -> str:
+        """The column of its standard error."""
+        return f"{self.named}_error"
+
+    def columns(self, estimate: Estimate) -> dict[str, float]:
+        """Its columns of a set."""
+        return {self.mse: estimate.value, self.error: estimate.standard_error}
+
+    def head_of(self, *, is_limit: bool = False) -> str:
+        """The head of its column, which says whether it is an upper limit."""
+        return f"{self.head}{', at most' * is_limit} ± standard error"
+
+    def beside(self, evaluator: "Evaluator", errors: "FilterWork", draws: int) -> "FilterWork":
+        """The work that gives it on the first draws, from that of an evaluator's errors."""
+        estimation = self.settings(evaluator, errors.estimation)
+        return replace(self.work(errors, draws), beside=self.named, estimation=estimation)
 
 
 def _beside_truth(own: "Estimation") -> "Estimation":
@@ -87,9 +165,3 @@ VARIANCE = Aspect(
     _beside_truth, start="variance", has_unmeasured=True,
 )  # fmt: skip
 """The two estimates of the particle loss; see `pfdist.results.particle_loss`."""
-
-
-def other_estimate(kind: str) -> Aspect:
-    """The MSE of the estimate that the job did not ask for, "smoothed" or "filtered"."""
-    text = f"MSE of the {kind} estimate with this set"
-    return Aspect("other_estimate", text, lambda own: own, start=kind, knows_truth=False)

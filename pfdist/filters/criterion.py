@@ -156,6 +156,11 @@ class Criterion:
         """The head of its column on pages."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
+    @property
+    def worsens(self) -> str:
+        """The verb for a number of answers that gets worse."""
+        return "falls" if self.sign < 0 else "rises"
+
     def deciding(self, errors: "Evaluation") -> ChosenDraws:
         """The draws whose errors decide."""
         return slice(None)

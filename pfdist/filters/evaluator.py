@@ -20,6 +20,8 @@ from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
+from pfdist.filters.aspects import ErrorBeside
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.draws import Draws, check_prior
@@ -42,15 +44,13 @@ from pfdist.filters.work import (
     joined,
 )
 from pfdist.kernels.batch import FilterArrays
-from pfdist.kernels.estimators import ESTIMATORS, TWO_CLOUDS, TWO_ERRORS
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
 from pfdist.models.parameters import Parameter, check_lengths
 from pfdist.models.recorded import check_same_functions, declared, recorded
 from pfdist.models.written import key_of_model
-
-_MORE = 4  # times the particles, for the error of the other estimate
 
 
 @dataclass(frozen=True)
@@ -157,28 +157,13 @@ class Evaluator:
         )
 
     @cached_property
-    def other_estimate(self) -> "Evaluator":
-        """The evaluator with the smoothed estimate; if this one has a lag, with the filter's."""
-        return replace(self, lag=0 if self.lag else self.horizon, estimations=())
+    def beside(self) -> dict[str, "Evaluator"]:
+        """The evaluators of the errors that answers show beside this one's, by name."""
+        return {each.named: each.evaluator(self) for each in errors_beside(self.lag)}
 
-    def other_estimation(self, estimation: Estimation) -> Estimation:
-        """The estimation of `other_estimate`.
-
-        A smoothed estimate comes from few ancestors, whose part two filters take out of its error.
-        The rest falls with the number of particles, as the variance of a draw does where that is
-        due to particles: so more of them are worth fewer draws.
-        """
-        if self.lag or not self.has_particle_loss:
-            return estimation
-        if not self.variance_is_error:
-            return replace(estimation, estimator=TWO_ERRORS.name)
-        particles = _MORE * estimation.particles
-        return replace(estimation, particles=particles, estimator=TWO_CLOUDS.name)
-
-    @property
-    def other_is_limit(self) -> bool:
-        """Whether few ancestors raise the error of `other_estimate`: the model has its own."""
-        return not self.lag and self.has_particles and not self.has_particle_loss
+    def is_limit(self, error: ErrorBeside) -> bool:
+        """Whether this error beside the own is an upper limit: the model has its own error."""
+        return error.is_raised and self.has_particles and not self.has_particle_loss
 
     @cached_property
     def of_information(self) -> "Evaluator":
@@ -531,7 +516,7 @@ class Evaluator:
     def of_work(self, work: FilterWork) -> "Evaluator":
         """The evaluator with the filter's model of a work, and the estimate that it wants."""
         known = self.for_estimation(work.estimation, knows_truth=work.knows_truth)
-        return known.other_estimate if work.other_estimate else known
+        return known.beside[work.beside] if work.beside else known
 
     def pieces(self, work: FilterWork, seconds: float) -> list[FilterWork]:
         """The parts of a work, cut between draws, each of about this many seconds."""

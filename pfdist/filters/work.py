@@ -126,7 +126,7 @@ class FilterWork:
     since: tuple[int, ...] = ()
     # whether the filter uses the true model, whatever the evaluator's filter model is
     knows_truth: bool = False
-    other_estimate: bool = False  # whether the errors are those of `Evaluator.other_estimate`
+    beside: str = ""  # the error of `Evaluator.beside` that is wanted; empty for that of the job
     sensors: int = 1  # a time is the number of a possible measurement, t * sensors + sensor
     # whether the control variate of each error is wanted, too; the filter must know the truth
     controlled: bool = False

@@ -11,12 +11,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.common.sensing import PLAIN, Sensing, names_of_repeats
 from pfdist.elementwise import where
 from pfdist.errors import ModelError
 from pfdist.models.base import Sensor, StateSpaceModel
 from pfdist.models.checks import MEASURING
+
+Array = NDArray[np.float64]
 
 
 def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpaceModel:
@@ -82,6 +85,15 @@ def without_failures(model: StateSpaceModel, fails: Sequence[bool]) -> StateSpac
         for (name, sensor), may in each
     }
     return dataclasses.replace(model, sensors=sensors)
+
+
+def when_made(y: Array, model: StateSpaceModel, delays: tuple[int, ...]) -> Array:
+    """Values, (..., T+1, m), at the instants at which they are made, not those of arrival."""
+    made = y.copy()
+    for part, delay in zip(model.parts, delays, strict=False):
+        stop = y.shape[-2] - delay
+        made[..., :stop, part.y], made[..., stop:, part.y] = y[..., delay:, part.y], np.nan
+    return made
 
 
 def _remembering(model: StateSpaceModel, instants: int) -> dict[str, Any]:

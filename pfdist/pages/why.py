@@ -28,6 +28,7 @@ from pfdist.pages.panel import (
 from pfdist.pages.style import GREY, SENSORS, set_style
 from pfdist.problem.set_key import phrase_of
 from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST
+from pfdist.results.stored_run import criterion_of
 
 _WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
 _LINEAR = 20  # largest ratio of two effective sample sizes on a linear axis
@@ -40,7 +41,15 @@ def why_figure(tables: Tables, name: str) -> Plot:
     measurements = table_of(run, "run", "worth")
     of_set = measurements[measurements["name"] == name]  # it may measure nothing
     which = phrase_of(run.labels[name])
-    title = f"Rise of the expected MSE without each measurement of {which}, with 95 % intervals."
+    form = criterion_of(run)
+    change = form.worsens.removesuffix("s")
+    title = (
+        f"{change.capitalize()} of the {form.label} without each measurement of {which}, with 95 % "
+        "intervals."
+    )
+    if not form.is_mean:
+        of_set.attrs |= {"worth": f"{change} of the {form.label} if left out"}
+        of_set.attrs |= {"error_unit": ""} if form.unit else {}
     return Plot(2.3, lambda panels: worth(of_set, ax=panels[0]), title=title)
 
 
@@ -102,7 +111,7 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
         ax.plot([], [], markers[sensor], color=GREY, ms=marker(0.9), label=verbatim(sensor))
     ax.axhline(0.0, color=GREY, lw=thin(0.6), zorder=0)
     cut_outliers(ax, curves, keep=[0.0])
-    label_error(ax, table, "MSE rise if left out")
+    label_error(ax, table, table.attrs.get("worth", "MSE rise if left out"))
     label_times(ax, table)
     if len(ax.get_legend_handles_labels()[1]) > 1:
         legend_above(ax)

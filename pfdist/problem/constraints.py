@@ -8,28 +8,22 @@ in 0..60, got 61``.
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
 from itertools import chain, pairwise
 from math import gcd, lcm
+from typing import TypeVar
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
+from pfdist.problem.shared import Money, Shared
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.visits import Money, Visits
+from pfdist.problem.visits import Visits
 
-
-def money(number: float) -> Money:
-    """A price as an exact fraction: 0.1 is one tenth, not the binary value of the float."""
-    return number if isinstance(number, int) else Decimal(repr(number))
-
-
-Installs = tuple[tuple[Money, Times], ...]
-"""The price of the installation of some sensors, and these."""
+S = TypeVar("S", bound=Shared)
 
 
 @dataclass(frozen=True)
@@ -63,11 +57,7 @@ class Constraints:
     # Constraints on each sensor alone; none if no sensor has any
     limits: tuple[Limit, ...] = ()
     cheapest: int = 0  # number of the sensor that measures at regular times
-    visits: Visits | None = None
-    # Price of the installation of some sensors, paid once if any of these measures
-    installs: Installs = ()
-    # Sensors, each with its ways, of which at most one measures at an instant
-    groups: tuple[tuple[Times, ...], ...] = ()
+    shared: tuple[Shared, ...] = ()  # prices and limits that measurements share
     # Whether N or the money is only the most that may be spent, even nothing. One more measurement
     # does no harm, in expectation, to a filter that knows the truth, so a best set spends what it
     # can. To a filter that is wrong it may do harm; and under limits nothing may be left to buy.
@@ -90,7 +80,16 @@ class Constraints:
     @property
     def is_limited(self) -> bool:
         """Whether sets with allowed times, a spacing and a sum of prices may break a limit."""
-        return bool(self.limits or self.visits or self.installs or self.groups)
+        return bool(self.limits or self.shared)
+
+    def shared_of(self, kind: type[S]) -> S | None:
+        """The shared prices and limits of this kind, if there are any."""
+        return next((each for each in self.shared if isinstance(each, kind)), None)
+
+    @cached_property
+    def visits(self) -> Visits | None:
+        """The visits, if there are any."""
+        return self.shared_of(Visits)
 
     @cached_property
     def spacing(self) -> Spacing:
@@ -113,10 +112,9 @@ class Constraints:
         constraints = {
             "minimum_spacing of single sensors": any(each.spacing for each in self.limits),
             "most of single sensors": any(each.most is not None for each in self.limits),
-            "most of visits": self.visits is not None and self.visits.most is not None,
-            "together": bool(self.groups),
         }
-        return tuple(name for name, is_there in constraints.items() if is_there)
+        own = [name for name, is_there in constraints.items() if is_there]
+        return (*own, *filter(None, (each.relaxed for each in self.shared)))
 
     @property
     def possible(self) -> int:
@@ -142,19 +140,10 @@ class Constraints:
     @cached_property
     def units(self) -> tuple[int, ...]:
         """Price of each possible measurement, in the unit of `total`; 1 if times are counted."""
-        return tuple(map(self._in_units, self.price or (1,) * self.possible))
+        return tuple(map(self.in_units, self.price or (1,) * self.possible))
 
-    @cached_property
-    def visit_units(self) -> int:
-        """Price of a visit, in the unit of `total`."""
-        return self._in_units(self.visits.price) if self.visits else 0
-
-    @cached_property
-    def install_units(self) -> tuple[tuple[int, Times], ...]:
-        """Price of each installation, in the unit of `total`, and its sensors."""
-        return tuple((self._in_units(price), ways) for price, ways in self.installs)
-
-    def _in_units(self, price: Money) -> int:
+    def in_units(self, price: Money) -> int:
+        """A price in the unit of `total`."""
         return int(Fraction(price) / self.unit)
 
     @cached_property
@@ -169,18 +158,22 @@ class Constraints:
         return min(affordable, self.spent(self.allowed))
 
     def spent(self, times: Iterable[int]) -> int:
-        """The price of some sorted times with their visits and installations, in units."""
-        return int(self._paid(tuple(times), self.units, self.visit_units, self.install_units))
+        """The price of some sorted times, and of what they share, in units."""
+        chosen = tuple(times)
+        shared = zip(self._fees_in_units, self._counts(chosen), strict=True)
+        return sum(self.units[time] for time in chosen) + sum(fee * n for fee, n in shared)
 
-    def _paid(
-        self, times: Times, prices: Sequence[Money], visit: Money, installs: Installs
-    ) -> Money:
-        """The sum of these prices for some sorted times, their visits and installations."""
-        paid: Money = sum(prices[time] for time in times)
-        if self.visits and visit:
-            paid += visit * self.visits.number(times)
-        used = {self.points.way(time) for time in times} if installs else set[int]()
-        return paid + sum(price for price, ways in installs if used.intersection(ways))
+    def _counts(self, times: Times) -> Iterable[int]:
+        """How often some sorted times pay each fee."""
+        return chain.from_iterable(each.counts(self.points, times) for each in self.shared)
+
+    @cached_property
+    def _fees(self) -> list[Money]:
+        return [fee for each in self.shared for fees in each.fees.values() for fee in fees]
+
+    @cached_property
+    def _fees_in_units(self) -> list[int]:
+        return [*map(self.in_units, self._fees)]
 
     def with_required(self, times: Iterable[int]) -> Times:
         """These times and the required times, sorted."""
@@ -198,17 +191,8 @@ class Constraints:
     def _beyond_limits(self, times: Iterable[int]) -> Iterator[str]:
         """Yield a sentence for each limit that these sorted times break."""
         chosen, points = tuple(times), self.points
-        if self.visits and self.visits.most is not None:
-            number = self.visits.number(chosen)
-            if number > self.visits.most:
-                yield f"visits.most is {self.visits.most}, got {number} visits"
-        for group in self.groups:
-            sensors = {way: number for number, ways in enumerate(group) for way in ways}
-            of_group = [time for time in chosen if points.way(time) in sensors]
-            for time, later in pairwise(of_group):
-                is_same = sensors[points.way(time)] == sensors[points.way(later)]
-                if points.instant(time) == points.instant(later) and not is_same:
-                    yield f"sensors.{points.sensor(time)}.together is broken"
+        for each in self.shared:
+            yield from each.broken(points, chosen)
         for sensor, limit in enumerate(self.limits):
             own, name = self.points.of_way(sensor, chosen), f"sensors.{self.points.sensor(sensor)}"
             if limit.most is not None and len(own) > limit.most:
@@ -218,15 +202,8 @@ class Constraints:
 
     def beyond_limits(self, times: Times) -> list[int]:
         """The points that break a limit if they follow these times."""
-        beyond, points, visits = list[int](), self.points, self.visits
-        if visits and visits.most is not None and visits.number(times) >= visits.most:
-            beyond += range(visits.end(times), self.possible)
-        for group in self.groups if times else ():
-            instant = points.at(points.instant(times[-1]))
-            for ways in group:
-                if any(points.way(time) in ways for time in instant if time in times):
-                    others = {*chain.from_iterable(group)} - {*ways}
-                    beyond += (time for time in instant if points.way(time) in others)
+        points = self.points
+        beyond = [point for each in self.shared for point in each.beyond(points, times)]
         for sensor, limit in enumerate(self.limits):
             own, every = points.of_way(sensor, times), points.alike(sensor)
             if limit.most is not None and len(own) >= limit.most:
@@ -298,8 +275,10 @@ class Constraints:
 
     def price_of(self, times: Iterable[int]) -> Money:
         """The price of a set, in the unit of `price`; its size if times are counted."""
-        chosen, visit = tuple(sorted({*times})), self.visits.price if self.visits else 0
-        return self._paid(chosen, self.price or self.units, visit, self.installs)
+        chosen, prices = tuple(sorted({*times})), self.price or self.units
+        paid: Money = sum(prices[time] for time in chosen)
+        shared = zip(self._fees, self._counts(chosen), strict=True)
+        return paid + sum(fee * number for fee, number in shared if number)
 
     def affordable(self, times: Iterable[int]) -> list[int]:
         """The optional times that could still be added to these and the required times."""
@@ -357,9 +336,7 @@ class Constraints:
     @cached_property
     def unit(self) -> Fraction:
         """The largest unit of money in which all prices are whole."""
-        fees = [self.visits.price] if self.visits and self.visits.price else []
-        fees += [price for price, _ in self.installs]
-        prices = [Fraction(price) for price in (*(self.price or (1,)), *fees)]
+        prices = [Fraction(price) for price in (*(self.price or (1,)), *self._fees)]
         parts = lcm(*(price.denominator for price in prices))
         return Fraction(gcd(*(int(price * parts) for price in prices)), parts)
 

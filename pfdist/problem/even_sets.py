@@ -155,9 +155,7 @@ class EvenSets:
         """The numbers of measurements, or of visits, that are spaced."""
         feasible = self.feasible
         if feasible.visits:
-            price = min(feasible.units) + feasible.visit_units
-            most = min(feasible.total // price, feasible.visits.most or feasible.possible)
-            return range(1, min(most, feasible.horizon + 1) + 1)
+            return feasible.visits.numbers(feasible)
         if feasible.counted:
             number = feasible.total - len(feasible.required)
             return range(number, number + 1)
@@ -177,7 +175,8 @@ class EvenSets:
         )
         targets = first[:, None] + step[:, None] * np.arange(family.targets)
         if feasible.visits:
-            return [feasible.visits_near(each, family.ways[0][0]) for each in targets.tolist()]
+            way = family.ways[0][0]
+            return [feasible.visits.near(feasible, each, way) for each in targets.tolist()]
         instants = family.instants[np.searchsorted(family.edges[1:-1], targets)]
         ways = np.array(family.ways)  # (targets, repeats)
         arrives = (

@@ -71,7 +71,7 @@ class Feasible(Constraints):
         Sets that break limits are repaired, so the probabilities then differ.
         """
         if self.is_limited:
-            unlimited = replace(self, limits=(), visits=None, installs=(), groups=())
+            unlimited = replace(self, limits=(), shared=())
             return [self.repair(times, rng) for times in unlimited.random(sets, rng)]
         if self._free:
             number = self.total - len(self.required)
@@ -175,13 +175,13 @@ class Feasible(Constraints):
             neighbour
             for out in times
             if out not in self.required
-            for new in self._near(out, reach)
+            for new in self.near(out, reach)
             if new not in own and (neighbour := self._exchanged(own - {out}, new)) is not None
         ]
         if self.counted:
             return exchanged
         exchanged += (*self.additions(times), *self.removals(times)) if self.smaller else ()
-        exchanged += self._with_moved_visit(times, reach) if self.visits else ()
+        exchanged += self.visits.moved(self, times, reach) if self.visits else ()
         return [neighbour for neighbour in dict.fromkeys(exchanged) if neighbour != times]
 
     def completed(self, times: Iterable[int]) -> Times:
@@ -209,8 +209,7 @@ class Feasible(Constraints):
             return original
         order: list[int] = rng.permutation(original).tolist()
         if self.visits:  # each visit as a whole, in the order of a random measurement of each
-            parts = {t: part for part in self.visits.parts(original) for t in part}
-            order = [*dict.fromkeys(chain.from_iterable(parts[t] for t in order))]
+            order = self.visits.together(original, order)
         for time in order:
             larger = tuple(sorted({*repaired, time}))
             repaired = larger if self._can_be_completed(larger) else repaired
@@ -219,68 +218,15 @@ class Feasible(Constraints):
             repaired = larger_sets[rng.integers(len(larger_sets))]
         return repaired
 
-    def _with_moved_visit(self, times: Times, reach: int | None) -> list[Times]:
-        """The feasible sets in which all measurements of a visit move by the same instants."""
-        moved, points = list[Times](), self.points
-        for part in self.visits.parts(times) if self.visits else ():
-            rest = {*times} - {*part}
-            for first in self._near(part[0], reach):
-                if points.way(first) == points.way(part[0]) and first != part[0]:
-                    changed = tuple(sorted({*rest, *(t + first - part[0] for t in part)}))
-                    if changed[-1] < self.possible and self.accepts(changed):
-                        moved.append(changed)
-        return moved
-
-    def visits_near(self, targets: Sequence[float], way: int | None = None) -> Times | None:
-        """As many measurements as possible in visits around some times; None if there are none.
-
-        One sensor measures, by default the cheapest. The measurements are divided evenly among the
-        visits, and are evenly spaced in each. A visit lies around the nearest allowed time.
-        """
-        times, way = self.points.clock.times, self.cheapest if way is None else way
-        own = np.array([t for t in self.allowed if self.points.way(t) == way])
-        if self.visits is None or not own.size:
-            return None
-        when = np.array([times[self.points.instant(t)] for t in own.tolist()])
-        stops = np.searchsorted(own, np.array(self.visits.ends)[own])
-        slots = dict[int, Times]()  # the times of each visit, by its first
-        for target in targets:
-            near = int(np.abs(when - target).argmin())
-            first = max(
-                (k for k in range(near + 1) if stops[k] > near),
-                key=lambda k: (stops[k] - k, -abs(when[k] + when[stops[k] - 1] - 2 * target)),
-            )
-            slots[first] = tuple(own[first : stops[first]].tolist())
-        if len(slots) < len(targets):
-            return None
-        each, cheapest = [*slots.values()], min(self.units[t] for t in own.tolist())
-        paid = (self.total - self.visit_units * len(each)) // cheapest
-        for number in range(min(paid, sum(map(len, each))), len(each) - 1, -1):
-            shares = [number // len(each) + (k < number % len(each)) for k in range(len(each))]
-            spaced = {
-                slot[place]
-                for slot, share in zip(each, shares, strict=True)
-                for place in np.linspace(0, len(slot) - 1, share).round().astype(int).tolist()
-            }
-            chosen = self.with_required(spaced)
-            if len(spaced) == number and self.accepts(chosen):
-                return chosen
-        return None
-
     @cached_property
     def step_limits(self) -> StepLimits:
         """The constraints in the order of time."""
-        points, spacing, visits, ways = self.points, self.spacing, self.visits, self.points.ways
+        points, spacing, ways = self.points, self.spacing, self.points.ways
         firsts, most, apart = range(0, self.possible, ways), list[int](), list[Times]()
         for limit in self.limits:
             most.append(self.possible if limit.most is None else limit.most)
             apart.append(limit.spacing.successors if limit.spacing else (0,) * len(firsts))
-        install = {way: float(price) for price, ways in self.installs for way in ways}
-        group = {
-            way: number
-            for number, sensors in enumerate(self.groups, 1)
-            for way in chain.from_iterable(sensors)
-        }
+        shared = {name: value for e in self.shared for name, value in e.steps(points).items()}
         return StepLimits(
             () if spacing.is_free else tuple(points.instant(spacing.after(t)) for t in firsts),
             tuple(map(float, self.price or (1,) * self.possible)),
@@ -289,13 +235,8 @@ class Feasible(Constraints):
             tuple(most) if {*most} - {self.possible} else (),
             tuple(apart) if any(limit.spacing for limit in self.limits) else (),
             points.repeats,
-            tuple(group.get(way, 0) for way in range(ways)) if group else (),
-            tuple(install.get(way, 0.0) for way in range(ways)) if install else (),
-            *(() if visits is None else (
-                visits.ends, float(visits.price),
-                self.possible if visits.most is None else visits.most, visits.open_until,
-            )),
-        )  # fmt: skip
+            **shared,
+        )
 
     @property
     def budget(self) -> float:
@@ -355,12 +296,7 @@ class Feasible(Constraints):
             required=tuple(sorted(time - start for time in required)),
             points=points.since(first),
             limits=tuple(limits),
-            visits=self.visits and self.visits.since(start, taken),
-            installs=tuple(
-                (price, ways)
-                for price, ways in self.installs
-                if not any(points.way(time) in ways for time in taken)
-            ),
+            shared=tuple(filter(None, (e.since(points, start, taken) for e in self.shared))),
         )
         if self.price is not None and self.total_price is not None:
             money = max(self.total_price, self.price_of((*taken, *in_flight)))
@@ -493,14 +429,8 @@ class Feasible(Constraints):
     @cached_property
     def _nearest_regular(self) -> Times:
         if self.visits:
-            most = self.horizon + 1 if self.visits.most is None else self.visits.most
-            paid = self.total // (min(self.units) + self.visit_units)
-            for number in range(min(most, paid, self.horizon + 1), 0, -1):
-                clock = self.points.clock
-                targets = [clock.times[t] for t in clock.regular_times(number)]
-                if (times := self.visits_near(targets)) is not None:
-                    return times
-            return self.repair(self.allowed, np.random.default_rng(0))
+            times = self.visits.evenly(self)
+            return times or self.repair(self.allowed, np.random.default_rng(0))
         if self.points.ways > 1:
             times = self._in_turn((self.cheapest,))
             number = min(self.total, self.horizon + 1)
@@ -513,7 +443,8 @@ class Feasible(Constraints):
         affordable = Affordable(self.allowed, self.required, self.spacing, self.units, self.total)
         return affordable.nearest(self._regular_times)
 
-    def _near(self, time: int, reach: int | None) -> Times:
+    def near(self, time: int, reach: int | None) -> Times:
+        """The allowed times within so many instants of one; by default all."""
         if reach is None:
             return self.allowed
         instant = self.points.instant(time)

@@ -1,6 +1,5 @@
 """Measured values of one system, checked one by one or read from a table."""
 
-import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -16,14 +15,14 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import did_you_mean
-from pfdist.common.sensing import PLAIN, Sensing
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.one_filter import checked_instant, checked_measurement, made, plain_number
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import Parameter
 from pfdist.problem.clock import Clock
-from pfdist.store.user_tables import SEPARATORS, number_of_cell, read_user_table
+from pfdist.problem.sensing_section import Sensings
+from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
 _FURTHER = 10_000  # rows
@@ -46,7 +45,7 @@ class Reading(NamedTuple):
         Whether the filter can have instants that the clock lacks.
     note : callable
         Receives lines about what was not read, moved or repeated.
-    sensings : tuple of Sensing
+    sensings : Sensings
         For each sensor of the model, its limits, beyond which numbers count as these, its delay,
         and whether it may fail.
     sensors : tuple of str
@@ -61,7 +60,7 @@ class Reading(NamedTuple):
     within: float | None = None
     any_time: Callable[[], bool] = lambda: False
     note: Callable[[str], Any] = lambda line: None
-    sensings: tuple[Sensing, ...] = ()
+    sensings: Sensings = Sensings()
     sensors: tuple[str, ...] = ()
     all_count: bool = False
     given: Mapping[str, str] = {}
@@ -74,37 +73,8 @@ class Reading(NamedTuple):
 
     def readers(self, names: Iterable[str]) -> dict[str, Callable[[str], float]]:
         """A reader of the cells of each measured column: numbers, and readings beyond a limit."""
-        if all(math.isinf(end) for each in self.sensings for end in (each.low, each.high)):
-            return {}
-        return dict.fromkeys({*names} - {"t", "sensor"}, self._read)
-
-    @property
-    def low(self) -> float:
-        """The limit below which readings are censored, of all sensors."""
-        (low, *others) = {each.low for each in self.sensings} or {-math.inf}
-        if others or math.isinf(low):
-            raise MeasurementsError(
-                "a column NAME_below needs one limit of all sensors: problem.sensor.limit"
-            )
-        return low
-
-    def _read(self, text: str) -> float:
-        if text[:1] not in ("<", ">"):
-            try:
-                return number_of_cell(text)
-            except ValueError as error:
-                lows = {each.low for each in self.sensings}
-                below = f"; a reading below the limit is <{max(lows):g}" * (len(lows) == 1)
-                raise MeasurementsError(f"{error}{below}") from error
-        ends = {each.low if text[0] == "<" else each.high for each in self.sensings}
-        beyond = number_of_cell(text[1:].strip())
-        if len(ends) == 1 and beyond in ends:
-            return beyond
-        known = ", ".join(f"{text[0]}{end:g}" for end in sorted(ends) if math.isfinite(end))
-        raise MeasurementsError(
-            f"a cell beyond a limit must be that of all sensors, {known or 'which have none'}, got "
-            f"{shown(text)}: limit or limits of problem.sensor say what a sensor reads"
-        )
+        read = {*names} - {"t", "sensor"} if self.sensings.have_limits else ()
+        return dict.fromkeys(read, self.sensings.read)
 
     def named(self, model: StateSpaceModel) -> list[str]:
         """The names in a column sensor: the sensors of the model, and those that repeat."""
@@ -115,20 +85,11 @@ class Reading(NamedTuple):
         """Whether all sensors of the model are repeats of the only one: a row needs no name."""
         return {*self.sensors} == {""}
 
-    def sensing(self, way: int) -> Sensing:
-        """How a sensor senses."""
-        return self.sensings[way] if self.sensings else PLAIN
-
-    @property
-    def is_late(self) -> bool:
-        """Whether a value arrives later; then all steps have one length."""
-        return any(each.delay for each in self.sensings)
-
     @property
     def why_instants(self) -> str:
         """Why the filter can have no other instants."""
         step = "the model's step does not read p.dt"
-        return f"because {'a sensor has a delay' if self.is_late else step}"
+        return f"because {'a sensor has a delay' if self.sensings.are_late else step}"
 
     def moved(self, distance: float, clock: Clock) -> None:
         """Note how far the furthest time moved, if any did."""
@@ -217,7 +178,7 @@ def read_measurements(
         for name in {*below} & {*columns}:  # an empty cell, known to be below
             censored = np.isnan(columns[below[name]]) & (columns[name] == 1.0)
             if censored.any():
-                columns[below[name]][censored] = reading.low
+                columns[below[name]][censored] = reading.sensings.low
         table = np.stack([columns[name] for name in wanted], axis=1)
         own_values = parameters_at(
             {name: own[name] for name in reading.given}, clock, of_rows.times
@@ -229,7 +190,9 @@ def read_measurements(
         of_sensors = columns.get("sensor", np.zeros(len(times))).astype(int)
         names = [sensors[k] if "sensor" in columns else "" for k in of_sensors]
         ways = [*sensors_of_rows(zip(instants, names, strict=True), model, reading)]
-        arrivals = [t + reading.sensing(way).delay for t, way in zip(instants, ways, strict=True)]
+        arrivals = [
+            t + reading.sensings.by_way(way).delay for t, way in zip(instants, ways, strict=True)
+        ]
         rows = zip(instants, arrivals, ways, table, strict=True)
         values = _placed(rows, model, wanted, of_rows, reading)
     except (MeasurementsError, ValueError) as error:
@@ -251,7 +214,9 @@ def read_measurements(
     ]
     # A value that is not in the table has not arrived until its last time.
     missed = tuple(sorted({min(t, now) for t in arrivals} - {*measured}))
-    failed = tuple(point for t, way, point in empty if reading.sensing(way).fails and t <= now)
+    failed = tuple(
+        point for t, way, point in empty if reading.sensings.by_way(way).fails and t <= now
+    )
     return Measurements(
         tuple(measured),
         y.reshape(len(measured), repeats * model.components[1]),
@@ -291,7 +256,7 @@ def _placed(
         y = _of_sensor(model, way, row, columns, text)
         if y is None:
             continue
-        y = y.clip(reading.sensing(way).low, reading.sensing(way).high)
+        y = y.clip(reading.sensings.by_way(way).low, reading.sensings.by_way(way).high)
         if arrival > clock.horizon:
             late += 1
             continue
@@ -409,7 +374,7 @@ def instants_of_table(
             f"got {clock.text(far)}, {clock.duration(moved)} from the nearest: allow more "
             "(--within)"
             + ", or write the step with p.dt, as pfdist.ode does"
-            * (not reading.is_late)
+            * (not reading.sensings.are_late)
         )
     return clock, instants, moved
 

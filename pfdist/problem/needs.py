@@ -238,7 +238,7 @@ RULES = Capability(
         COMPILED: "it takes too long", SQUARED_NORM: "",
     },
 )  # fmt: skip
-WHY = Capability("`pfdist why`", {ONE_NUMBER: "", EXPECTED_MSE: "", MEAN_OF_SCENARIOS: ""})
+WHY = Capability("`pfdist why`", {ONE_NUMBER: "", MEAN_OF_SCENARIOS: ""})
 EXPLORE = Capability("`pfdist explore`", {EXPECTED_MSE: ""})
 BOUND = Capability(
     "a lower bound of the error", {SQUARED_NORM: "0 draws of the bound leave it out"}

@@ -28,7 +28,7 @@ from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import calendar_of
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.clock_section import ClockSection, without_units
-from pfdist.problem.constraints import Limit, money
+from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.sections import (
@@ -39,16 +39,17 @@ from pfdist.problem.sections import (
     Written,
     is_list_of,
 )
+from pfdist.problem.sensing_section import SensingSection
 from pfdist.problem.sensor_section import (
     MeasurementBudget,
     Prices,
-    SensingSection,
     SensorSection,
-    VisitsSection,
     priced,
 )
+from pfdist.problem.shared import Money, Together, money
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.visits import Money
+from pfdist.problem.visits import Installs
+from pfdist.problem.visits_section import VisitsSection
 from pfdist.problem.written import instants_written
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
@@ -213,31 +214,16 @@ class ProblemSection(JobSection):
     def sensings(self) -> dict[str, Sensing]:
         """The limits, failures and repeats of each sensor; the only one has the name ""."""
         own: dict[str, Any] = {"": self.sensor} if self.sensor else self.sensors or {}
-        delays = {name: self._instants_of_delay(name, each) for name, each in own.items()}
-        return {name: each.sensing(delays[name]) for name, each in own.items()}
+        keys, waits = {name: f"sensors.{name}" for name in own}, self.estimate == SMOOTHED
+        return {
+            name: each.sensing(keys[name] if name else "sensor", self.clock, waits=waits)
+            for name, each in own.items()
+        }
 
     @property
     def each_sensing(self) -> list[tuple[str, Sensing]]:
         """For each sensor of the model, that of the job, of which it may be a repeat."""
         return [(name, each) for name, each in self.sensings.items() for _ in range(each.repeats)]
-
-    def _instants_of_delay(self, name: str, sensor: SensingSection) -> int:
-        """The delay of a sensor in instants; 0 if the estimate waits for all values.
-
-        Raises `MeasurementTimesError` unless it is a number of steps of an even clock.
-        """
-        delay, key = sensor.delay, f"sensors.{name}.delay" if name else "sensor.delay"
-        if delay is None or self.estimate == SMOOTHED:
-            return 0
-        clock = self.clock
-        step = clock.times[1] - clock.times[0]
-        steps = round(float(delay) / step)
-        if not clock.is_even or abs(steps * step - delay) > clock.slack or steps > clock.horizon:
-            raise MeasurementTimesError(
-                f"{key} must be a number of steps of an even clock, at most {clock.horizon}, got "
-                f"{delay:g}"
-            )
-        return steps
 
     @cached_property
     def each_sensor(self) -> dict[str, SensorSection]:
@@ -329,16 +315,10 @@ class ProblemSection(JobSection):
                 f"{spacing:g}: give each sensor its own"
             )
         points, limits = self.points, self._limits
-        visits = None if self.visits is None else self.visits.on(points)
-        if visits and points.delays:
-            raise MeasurementTimesError(
-                "visits must be left out with sensors that have a delay, unless the estimate waits "
-                "for all values: estimate = 'smoothed'"
-            )
-        installs, groups = self._installs, self._groups
-        if self.total_price is None and (installs or (self.visits and self.visits.price)):
-            name = "visits.price" if not installs else "install"
-            raise MeasurementTimesError(f"{name} needs total_price and prices of measurements")
+        shared = (self.visits.on(points) if self.visits else None, self._installs, self._groups)
+        fees = [name for each in shared if each for name in each.fees]
+        if self.total_price is None and fees:
+            raise MeasurementTimesError(f"{fees[-1]} needs total_price and prices of measurements")
         prices = [sum(prices or (0,)) for prices in self._prices_of_sensors] or [0]
         return Feasible(
             horizon=clock.horizon,
@@ -350,11 +330,9 @@ class ProblemSection(JobSection):
             total_price=None if self.total_price is None else money(self.total_price),
             points=points,
             # To sets within limits, nothing may be left to buy.
-            smaller=bool((limits and self.total_price is not None) or visits or installs or groups),
+            smaller=bool((limits and self.total_price is not None) or any(shared)),
             limits=limits,
-            visits=visits,
-            installs=installs,
-            groups=groups,
+            shared=tuple(filter(None, shared)),
             cheapest=prices.index(min(prices)),  # the first sensor if none has a price
         )
 
@@ -394,21 +372,18 @@ class ProblemSection(JobSection):
         return tuple(limits) if any(limit != Limit() for limit in limits) else ()
 
     @property
-    def _installs(self) -> tuple[tuple[Money, Times], ...]:
+    def _installs(self) -> Installs | None:
         """The price of each sensor's installation, and its ways."""
-        return tuple(
-            (money(each.install), ways)
-            for each, ways in self._ways_of_sensors
-            if each.install is not None
-        )
+        each = tuple((money(s.install), ways) for s, ways in self._ways_of_sensors if s.install)
+        return Installs(each) if each else None
 
     @property
-    def _groups(self) -> tuple[tuple[Times, ...], ...]:
+    def _groups(self) -> Together | None:
         groups = dict[str, list[Times]]()
         for each, ways in self._ways_of_sensors:
             if each.together is not None:
                 groups.setdefault(each.together, []).append(ways)
-        return tuple(map(tuple, groups.values()))
+        return Together(tuple(map(tuple, groups.values()))) if groups else None
 
     @property
     def _ways_of_sensors(self) -> Iterator[tuple[SensorSection, Times]]:
@@ -487,11 +462,6 @@ class ProblemSection(JobSection):
         if self.lag is not None:
             return f"problem.lag = {self.lag:g}"
         return f"problem.estimate = {self.estimate or FILTERED!r}"
-
-    @property
-    def other_estimate(self) -> str:
-        """The estimate whose error answers show, too: smoothed; if this is asked for, filtered."""
-        return FILTERED if self.instants_of_lag else SMOOTHED
 
     @property
     def of_the_estimate(self) -> str:

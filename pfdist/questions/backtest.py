@@ -27,6 +27,7 @@ from pfdist.errors import (
 )
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
+from pfdist.models.sensed import when_made
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.points import Points
@@ -57,7 +58,7 @@ from pfdist.questions.thinned import (
 from pfdist.results import Run, finite
 from pfdist.results.promise import Promise, RelativeErrors, promise, real_over_foreseen
 from pfdist.results.stored_run import measured_of
-from pfdist.runner.backtesting import ReplicateErrors, when_made
+from pfdist.runner.backtesting import ReplicateErrors
 from pfdist.runner.build import Built, build
 from pfdist.runner.progress import silent
 from pfdist.store import backtest_schema

@@ -22,13 +22,17 @@ from pfdist.common.rounding import with_error
 from pfdist.filters.criterion import CriterionValue
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import ERROR_HEAD, Subject, number_of
-from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, interval_cell, rows_of
+from pfdist.results.columns import (
+    COLUMNS,
+    CRITERIA_SHOWN,
+    ERRORS_SHOWN,
+    Row,
+    interval_cell,
+    rows_of,
+)
 from pfdist.results.stored_run import named_sets
 
-_OF_A_SET = (
-    "label", "measurements", "price", "expected_mse", "smoothed_mse", "filtered_mse",
-    *CRITERIA_SHOWN,
-)  # fmt: skip
+_OF_A_SET = "label", "measurements", "price", *ERRORS_SHOWN, *CRITERIA_SHOWN
 _BELOW = "the best is lower by, %"  # in expected MSE
 _PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
 _SETS_MEANING = (

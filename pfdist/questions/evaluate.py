@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
 from itertools import repeat
@@ -21,7 +21,8 @@ from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
-from pfdist.filters.aspects import Aspect
+from pfdist.filters.aspects import Aspect, ErrorBeside
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import MEAN, Criterion, OtherCriterion, Sample
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
@@ -35,13 +36,13 @@ from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import is_list_of
 from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import Names, criteria_in, following
-from pfdist.questions.subject import WHEN, mse_cell, number_of
+from pfdist.questions.subject import mse_cell, number_of
 from pfdist.results import Gain
-from pfdist.results.columns import COLUMNS, head_of_limit, interval_cell
+from pfdist.results.columns import COLUMNS, interval_cell
 from pfdist.results.criteria import fields_over_time
 from pfdist.results.over_time import Range, profile_of
 from pfdist.runner.build import Built, build
-from pfdist.runner.comparison_phase import LOSS_DRAWS, OTHERS
+from pfdist.runner.comparison_phase import FEWER, LOSS_DRAWS
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import fewest_lines
 from pfdist.runner.progress import Progress, heard, silent
@@ -153,7 +154,7 @@ def prepare_evaluation(
 ) -> tuple[Built, Callable[..., dict[str, Evaluation]]]:
     """The compiled job, and a function that evaluates the sets; a set without a name has ``""``.
 
-    With ``other=True`` the function evaluates the other estimate, on fewer draws.
+    With ``beside`` the function estimates an error beside that of the job, on fewer draws.
     """
     settings = {
         "evaluation": {"draws": draws},
@@ -190,16 +191,21 @@ def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str)
 
 
 def _evaluated(
-    built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool, other: bool = False
+    built: Built,
+    sets: Mapping[str, Times],
+    stream: int,
+    *,
+    profile: bool,
+    beside: ErrorBeside | None = None,
 ) -> dict[str, Evaluation]:
     evaluator, times = built.evaluator, tuple(sets.values())
     criterion, judging = built.job.criterion.mse_criterion, built.job.other_criteria
     estimation, draws = comparing_of(built.job), built.job.evaluation.draws
-    if other:
-        own, estimation = estimation, evaluator.other_estimation(estimation)
+    if beside:
+        own, estimation = estimation, beside.settings(evaluator, estimation)
         more = estimation.steps_an_instant // own.steps_an_instant
-        draws = -(-draws // (OTHERS * max(1, more // 2)))
-        evaluator, profile, judging = evaluator.other_estimate, False, {}
+        draws = -(-draws // (FEWER * max(1, more // 2)))
+        evaluator, profile, judging = evaluator.beside[beside.named], False, {}
     written = [tuple(built.job.problem.points.written_of(each)) for each in times]
     exact = evaluator.expected_mse(times, criterion=criterion)
     by_instant = any(each.by_instant for each in judging.values())
@@ -222,7 +228,7 @@ def _evaluated(
         scenarios = evaluator.scenarios_of(stream, range(draws))
         formatted = built.job.problem.clock.formatted
         each_set = (work.part((0, draws), [place]) for place in range(len(sets)))
-        lines = [("", False) if other else fewest_lines(evaluator, e, formatted) for e in each_set]
+        lines = [("", False) if beside else fewest_lines(evaluator, e, formatted) for e in each_set]
         found = {
             name: Evaluation(
                 written_of_set,
@@ -293,11 +299,7 @@ def _values_of(built: Built, work: FilterWork, aspect: Aspect, form: Criterion) 
     if exact is not None:
         return form.sign * exact[None][: aspect == form.aspects[0]]
     draws = work.draws[1] if aspect.of_all_draws else min(LOSS_DRAWS, work.draws[1])
-    own = replace(
-        work, draws=(0, draws), over_time=0,
-        estimation=aspect.estimation(work.estimation), controlled=aspect.is_controlled,
-        knows_truth=aspect.knows_truth,
-    )  # fmt: skip
+    own = aspect.work(work, draws)
     of_draws = _filtered(built.evaluator.of_work(own), own)
     return aspect.values(of_draws.mse, of_draws.control)
 
@@ -322,13 +324,13 @@ class Evaluated:
     """The answer of ``pfdist evaluate``: sets of times, which may break constraints, by name."""
 
     evaluations: Mapping[str, Evaluation]
-    others: Mapping[str, Evaluation]  # of the estimate that the job did not ask for
+    beside: Mapping[ErrorBeside, Mapping[str, Evaluation]]  # errors beside that of the job
     problem: ProblemSection
     broken: Mapping[str, Sequence[str]]
     parameters: Sequence[Mapping[str, Any]]  # of each scenario
     seconds: float
     quantity: Component | None  # z, if the root of an expected MSE is in its unit
-    other_is_limit: bool = False  # whether few ancestors may raise the errors of `others`
+    limits: Collection[ErrorBeside] = ()  # those of `beside` that are upper limits
     form: Criterion = MEAN  # what the job minimises
     criteria: Mapping[str, OtherCriterion] = field(default_factory=dict)  # also wanted
 
@@ -336,11 +338,8 @@ class Evaluated:
         """The estimates of each set, or of the one that has no name."""
         sets = {
             name: {key: getattr(evaluation, key) for key in _ANSWERED}
-            | {
-                f"{self.problem.other_estimate}_mse": self.others[name].expected_mse,
-                f"{self.problem.other_estimate}_error": self.others[name].standard_error,
-                "broken_constraints": self.broken[name],
-            }
+            | reduce(or_, [e.columns(each[name].estimate) for e, each in self.beside.items()], {})
+            | {"broken_constraints": self.broken[name]}
             | reduce(or_, [judged.columns(key) for key, judged in evaluation.also.items()], {})
             | _columns_of(evaluation)
             for name, evaluation in self.evaluations.items()
@@ -351,24 +350,27 @@ class Evaluated:
 
     def _page(self) -> Page:
         rows = [self._row(name) for name in self.evaluations]
-        of_the_estimate, other = self.problem.of_the_estimate, self.problem.other_estimate
+        of_the_estimate = self.problem.of_the_estimate
         if list(self.evaluations) == [UNNAMED]:
             number = len(self.evaluations[UNNAMED].measurement_times)
-            *_, draws, of_other = (cell.text for cell in rows.pop())
-            about = [number_of(number, "measurement"), *([f"{draws} draws"] if draws else [])]
+            rows.clear()
+            draws = self.evaluations[UNNAMED].draws
+            about = [number_of(number, "measurement"), *([f"{draws:,} draws"] if draws else [])]
             said = f"Expected MSE{of_the_estimate} {self._mse(UNNAMED)} ({', '.join(about)})"
             said += self._typical(UNNAMED, ";")
             judged = {each: self._judged(UNNAMED, each) for each in self.criteria}
             first = judged.pop(self.form.name, "")
             said = ". ".join(filter(None, [first, said, *judged.values()]))
-            if math.isfinite(self.others[UNNAMED].expected_mse):
-                said += f". {WHEN[other]}: {'at most ' * self.other_is_limit}{of_other}"
+            for error, found in self.beside.items():
+                if math.isfinite(found[UNNAMED].expected_mse):
+                    limit = "at most " * (error in self.limits)
+                    said += f". {error.when}: {limit}{_text_of(found[UNNAMED])}"
         else:
             said = self._lowest()
         caption = f"Expected MSE{of_the_estimate}" * bool(of_the_estimate)
         heads = [each.head for each in self.criteria.values()]
-        limited = head_of_limit(other) if self.other_is_limit else COLUMNS[f"{other}_mse"].head
-        head = (*_HEAD, *heads, "draws", limited)
+        last = (error.head_of(is_limit=error in self.limits) for error in self.beside)
+        head = (*_HEAD, *heads, "draws", *last)
         tables = [Table(caption, head, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
@@ -428,14 +430,14 @@ class Evaluated:
         return self._row(name)[2].text if is_finite else "not finite"
 
     def _row(self, name: str) -> list[Cell]:
-        each, other = self.evaluations[name], self.others[name]
+        each = self.evaluations[name]
         number = len(each.measurement_times)
-        texts = [e.estimate.text + " (exact)" * (not e.draws) for e in (each, other)]
+        beside = (Cell(_text_of(found[name])) for found in self.beside.values())
         draws = Cell(f"{each.draws:,}" if each.draws else "", each.draws)
         also = ((each.also[key], COLUMNS[key].is_side) for key in self.criteria)
         judged = (interval_cell(*numbers, is_side=is_side) for numbers, is_side in also)
-        about = Cell(name), Cell(str(number), number), Cell(texts[0])
-        return [*about, *judged, draws, Cell(texts[1])]
+        about = Cell(name), Cell(str(number), number), Cell(_text_of(each))
+        return [*about, *judged, draws, *beside]
 
     def _typical(self, name: str, mark: str) -> str:
         mse = self.evaluations[name].expected_mse
@@ -498,7 +500,8 @@ def evaluated(
     start = time.perf_counter()  # after the compilation
     evaluations = compute()
     seconds = time.perf_counter() - start
-    others = compute(other=True)
+    errors = errors_beside(built.evaluator.lag)
+    beside = {each: compute(beside=each) for each in errors}
     broken = {
         name: loaded.problem.broken(evaluation.measurement_times)
         for name, evaluation in evaluations.items()
@@ -506,8 +509,12 @@ def evaluated(
     scenarios = loaded.scenarios.of_draws if loaded.scenarios else ()
     about = loaded.problem, broken, [each.parameters for each in scenarios]
     judged_by = built.job.criterion, built.job.other_criteria
-    is_limit = built.evaluator.other_is_limit
-    return Evaluated(evaluations, others, *about, seconds, _quantity(built), is_limit, *judged_by)
+    limits = [*filter(built.evaluator.is_limit, errors)]
+    return Evaluated(evaluations, beside, *about, seconds, _quantity(built), limits, *judged_by)
+
+
+def _text_of(evaluation: Evaluation) -> str:
+    return evaluation.estimate.text + " (exact)" * (not evaluation.draws)
 
 
 def _quantity(built: Built) -> Component | None:

@@ -24,6 +24,7 @@ from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.sensing_section import Sensings
 from pfdist.questions.run_of_job import path_of_run, run_and_job
 from pfdist.results import Run
 from pfdist.results.sets import best_first, rows_of_sets
@@ -177,7 +178,7 @@ def reading_of(built: Built, columns: Columns | None, within: float | None, say:
         within,
         any_time,
         note,
-        sensings=sensings,
+        sensings=Sensings(sensings),
         sensors=sensors,
         given=problem.given or {},
     )

@@ -24,7 +24,7 @@ from pfdist.common.percent import (
 )
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
-from pfdist.problem.problem_section import SMOOTHED
+from pfdist.filters.aspects import ErrorBeside
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.about_run import computed, made_by, problem, question, using
 from pfdist.questions.bound_page import proof
@@ -37,7 +37,6 @@ from pfdist.questions.compared_page import (
     scenarios,
 )
 from pfdist.questions.subject import (
-    WHEN,
     Subject,
     all_sets,
     as_good_text,
@@ -46,7 +45,7 @@ from pfdist.questions.subject import (
 )
 from pfdist.questions.why_page import worth_section
 from pfdist.results import Run
-from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, Row, sets_table
+from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, ERRORS_SHOWN, Row, sets_table
 from pfdist.results.run import SHOWN
 from pfdist.results.stored_run import (
     copies_of,
@@ -65,9 +64,7 @@ _LOOKS_BETTER = (
 )
 _BY_EXACT_ERRORS = "by their expected MSEs, which are exact."
 _CLEAR = 2.0  # standard errors of a difference, for a sentence without an interval
-_GAINS_SHOWN = (
-    "label", "expected_mse", "gain_of_means", "smoothed_mse", "filtered_mse", *CRITERIA_SHOWN,
-)  # fmt: skip
+_GAINS_SHOWN = "label", ERRORS_SHOWN[0], "gain_of_means", *ERRORS_SHOWN[1:], *CRITERIA_SHOWN
 _GAINS = (
     "The expected MSE is the mean over all draws, with its standard error. The next column is how "
     "much lower it is than that of the first row. Intervals in brackets are 95 % CIs."
@@ -196,7 +193,8 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)
     yield from subject.heavy_tail
-    yield from _other_estimate(subject, row)
+    for error in subject.beside:
+        yield from _beside(subject, row, error)
     if others := len(subject.found_rows) - 1:
         best = f"This is {phrase_of(row.label)}, the best of {others + 1} plans"
         # The errors of worst scenarios are those of draws, whatever the engine.
@@ -224,25 +222,21 @@ def _gain(subject: Subject, row: Row) -> str:
     return f"No clear difference from {subject.reference}: {typical}, and {said}"
 
 
-def _other_estimate(subject: Subject, row: Row) -> Iterator[Text]:
-    """The error of the estimate that the job did not ask for, with a set and the reference."""
-    other, reference = problem_of(subject.run).other_estimate, subject.reference_row
-    mse = COLUMNS[f"{other}_mse"]
+def _beside(subject: Subject, row: Row, error: ErrorBeside) -> Iterator[Text]:
+    """An error beside that of the job, with a set and the reference."""
+    mse, reference = COLUMNS[error.mse], subject.reference_row
     own, of_reference = (getattr(each, mse.name) for each in (row, reference))
     if not all(each is not None and math.isfinite(each) for each in (own, of_reference)):
         return
-    limit, label = "at most " * subject.other_is_limit, subject.criterion.mse_criterion.label
+    limit, label = "at most " * subject.is_limit(error), subject.criterion.mse_criterion.label
     numbers = f"{limit}{mse.cell(row).text} ({reference.label}: {mse.cell(reference).text})"
-    if other != SMOOTHED or subject.criterion.aspects:
-        yield Text(f"{WHEN[other]}, the {label} is {numbers}.")
+    if not error.planned or subject.criterion.aspects:
+        yield Text(f"{error.when}, the {label} is {numbers}.")
         return
     both = [getattr(each, mse.error) for each in (row, reference)]
     is_gain = None not in both and of_reference - own > _CLEAR * math.hypot(*both)
     nothing = f"these times gain nothing clear over {phrase_of(reference.label)}: "
-    yield Text(
-        f"If you analyse only afterwards, {nothing * (not is_gain)}the {label} is {numbers}. "
-        '`problem.estimate = "smoothed"` plans for that.'
-    )
+    yield Text(f"{error.alone}, {nothing * (not is_gain)}the {label} is {numbers}. {error.planned}")
 
 
 def _as_good(subject: Subject, row: Row) -> str:

@@ -12,15 +12,16 @@ from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
+from pfdist.filters.aspects import DISTANCE, ErrorBeside
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.clock import Clock
-from pfdist.problem.problem_section import FILTERED, SMOOTHED
 from pfdist.problem.sections import EVENLY_SPACED
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
-from pfdist.results.columns import COLUMNS, Row, head_of_limit, rows_of, sets_table
+from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.criteria import other_criteria
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first, rows_of_sets
@@ -38,11 +39,6 @@ if TYPE_CHECKING:
 _LISTED = 5  # times that a sentence lists one and all
 
 ERROR_HEAD = COLUMNS["expected_mse"].head
-WHEN = {
-    SMOOTHED: "Analysed afterwards, with all measurements",
-    FILTERED: "At the moment, with the measurements until then",
-}
-"""How answers call the estimate that the job did not ask for."""
 _MOST_SETS = 4  # beside the reference, in a table of scenarios
 
 
@@ -148,13 +144,17 @@ class Subject:
     def heads(self) -> dict[str, str]:
         """Heads of columns: of criteria, which say what quantile it is; of an upper limit."""
         heads = {name: each.head for name, each in other_criteria(self.run).items()}
-        return heads | ({"smoothed_mse": head_of_limit(SMOOTHED)} if self.other_is_limit else {})
+        return heads | {e.mse: e.head_of(is_limit=self.is_limit(e)) for e in self.beside}
 
-    @property
-    def other_is_limit(self) -> bool:
-        """Whether few ancestors may raise the errors of the other estimate; see `Evaluator`."""
-        is_smoothed, tables = problem_of(self.run).other_estimate == SMOOTHED, self.run.tables
-        return is_smoothed and "other_estimate" in tables and "filter_distance" not in tables
+    @cached_property
+    def beside(self) -> list[ErrorBeside]:
+        """The errors that are shown beside that of the job."""
+        return errors_beside(problem_of(self.run).instants_of_lag)
+
+    def is_limit(self, error: ErrorBeside) -> bool:
+        """Whether this error beside the job's is an upper limit; see `Evaluator`."""
+        tables = self.run.tables
+        return error.is_raised and error.table in tables and DISTANCE.table not in tables
 
     @property
     def error(self) -> str:

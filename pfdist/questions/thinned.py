@@ -17,6 +17,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import rounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
+from pfdist.models.sensed import when_made
 from pfdist.pools.base import Pool
 from pfdist.problem.needs import PLAN_EACH
 from pfdist.problem.points import Points
@@ -31,7 +32,6 @@ from pfdist.runner.backtesting import (
     outcomes,
     plan_of,
     points_of_rows,
-    when_made,
     with_repeats,
 )
 from pfdist.runner.build import Built

@@ -63,17 +63,19 @@ class Why(Shown):
         the set. An error of weight 0 is NaN.
     worth : DataFrame
         A row for each set and measurement: position, name, t, draws, and the rise of the expected
-        MSE if the measurement is removed, or made one instant earlier or later: removed, earlier,
-        later. NaN if another measurement is made at that instant, or if the job does not allow the
-        instant. The standard errors are removed_error, earlier_error and later_error.
+        MSE, or of what else the job minimises, if the measurement is removed, or made one instant
+        earlier or later: removed, earlier, later. NaN if another measurement is made at that
+        instant, or if the job does not allow the instant. The standard errors are removed_error,
+        earlier_error and later_error.
     sampling_windows : DataFrame
         A row for each set, measurement and instant to which it alone is moved (also its own
         instant, where nothing moves): position, name, t, moved_to (the instant, or on a clock its
         time), moved_to_instant (its number), draws, loss (the expected MSE over that of the kept
-        set, less 1), loss_error (its standard error), lower_limit and upper_limit (one-sided,
-        95 %). The states within_1 and within_5 are "inside" if the upper limit is at most 1 % or
-        5 %, "outside" if the lower limit is above, and otherwise "open". The instants lie between
-        the neighbouring measurements, and end on each side with the first that is outside within_5.
+        set, less 1; likewise of what else the job minimises), loss_error (its standard error),
+        lower_limit and upper_limit (one-sided, 95 %). The states within_1 and within_5 are "inside"
+        if the upper limit is at most 1 % or 5 %, "outside" if the lower limit is above, and
+        otherwise "open". The instants lie between the neighbouring measurements, and end on each
+        side with the first that is outside within_5.
     figures : list of Path
         The PNG files: ``why-<set>`` of each set but the reference, and ``system``, which has
         the sampling windows. Empty if no figures were wanted.
@@ -121,6 +123,8 @@ def why(
 ) -> Why:
     """Show what each measurement of a run is worth, and how exactly it must be kept.
 
+    Both are judged by the criterion of the job.
+
     The model is run. The tables ``profile``, ``worth`` and ``sampling_windows``, and the figures
     ``why-SET`` and ``system`` are written into the folder of the run.
 
@@ -129,8 +133,8 @@ def why(
     job : Problem, Job, str, Path or Run
         A job file, whose run is meant, or the folder of a run.
     draws : int
-        Number of draws, at least 2. They are computed in this process, and memory does not grow
-        with their number. An exact engine does not use it.
+        Number of draws, at least 2. They are computed in this process. Memory does not grow with
+        their number, unless the job has another criterion. An exact engine does not use it.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if only that holds a run.
@@ -160,7 +164,7 @@ def why(
     ArgumentError, ModelError
         There are too few draws, or the model cannot be loaded.
     JobError
-        The job asks for the least error in the worst scenario; only means can be explained.
+        The job has a section [budget], or asks for the least error in the worst scenario.
     """
     chosen = Chosen(figures=figures, progress=progress, say=say)
     with following(chosen.progress, chosen.say) as (show, tell):

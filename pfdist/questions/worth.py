@@ -9,7 +9,7 @@ agrees with the table of the worth.
 import math
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -18,15 +18,17 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import Interval
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import FilterWork, Result, ranges_of_draws
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.results.columns import Results
 from pfdist.results.over_time import Range, joined_ranges, longest_range, profile_of
-from pfdist.results.sampling_windows import OUTSIDE, RelativeLoss, state_of
+from pfdist.results.sampling_windows import OUTSIDE, TWO_SIDED, RelativeLoss, state_of
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import mean_effective_sizes
+from pfdist.runner.searches import deciding_of
 from pfdist.store import WINDOW_PERCENTS
 
 Array = NDArray[np.float64]
@@ -45,20 +47,24 @@ def worth_of(
 ) -> Generator[WorkBatch, None, tuple[Results, list[Results], list[Results]]]:
     """The error of a set, its rows of the table ``profile``, and those of the table ``worth``.
 
-    The rows lack position and name, and those of the worth lack draws. The set up to every instant
+    The rows lack position and name, and those of the worth lack draws. The worth is that by the
+    criterion of the job. The set up to every instant
     and all its changes share draws and noise. So common prefixes are filtered once, and differences
     are paired. The name of the set keys the noise. The effective sample size is a mean over the
     first draws.
     """
     built = session.built
     evaluator, instants = built.evaluator, built.evaluator.horizon + 1
-    changed = list(_changes(times, built.job.problem.feasible))
-    after = evaluator.points.first
+    changed, is_mean = [*_changes(times, built.job.problem.feasible)], built.job.criterion.is_mean
+    after, others = evaluator.points.first, [other for _, _, other in changed]
     sets = [tuple(t for t in times if t < after(end + 1)) for end in range(instants)]
-    sets += [other for _, _, other in changed]
-    ends = (*range(instants), *(evaluator.horizon,) * len(changed))
+    sets += others if is_mean else ()
+    ends = (*range(instants), *(evaluator.horizon,) * (len(sets) - instants))
     work = _work(session, name, sets, draws, ends=ends)
     (mse, *rises), degenerate = yield from _means(session, work)
+    if not is_mean:
+        own, *judged = yield from _judged(session, name, (times, *others), draws)
+        rises = [(d.value, d.standard_error) for d in (each.difference(own) for each in judged)]
     alone = _work(session, name, (times,), draws)
     ranges = yield from _ranges(session, alone)
     sizes: Any = mean_effective_sizes(evaluator, alone) if evaluator.has_particles else {}
@@ -176,6 +182,36 @@ def _mse(
     return mse, degenerate, largest
 
 
+def _judged(
+    session: RunSession, name: str, sets: Sequence[Times], draws: int
+) -> Generator[WorkBatch, None, list[Evaluation]]:
+    """The evaluation of each set by a criterion other than the expected MSE."""
+    built, form = session.built, session.built.job.criterion
+    evaluator, weights = built.evaluator, built.evaluator.relative_weights
+    exact = evaluator.expected_mse(sets, criterion=form)
+    if exact is not None:
+        return [*map(Evaluation.exactly, sets, exact.tolist(), repeat(form))]
+    work = replace(_work(session, name, sets, draws), estimation=deciding_of(built.job))
+    work = replace(work, controlled=False)
+    if form.by_instant:
+        ranges, size = (yield from _ranges(session, work)), longest_range(draws)
+        groups = np.array([each.sums / size for each in ranges if each.draws == size])
+        each_set = groups[:, :, weights > 0.0].swapaxes(0, 1)
+        return [
+            Evaluation(t, np.empty(0), groups=g, criterion=form)
+            for t, g in zip(sets, each_set, strict=True)
+        ]
+    pieces = list[Array]()
+    for piece in evaluator.pieces(work, MOST_SECONDS):
+        mse, *_ = yield from _mse(session, piece)
+        pieces.append(mse)
+    scenarios = evaluator.scenarios_of(work.draws_stream, range(draws))
+    return [
+        Evaluation(t, mse, scenarios=scenarios, criterion=form)
+        for t, mse in zip(sets, np.concatenate(pieces).T.copy(), strict=True)
+    ]
+
+
 def _columns(mse: Array) -> Array:
     """MSE, and its rise by each change, (D, 1+V), from that of the set and of V changed sets."""
     whole = mse[:, :1]
@@ -247,8 +283,16 @@ def _up_to_the_first_beyond(
 def _rows(
     session: RunSession, name: str, sets: tuple[Times, ...], draws: int, share: float
 ) -> Generator[WorkBatch, None, list[Results]]:
-    """Columns of the loss of each set against the first set, which loses nothing."""
+    """Columns of the loss of each set against the first set, which loses nothing.
+
+    It is that of the criterion of the job, relative to the number of the first set.
+    """
     evaluator, reporter = session.built.evaluator, session.reporter
+    if not session.built.job.criterion.is_mean:
+        judged = yield from _judged(session, name, sets, draws)
+        unit = 1 / (abs(judged[0].expected_mse) or math.nan)
+        rises = [each.difference(judged[0]).times(unit) for each in judged]
+        return [_row(e.value, e.standard_error, e.interval(TWO_SIDED)) for e in rises]
     work = _work(session, name, sets, draws)
     exact = evaluator.expected_mse(work.measurement_times, work.ends)
     if exact is not None:

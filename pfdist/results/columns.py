@@ -18,14 +18,16 @@ from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
 from pfdist.common.rounding import unrounded, with_error, with_interval, with_sides
 from pfdist.errors import relative
+from pfdist.filters.beside import BESIDE
 from pfdist.filters.criterion import CRITERIA, unit_of_criterion
 from pfdist.results.moments import QUANTILES, quantile_name
 
 if TYPE_CHECKING:
     import pandas as pd
 
+ERRORS_SHOWN = ("expected_mse", *(each.mse for each in BESIDE))
 CRITERIA_SHOWN = tuple(CRITERIA)
-"""Columns with numbers of criteria, by the names of these."""
+"""Columns with errors, and with numbers of criteria, by the names of these."""
 T = TypeVar("T")
 Results = dict[str, Any]
 
@@ -110,11 +112,6 @@ class Column:
         return Cell(value if isinstance(value, str) else f"{value:,.10g}", value)
 
 
-def head_of_limit(other: str) -> str:
-    """Head of the errors of the other estimate, where few ancestors may raise them."""
-    return COLUMNS[f"{other}_mse"].head.replace(" ±", ", at most ±")
-
-
 def interval_cell(
     value: float | None,
     low: float | None,
@@ -170,18 +167,10 @@ _DECLARED = [
     Column(name="standard_error", meaning="of expected_mse; 0 where it is exact"),
     *(
         column
-        for name, head, which, draws in (
-            ("smoothed", "afterwards", "if the job's own estimate is filtered",
-             "at most a fifth of the draws by two filters"),
-            ("filtered", "at the moment", "if the job's own estimate uses later measurements",
-             "at most a fifth of the draws"),
-        )
+        for each in BESIDE
         for column in (
-            Column(
-                name=f"{name}_mse", error=f"{name}_error", head=f"{head} ± standard error",
-                meaning=f"expected MSE of the {name} estimate, {which}; on {draws}, or exact",
-            ),
-            Column(name=f"{name}_error", meaning=f"standard error of {name}_mse; 0: exact"),
+            Column(name=each.mse, error=each.error, head=each.head_of(), meaning=each.meaning),
+            Column(name=each.error, meaning=f"standard error of {each.mse}; 0: exact"),
         )
     ),
     Column(

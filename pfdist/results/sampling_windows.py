@@ -19,7 +19,7 @@ from pfdist.store import WINDOW_PERCENTS
 INSIDE, OPEN, OUTSIDE = "inside", "open", "outside"
 """States of a loss against a level: at most the level, undecided, and above the level."""
 Rows = Iterable[Mapping[Hashable, Any]]
-_TWO_SIDED = 2 * CONFIDENCE - 1  # its ends are one-sided limits of the confidence
+TWO_SIDED = 2 * CONFIDENCE - 1  # its ends are one-sided limits of the confidence
 _LONGEST_LIST = 2  # successive instants that are listed singly
 STRICT, WIDE = min(WINDOW_PERCENTS), max(WINDOW_PERCENTS)
 
@@ -167,7 +167,7 @@ class RelativeLoss:
     @property
     def limits(self) -> Interval:
         """One-sided 95 % lower limit and one-sided 95 % upper limit, Fieller's."""
-        return self.pairs.ratio_interval(_TWO_SIDED) if self._is_known else UNKNOWN
+        return self.pairs.ratio_interval(TWO_SIDED) if self._is_known else UNKNOWN
 
     @property
     def _is_known(self) -> bool:

@@ -9,11 +9,13 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.percent import HEAVY
 from pfdist.errors import reason_of
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import CriterionValue
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.estimators import SQUARED_ERROR
@@ -145,8 +147,9 @@ def _given(run: StoredRun) -> Iterable[Row]:
             row.add(described(run.job, name, tuple(times), problem))
         if not math.isnan(exact := entry.get("exact_mse", math.nan)):
             row.add(_exact("expected_mse", exact) | {"standard_error": 0.0})
-        if not math.isnan(exact := entry.get("exact_other_mse", math.nan)):
-            row.add(_of_other_estimate(run, Estimate(exact)))
+        for each in errors_beside(problem.instants_of_lag):
+            if not math.isnan(exact := entry.get(each.exact_column, math.nan)):
+                row.add(each.columns(Estimate(exact)))
         yield row
 
 
@@ -196,21 +199,15 @@ def described(
     return {"description": phrase, "broken_constraints": problem.broken(times)}
 
 
-def _of_other_estimate(run: StoredRun, mse: Estimate) -> Results:
-    other = problem_of(run).other_estimate
-    return {f"{other}_mse": mse.value, f"{other}_error": mse.standard_error}
-
-
-def _add_other_estimates(run: StoredRun, rows: dict[str, Row]) -> None:
-    """Add the criterion's value of the estimate that the job did not ask for."""
-    if not run._store.has("other_estimate"):
-        return
-    draws, other = on_common_draws(run, "other_estimate"), problem_of(run).other_estimate
-    columns, form = {name: draws[name].to_numpy() for name in draws.column_names}, criterion_of(run)
-    for name, row in rows.items():
-        mse, scenarios = columns[f"{other}_{name}"], columns.get("scenario")
-        evaluation = Evaluation((), mse, scenarios=scenarios, criterion=form.mse_criterion)
-        row.add(_of_other_estimate(run, evaluation.estimate))
+def _add_errors_beside(run: StoredRun, rows: dict[str, Row]) -> None:
+    """Add the values that the job's criterion gives the errors beside that of the job."""
+    form = criterion_of(run).mse_criterion
+    for error in errors_beside(problem_of(run).instants_of_lag):
+        draws = on_common_draws(run, error.table) if run._store.has(error.table) else pa.table({})
+        columns = {name: draws[name].to_numpy() for name in draws.column_names}
+        for name, row in rows.items() if columns else ():
+            mse, numbers = columns[f"{error.named}_{name}"], columns.get("scenario")
+            row.add(error.columns(Evaluation((), mse, scenarios=numbers, criterion=form).estimate))
 
 
 def _exact(name: str, value: float) -> Results:
@@ -236,7 +233,7 @@ def _add_results(run: StoredRun, rows: dict[str, Row], statistics: ComparisonSta
         if row.standard_error == of_reference.standard_error == 0.0:
             gain = relative_gain(*(np.array(each.expected_mse) for each in (row, of_reference)))
             row.add(_exact("gain_of_means", float(gain)))
-    _add_other_estimates(run, rows)
+    _add_errors_beside(run, rows)
     for name, columns in columns_of_criteria(run):
         rows[name].add(columns)
     found = {name: row.expected_mse for name, row in rows.items() if row.kind == FOUND}

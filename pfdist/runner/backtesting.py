@@ -26,7 +26,7 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.base import repeated, within_half_turn
 from pfdist.models.parameters import Parameter
 from pfdist.models.recorded import is_of_any_time
-from pfdist.models.sensed import without_failures
+from pfdist.models.sensed import when_made, without_failures
 from pfdist.pools.base import Pool, Task
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
@@ -164,15 +164,6 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
         collapsed,
         is_angle,
     )
-
-
-def when_made(y: Array, model: StateSpaceModel, delays: tuple[int, ...]) -> Array:
-    """Values, (..., T+1, m), at the instants at which they are made, not those of arrival."""
-    made = y.copy()
-    for part, delay in zip(model.parts, delays, strict=False):
-        stop = y.shape[-2] - delay
-        made[..., :stop, part.y], made[..., stop:, part.y] = y[..., delay:, part.y], np.nan
-    return made
 
 
 def _simulated(work: ReplicateWork) -> tuple[Array, Array, Array]:

@@ -18,7 +18,8 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError, StoreError
-from pfdist.filters.aspects import DISTANCE, VARIANCE, Aspect, other_estimate
+from pfdist.filters.aspects import DISTANCE, VARIANCE, Aspect, ErrorBeside
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.work import (
     FilterWork,
     Result,
@@ -260,8 +261,8 @@ class InterimGains:
 
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
-OTHERS, _OTHER_SHARE = 5, 0.1
-"""At most one draw in so many gives the other estimate, and at most this share of all steps."""
+FEWER, _SHARE = 5, 0.1
+"""At most one draw in so many gives an error beside the job's, and at most this share of steps."""
 LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
 
 
@@ -307,9 +308,10 @@ class FirstDrawsTable:
 def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[FirstDrawsTable]:
     """All tables of first draws beside a comparison; by default that of sets still to be found."""
     work = work or _work(built, dict.fromkeys(built.names, built.job.problem.feasible.regular()))
-    evaluator, other = built.evaluator, other_estimates(built, work)
-    tables = [trajectories(built, work)] * built.study.has_details
-    tables += [] if other is None else [other]
+    evaluator, has_details = built.evaluator, built.study.has_details
+    tables = [trajectories(built, work)] * has_details
+    for each in errors_beside(evaluator.lag) if has_details and not evaluator.exact else ():
+        tables += beside(built, work, each)
     wanted = [each.aspects for each in built.job.other_criteria.values() if not evaluator.exact]
     aspects = [aspect for of_criterion in wanted for aspect in of_criterion]
     if evaluator.has_particle_loss:
@@ -331,19 +333,12 @@ def trajectories(built: Built, work: FilterWork) -> FirstDrawsTable:
     )
 
 
-def other_estimates(built: Built, work: FilterWork) -> FirstDrawsTable | None:
-    """MSE of the other estimate with each set: smoothed, or that of the filter; same noise."""
-    estimation = built.evaluator.other_estimation(work.estimation)
-    of_sets = replace(work, other_estimate=True, estimation=estimation)
+def beside(built: Built, work: FilterWork, error: ErrorBeside) -> list[FirstDrawsTable]:
+    """An error beside the job's, of the same noise; none if its share is less than a draw."""
     steps = comparison_steps(built) + sum(search_steps(built, each) for each in built.searches)
-    a_draw = (sum(work.ends) + len(work.ends)) * estimation.steps_an_instant  # nothing is shared
-    draws = min(built.job.comparison.draws // OTHERS, int(_OTHER_SHARE * steps // a_draw))
-    if built.evaluator.exact or not built.study.has_details or not draws:
-        return None
-    rows = schema_of_aspect(other_estimate(built.job.problem.other_estimate), work.ids)
-    columns = partial(_columns_by_set, rows, lambda mse, _: mse)
-    of_draws = replace(of_sets, draws=(0, draws))
-    return FirstDrawsTable("other_estimate", rows, of_draws, columns, part="other estimate")
+    of_a_draw = _table_of(error, error.beside(built.evaluator, work, 1), part="other estimate")
+    draws = min(built.job.comparison.draws // FEWER, int(_SHARE * steps // of_a_draw.steps))
+    return [replace(of_a_draw, work=of_a_draw.work.part((0, draws)))] if draws else []
 
 
 def of_aspect(built: Built, work: FilterWork, aspect: Aspect) -> FirstDrawsTable:
@@ -353,19 +348,18 @@ def of_aspect(built: Built, work: FilterWork, aspect: Aspect) -> FirstDrawsTable
     sets = work.measurement_times + ((),) * aspect.has_unmeasured
     stream = stream_of("comparison", built.job.seed, "filter", aspect.table)
     of_sets = replace(
-        work,
+        aspect.work(work, first),
         measurement_times=sets,
         ends=work.ends[:1] * len(sets),
         filter_streams=(stream,) * len(sets),  # so they share common prefixes, too
-        draws=(0, first),
-        estimation=aspect.estimation(work.estimation),
-        knows_truth=aspect.knows_truth,
-        controlled=aspect.is_controlled,
     )
+    return _table_of(aspect, of_sets)
+
+
+def _table_of(aspect: Aspect, work: FilterWork, part: Part = "statistics") -> FirstDrawsTable:
     rows = schema_of_aspect(aspect, work.ids)
-    return FirstDrawsTable(
-        aspect.table, rows, of_sets, partial(_columns_by_set, rows, aspect.values)
-    )
+    columns = partial(_columns_by_set, rows, aspect.values)
+    return FirstDrawsTable(aspect.table, rows, work, columns, part)
 
 
 def schema_of_aspect(aspect: Aspect, names: Sequence[str]) -> pa.Schema:

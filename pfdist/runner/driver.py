@@ -10,6 +10,7 @@ import pyarrow as pa
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.work import FilterWork, Result, cut
 from pfdist.problem.online_section import Online
 from pfdist.runner.build import Built
@@ -149,11 +150,11 @@ def _exact_columns(built: Built, sets: Sequence[Times]) -> dict[str, tuple[Any, 
     """Exact values of each set by column, with what they are for; None if they take draws."""
     evaluator, form = built.evaluator, built.job.criterion.mse_criterion
     columns: dict[str, tuple[Any, Part]] = {
-        "exact_mse": (evaluator.expected_mse(sets), "comparison"),
-        "exact_other_mse": (
-            evaluator.other_estimate.expected_mse(sets, criterion=form), "other estimate"
-        ),
-    }  # fmt: skip
+        "exact_mse": (evaluator.expected_mse(sets), "comparison")
+    }
+    for each in errors_beside(evaluator.lag):
+        exact = evaluator.beside[each.named].expected_mse(sets, criterion=form)
+        columns[each.exact_column] = exact, "other estimate"
     for form in built.job.other_criteria.values():
         values = evaluator.expected_mse(sets, criterion=form) if form.aspects else None
         if values is not None:

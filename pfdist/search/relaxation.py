@@ -23,7 +23,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, product
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
+from pfdist.problem.visits import Installs
 from pfdist.search.base import Candidate
 
 NOTHING = -1
@@ -121,17 +121,16 @@ class Relaxation:
 
     def priced(self, moves: Moves) -> Indices:
         """The price of each move, with a visit that it begins, in units, (n,)."""
-        fee = self.constraints.visit_units // self.unit
-        return self.prices[moves.time] + fee * moves.begun
+        visits = self.constraints.visits
+        fee = self.constraints.in_units(visits.price) if visits else 0
+        return self.prices[moves.time] + fee // self.unit * moves.begun
 
     def number(self, limited: int, times: Times) -> int:
         """How often a set does what a key of `Constraints.most` limits; of visits, at least."""
         visits = self.constraints.visits
         if visits is None or limited < self.constraints.points.ways:
             return len(self.constraints.points.of_way(limited, times))
-        if self.ages > 1:
-            return visits.number(times)
-        return int(visits.begins(np.array((NOTHING, *times))[:-1], np.array(times)).sum())
+        return visits.number(times) if self.ages > 1 else visits.at_least(times)
 
     @cached_property
     def installations(self) -> tuple[tuple[int, frozenset[int]], ...]:
@@ -139,17 +138,12 @@ class Relaxation:
 
         With many prices of installations, or many states, only the highest count.
         """
-        known = sorted(self.constraints.install_units)[-_MOST_INSTALLATIONS:]
         size = len(self.windows) * self.ages * (self.total + 1)
-        while known and 2 ** len(known) * size > _MOST_CHOICES:
-            known = known[1:]
-        choices = list[tuple[int, frozenset[int]]]()
-        for used in product((True, False), repeat=len(known)):
-            paid = sum(units for (units, _), is_used in zip(known, used, strict=True) if is_used)
-            others = (ways for (_, ways), is_used in zip(known, used, strict=True) if not is_used)
-            if paid <= self.constraints.total:
-                choices.append((paid // self.unit, frozenset(chain.from_iterable(others))))
-        return tuple(choices)
+        most = min(_MOST_INSTALLATIONS, (_MOST_CHOICES // size).bit_length() - 1)  # powers of 2
+        installs = self.constraints.shared_of(Installs) or Installs(())
+        choices = installs.choices(self.constraints.in_units, max(0, most))
+        paid_for = (each for each in choices if each[0] <= self.constraints.total)
+        return tuple((paid // self.unit, others) for paid, others in paid_for)
 
     @property
     def total(self) -> int:
@@ -261,15 +255,7 @@ class Relaxation:
         if visits is None:
             return np.zeros(before.size, np.bool_), np.zeros(before.size, np.int64)
         window, age = np.divmod(before.astype(np.int64), self.ages)
-        last = self.last[window]
-        first = np.where(last < 0, NOTHING, (points.instant(last) - age) * points.ways)
-        if self.ages == 1:
-            first = last
-        begun = visits.begins(first, time)
-        older = np.where(last < 0, 0, age + points.instant(time) - points.instant(last))
-        possible = (last < 0) | (first >= 0)
-        age = np.where(possible, np.where(begun | (self.ages == 1), 0, older), self.ages)
-        return begun, age
+        return visits.after(points, self.last[window], age, self.ages, time)
 
     def spent(self, times: Times) -> int:
         """The sum, in units, of the bound for a set: its size, or all of the money."""

@@ -227,7 +227,9 @@ _SCHEMAS = {
         *_OF_A_SET,
         _column("t", "instant of the measurement", pa.int32(), "t"),
         _column("draws", "fresh draws; 0: exact", pa.int64()),
-        *_estimate("removed", "rise of the expected MSE if the measurement is removed"),
+        *_estimate(
+            "removed", "rise of the expected MSE, or of the job's criterion, if it is removed"
+        ),
         *_estimate("earlier", "rise if it is made one instant earlier; null: impossible"),
         *_estimate("later", "rise if it is made one instant later; null: impossible"),
     ],

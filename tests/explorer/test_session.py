@@ -91,7 +91,7 @@ def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run
         "typical error",
         "MSE afterwards",
     )
-    afterwards = session._other.errors(MINE, 24)
+    afterwards = next(iter(session._beside.values())).errors(MINE, 24)
     value, error = map(float, re.findall(r"yours ([\d.]+) ± ([\d.]+)", texts[4])[0])
     assert value == pytest.approx(afterwards.mse.mean(), abs=0.06 * error)
     assert value < session.played.errors(MINE, 24).mse.mean()

@@ -205,7 +205,7 @@ def test_the_smoothed_error_of_a_wrong_filter_takes_draws() -> None:
     truth = drifting(start=1.0, factor=0.9, drift=0.3, noise=0.5, offset=0.2)
     believed = drifting(start=0.0, factor=0.97, drift=0.0, noise=0.8, offset=0.0)
     misled, sets = Evaluator(truth, 12, filter_model=believed, engine="kalman"), [(2, 5, 9)]
-    smoothed = misled.other_estimate
+    smoothed = misled.beside["smoothed"]
     assert not smoothed.exact
     assert smoothed.expected_mse(sets) is None
     assert smoothed.expected_errors(sets) is None

@@ -12,8 +12,9 @@ from pfdist.problem.clock import Clock
 from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
+from pfdist.problem.shared import Together
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.visits import Visits
+from pfdist.problem.visits import Installs, Visits
 
 LAST = 6
 TWO = Points(Clock.counting(3), ("cheap", "sharp"))
@@ -32,16 +33,16 @@ EACH = {
     ),
     "one sensor at a time": Feasible(3, 3, points=TWO, minimum_spacing=1),
     "together": Feasible(
-        2, 4, points=THREE, minimum_spacing=0, groups=(((0,), (1, 2)),), required=(4,)
+        2, 4, points=THREE, minimum_spacing=0, shared=(Together((((0,), (1, 2)),)),), required=(4,)
     ),
     "install": Feasible(
         2, points=THREE, minimum_spacing=0, price=(1, 2, 1) * 3, total_price=6,
-        installs=((2, (0,)), (1, (1, 2))), required=(7,),
+        shared=(Installs(((2, (0,)), (1, (1, 2)))),), required=(7,),
     ),
     "visits within": Feasible(
-        LAST, price=(1,) * 7, total_price=7, visits=WITHIN, required=(4,), minimum_spacing=2
+        LAST, price=(1,) * 7, total_price=7, shared=(WITHIN,), required=(4,), minimum_spacing=2
     ),
-    "visits in slots": Feasible(LAST, 4, forbidden=(3,), visits=SLOTS, required=(0, 5)),
+    "visits in slots": Feasible(LAST, 4, forbidden=(3,), shared=(SLOTS,), required=(0, 5)),
     "late values": Feasible(
         3, 3, forbidden=(1, 3), required=(7,), points=LATE, minimum_spacing=0,
         limits=(Limit(2), Limit(spacing=Spacing.constant(2, 3))),

@@ -265,6 +265,64 @@ def test_the_bound_of_the_worst_instant_has_shares_of_few_groups_on_a_long_horiz
     assert gap.bound.value == pytest.approx(weighted, rel=1e-9)
 
 
+def _information_of_chain(times: Sequence[int]) -> float:
+    """The information of the answers about the path, in nats: their entropy less that of noise."""
+    if not times:
+        return 0.0
+    rows, noise = np.array([[0.5, 0.5]]), list[float]()
+    for t in range(HORIZON + 1):
+        if t in times:
+            rows = np.concatenate([rows * RIGHT, rows * (1 - RIGHT)])
+        state = rows.sum(axis=0)
+        if t in times:
+            noise.append(-np.sum(state * (RIGHT * np.log(RIGHT) + (1 - RIGHT) * np.log(1 - RIGHT))))
+        rows = rows @ np.array([[1 - _flips(t), _flips(t)], [_flips(t), 1 - _flips(t)]])
+    answers = rows.sum(axis=1)
+    return float(-np.sum(answers * np.log(answers)) - sum(noise))
+
+
+EXACT: dict[str, Callable[[Sequence[int]], float]] = {
+    "worst_instant": lambda times: float(_errors_of_chain(times).max()),
+    "information": lambda times: -_information_of_chain(times),
+}
+
+
+@pytest.mark.parametrize("criterion", [*EXACT, QUANTILE])
+def test_why_tells_the_worth_by_the_criterion_of_the_job(criterion: str, tmp_path: Path) -> None:
+    """Exactly for a chain, whose numbers are sums over all answers; a quantile by its draws."""
+    _planned(CHAIN, criterion, "compiled", tmp_path / "run")
+    answer = pfdist.why(tmp_path / "run", 4000, figures=False)
+    worth, moved = (each[each["position"] == 1] for each in (answer.worth, answer.sampling_windows))
+    times = tuple(worth["t"].astype(int))
+    if criterion in EXACT:
+        exact = EXACT[criterion]
+        for row in worth.to_dict("records"):
+            rest = exact([t for t in times if t != row["t"]]) - exact(times)
+            assert abs(row["removed"] - rest) < 4 * row["removed_error"] + 0.01 * abs(exact(times))
+    else:
+        assert (worth["removed"] > -3 * worth["removed_error"]).all()
+    own = moved[moved["t"] == moved["moved_to"]]
+    assert (own[["loss", "lower_limit", "upper_limit"]] == 0.0).all(axis=None)
+    for row in moved.to_dict("records") if criterion in EXACT else ():
+        changed = sorted({*times} - {row["t"]} | {row["moved_to"]})
+        loss = (exact(changed) - exact(times)) / abs(exact(times))
+        assert abs(row["loss"] - loss) < 4 * row["loss_error"] + 0.01
+    said = " ".join(" ".join(lines_of(answer._page())).split())
+    label = criterion_named(criterion).label
+    worsens = "falls" if criterion == "information" else "rises"
+    assert f"(without it, the {label} {worsens} by " in said
+
+
+def test_why_is_exact_with_an_exact_engine(tmp_path: Path) -> None:
+    row = _planned(RESTLESS, "worst_instant", "kalman", tmp_path / "run")
+    answer = pfdist.why(tmp_path / "run", figures=False)
+    times = tuple(row["measurement_times"])
+    worth = answer.worth[answer.worth["name"] == row["name"]]
+    worst = expected_errors(RESTLESS, HORIZON, [times, times[1:], times[:1]]).max(axis=1)
+    np.testing.assert_allclose(worth["removed"], worst[1:] - worst[0], rtol=1e-9)
+    assert (worth["removed_error"] == 0.0).all()
+
+
 def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> None:
     changes = ["problem.criterion=worst_instant"]
     said = list[str]()
@@ -274,7 +332,6 @@ def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> No
     head = "expected error at the worst instant"
     assert head in " ".join("\n".join(lines_of(answer_of(run))).split())
     refused: dict[str, Callable[[], Any]] = {
-        "needs the expected MSE": lambda: pfdist.why(run.path, figures=False),
         "needs the expected MSE as": lambda: pfdist.Planner(pfdist.load_job(job, changes)),
         "budget needs the expected MSE": lambda: budget(job, (1, 2), changes=changes),
         "online needs the expected MSE": lambda: pfdist.load_job(

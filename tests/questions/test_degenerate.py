@@ -95,7 +95,7 @@ def test_from_1_percent_on_degenerate_draws_are_said_first(
     flags = np.arange(250) < share * 250
     alone = {"": Evaluation((0,), np.ones(250), degenerate=flags)}
     problem = pfdist.load_job(run.path).problem
-    evaluated = Evaluated(alone, alone, problem, {"": []}, [], 0, None)
+    evaluated = Evaluated(alone, {}, problem, {"": []}, [], 0, None)
     assert _first(evaluated._page()).startswith(said if is_first else "Expected MSE 1")
     assert as_fragment(evaluated._page()).startswith(f"<p>{said}" if is_first else "<p>Expected")
     assert " ".join(lines_of(evaluated._page())).replace("\n", " ").count("degenerate") == 1

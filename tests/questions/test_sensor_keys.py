@@ -16,7 +16,8 @@ import pytest
 import pfdist
 from pfdist import Problem, StateSpaceModel
 from pfdist.models.twin import twin_of
-from pfdist.problem.sensor_section import SensingSection, SensorSection
+from pfdist.problem.sensing_section import SensingSection
+from pfdist.problem.sensor_section import SensorSection
 from pfdist.runner.backtesting import evaluator_on
 from pfdist.runner.build import build
 

@@ -16,8 +16,10 @@ from pfdist import Job
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
+from pfdist.filters.other_estimate import SMOOTHED as SMOOTHED_ERROR
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.pages.terminal import lines_of
@@ -127,7 +129,9 @@ def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
     run, swapped = pfdist.open_run(finished(*changes)), finished(*([] if changes else [SMOOTHED]))
     table, sets = run.table("other_estimate"), run.table("sets").set_index("name")
     built, of_run = build(load_job(swapped)), build(load_job(run.path))
-    estimation = of_run.evaluator.other_estimation(of_run.comparing)
+    (error,) = errors_beside(of_run.evaluator.lag)
+    assert error.named == other
+    estimation = error.settings(of_run.evaluator, of_run.comparing)
     filters = ESTIMATORS[estimation.estimator].filters
     assert filters == (2 if other == "smoothed" else 1)
     assert 5 <= len(table) <= 50
@@ -163,8 +167,8 @@ def test_few_ancestors_do_not_raise_the_error_of_the_other_estimate(is_told: boo
     sharp, times = scalar("sharp", 0.7, 1.0, 0.02), [(0, 3, 7, 10), (1, 4, 7, 10)]
     other = None if is_told else replace(sharp, name="renamed", linear_gaussian=False)
     of_filter = Evaluator(sharp, 12, other)
-    smoothing, own = of_filter.other_estimate, Estimation(500)
-    chosen = of_filter.other_estimation(own)
+    smoothing, own = of_filter.beside["smoothed"], Estimation(500)
+    chosen = SMOOTHED_ERROR.settings(of_filter, own)
     assert chosen.estimator == ("two_clouds" if is_told else "two_errors")
 
     def errors(evaluator: Evaluator, estimation: Estimation) -> NDArray[np.float64]:
@@ -175,7 +179,8 @@ def test_few_ancestors_do_not_raise_the_error_of_the_other_estimate(is_told: boo
     assert (abs(found.mean(axis=0) - exact) < 3 * error).all()
     assert (errors(smoothing, own).mean(axis=0) > 1.25 * exact).all()
     few = replace(own, particles=20)
-    chosen, filtered = of_filter.other_estimation(few), errors(of_filter, few).mean(axis=0)
+    chosen = SMOOTHED_ERROR.settings(of_filter, few)
+    filtered = errors(of_filter, few).mean(axis=0)
     assert (errors(smoothing, few).mean(axis=0) > filtered).all()
     assert (errors(smoothing, chosen).mean(axis=0) < filtered).all()
 
@@ -229,7 +234,7 @@ def test_the_plain_twin_has_nearly_the_same_errors(run: pfdist.Run) -> None:
     """Particles of single precision now and then take another way."""
     built = build(load_job(run.path))
     work = built.evaluator.work([(0, 4, 8), ()], 1, 2, (0, 40), built.comparing)
-    work = replace(work, other_estimate=True)
+    work = replace(work, beside="filtered")
     plain = replace(built.evaluator, engine="numpy")
     (compiled,), (twin,) = built.evaluator.results([work]), plain.results([work])
     np.testing.assert_allclose(compiled.mse.mean(axis=0), twin.mse.mean(axis=0), rtol=0.01)

@@ -129,7 +129,7 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
     evaluation = Evaluation((0,), mse)
     assert said in evaluation._repr_html_()
     alone, problem = {"a": evaluation}, pfdist.load_job(run.path).problem
-    evaluated = Evaluated(alone, alone, problem, {"a": []}, [], 0.0, None)
+    evaluated = Evaluated(alone, {}, problem, {"a": []}, [], 0.0, None)
     assert str(evaluated._page()).count(said) == 1
 
 

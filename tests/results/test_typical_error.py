@@ -10,6 +10,7 @@ import pytest
 import pfdist
 from pfdist import Job, Problem, StateSpaceModel
 from pfdist.common.component_names import named_component
+from pfdist.filters.other_estimate import SMOOTHED
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.evaluate import Evaluated, Evaluation, evaluated
 from pfdist.questions.subject import Subject
@@ -68,7 +69,8 @@ def test_no_headline_says_infinite(others: dict[str, float]) -> None:
     }
     quantity = named_component("place [m]")
     problem = ProblemSection(horizon=4, measurement_budget=1)
-    page = Evaluated(sets, sets, problem, dict.fromkeys(sets, ()), (), 1.0, quantity)._page()
+    beside, broken = {SMOOTHED: sets}, dict.fromkeys(sets, ())
+    page = Evaluated(sets, beside, problem, broken, (), 1.0, quantity)._page()
     assert "not finite" in page.sections[0].blocks[0].text
     assert "infinite" not in page.sections[0].blocks[0].text
 

@@ -26,6 +26,7 @@ from pfdist.problem.clock import Clock
 from pfdist.problem.even_sets import EvenSets
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
+from pfdist.problem.visits import Installs
 from pfdist.search import Exchange, Optimiser, StateSpaceRelaxation
 from pfdist.search.first_windows import relaxation_with
 from pfdist.search.gaps import gaps_with
@@ -386,7 +387,7 @@ def test_with_many_states_only_the_highest_prices_of_installations_count() -> No
     points = Points(Clock.counting(1499), tuple("abcdef"))
     feasible = Feasible(
         horizon=1499, price=(1,) * points.number, total_price=200, points=points, smaller=True,
-        installs=tuple((10 + way, (way,)) for way in range(6)),
+        shared=(Installs(tuple((10 + way, (way,)) for way in range(6))),),
     )  # fmt: skip
     choices = relaxation_with(feasible, 1, 10).installations
     assert len(choices) == 2**5

@@ -23,7 +23,8 @@ from oracles.forged import with_sizes_of_nothing
 from oracles.stored_rows import compared_rows
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import StoreError
-from pfdist.filters.aspects import DISTANCE, VARIANCE, other_estimate
+from pfdist.filters.aspects import DISTANCE, VARIANCE
+from pfdist.filters.beside import BESIDE
 from pfdist.filters.criterion import CRITERIA
 from pfdist.runner.comparison_phase import schema_of_aspect
 from pfdist.store import (
@@ -412,7 +413,7 @@ def test_cut_rows_keeps_all_rows_in_order(count: int) -> None:
 
 def test_every_column_says_its_unit_and_every_table_its_version(store: Store) -> None:
     of_criteria = (aspect for form in CRITERIA.values() for aspect in form.aspects)
-    aspects = (other_estimate("smoothed"), DISTANCE, VARIANCE, *of_criteria)
+    aspects = (*BESIDE, DISTANCE, VARIANCE, *of_criteria)
     variable = {
         "comparison": comparison_schema(["regular", "genetic"]),
         **{each.table: schema_of_aspect(each, ["regular", "genetic"]) for each in aspects},

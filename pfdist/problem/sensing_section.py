@@ -1,0 +1,118 @@
+"""How sensors sense: the keys of a job that limits, failures, repeats and delays have in common.
+
+A table of measurements has cells beyond a limit, as ``<2``.
+"""
+
+import math
+from typing import Annotated, NamedTuple, Self
+
+from pydantic import Field, model_validator
+
+from pfdist.common.section import JobSection, Listed
+from pfdist.common.sensing import PLAIN, REPEATS, Sensing
+from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
+from pfdist.problem.clock import Clock
+from pfdist.problem.sections import Moment, Written
+from pfdist.store.user_tables import number_of_cell
+
+Finite = int | Annotated[float, Field(allow_inf_nan=False)]
+
+
+class SensingSection(JobSection):
+    """The limits of a sensor's readings, its failures, and repeated measurements.
+
+    Parameters
+    ----------
+    limit : number, that of y
+        Readings below are known to be below: censored. The model needs `log_tails`.
+    limits : list of two numbers, that of y
+        Readings below the first, and above the second, are known to be so.
+    fails : float
+        Probability that a planned measurement gives nothing.
+    repeats : int
+        Largest number of measurements at one instant, each with its own noise and price.
+    delay : number, clock
+        Time after which a value arrives, as 2 or "2 h". A smoothed estimate waits for it.
+    """
+
+    limit: Finite | None = None
+    limits: Annotated[Listed[Finite], Field(min_length=2, max_length=2)] | None = None
+    fails: Annotated[float, Field(gt=0.0, lt=1.0, strict=False)] | None = None
+    repeats: Annotated[int, Field(ge=2, le=len(REPEATS))] | None = None
+    delay: Annotated[Moment, Field(gt=0), Written] | None = None
+
+    @model_validator(mode="after")
+    def _has_limits(self) -> Self:
+        if self.limits is not None and (self.limit is not None or self.limits[0] >= self.limits[1]):
+            got = f"limits = {shown(list(self.limits))}, limit = {self.limit}"
+            raise ValueError(f"a sensor has a limit, or two limits in ascending order, got {got}")
+        return self
+
+    def sensing(self, key: str, clock: Clock, *, waits: bool) -> Sensing:
+        """The same for a model, with the delay in instants: 0 if the estimate waits for all values.
+
+        Raises `MeasurementTimesError` unless the delay is a number of steps of an even clock.
+        """
+        delay = 0 if waits or self.delay is None else self._instants(f"{key}.delay", clock)
+        low = -math.inf if self.limit is None else float(self.limit)
+        low, high = self.limits or (low, math.inf)
+        return Sensing(float(low), float(high), self.fails or 0.0, self.repeats or 1, delay)
+
+    def _instants(self, key: str, clock: Clock) -> int:
+        delay, step = float(self.delay or 0), clock.times[1] - clock.times[0]
+        steps = round(delay / step)
+        if not clock.is_even or abs(steps * step - delay) > clock.slack or steps > clock.horizon:
+            raise MeasurementTimesError(
+                f"{key} must be a number of steps of an even clock, at most {clock.horizon}, got "
+                f"{delay:g}"
+            )
+        return steps
+
+
+class Sensings(NamedTuple):
+    """How the sensors of a model sense, and the cells of their tables."""
+
+    each: tuple[Sensing, ...] = ()  # none: all are plain
+
+    def by_way(self, way: int) -> Sensing:
+        """How a sensor senses."""
+        return self.each[way] if self.each else PLAIN
+
+    @property
+    def are_late(self) -> bool:
+        """Whether a value arrives later; then all steps have one length."""
+        return any(each.delay for each in self.each)
+
+    @property
+    def have_limits(self) -> bool:
+        """Whether readings may lie beyond a limit."""
+        return any(math.isfinite(end) for each in self.each for end in (each.low, each.high))
+
+    @property
+    def low(self) -> float:
+        """The limit below which readings are censored, of all sensors."""
+        (low, *others) = {each.low for each in self.each} or {-math.inf}
+        if others or math.isinf(low):
+            raise MeasurementsError(
+                "a column NAME_below needs one limit of all sensors: problem.sensor.limit"
+            )
+        return low
+
+    def read(self, text: str) -> float:
+        """The number of a cell, which may be beyond a limit."""
+        if text[:1] not in ("<", ">"):
+            try:
+                return number_of_cell(text)
+            except ValueError as error:
+                lows = {each.low for each in self.each}
+                below = f"; a reading below the limit is <{max(lows):g}" * (len(lows) == 1)
+                raise MeasurementsError(f"{error}{below}") from error
+        ends = {each.low if text[0] == "<" else each.high for each in self.each}
+        beyond = number_of_cell(text[1:].strip())
+        if len(ends) == 1 and beyond in ends:
+            return beyond
+        known = ", ".join(f"{text[0]}{end:g}" for end in sorted(ends) if math.isfinite(end))
+        raise MeasurementsError(
+            f"a cell beyond a limit must be that of all sensors, {known or 'which have none'}, got "
+            f"{shown(text)}: limit or limits of problem.sensor say what a sensor reads"
+        )

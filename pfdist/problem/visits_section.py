@@ -1,0 +1,104 @@
+"""The section of a job file about visits, `[problem.visits]`."""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from pfdist.common.section import JobSection
+from pfdist.errors import MeasurementTimesError, shown
+from pfdist.problem.clock import Clock
+from pfdist.problem.points import Points
+from pfdist.problem.sections import Moment, MomentsAndRanges, Written
+from pfdist.problem.sensor_section import MeasurementBudget, Price
+from pfdist.problem.shared import money
+from pfdist.problem.visits import Visits
+from pfdist.problem.written import instants_written
+
+
+class VisitsSection(JobSection):
+    """Visits: measurements that share a price, and the largest number of visits.
+
+    Exactly one of `within`, `per` and `allowed` says which measurements share a visit. With visits,
+    `measurement_budget` is the largest number of measurements. The lower bound relaxes `most`.
+
+    Parameters
+    ----------
+    price : number, that of price
+        Price of a visit, in addition to those of its measurements.
+    most : int
+        Largest number of visits.
+    within : number, clock
+        A visit lasts so long from its first measurement, as 4 or "4 h".
+    per : str
+        "day" or "week": measurements of a day, or of a week from Monday, share a visit.
+    allowed : list of times and ranges, clock
+        Each entry is a possible visit; there are no other measurements.
+    """
+
+    price: Annotated[Price, Field(gt=0)] | None = None
+    most: MeasurementBudget | None = None
+    within: Annotated[Moment, Field(gt=0), Written] | None = None
+    per: Literal["day", "week"] | None = None
+    allowed: Annotated[MomentsAndRanges, Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _is_one_rule(self) -> Self:
+        rules = {"within": self.within, "per": self.per, "allowed": self.allowed}
+        given = [name for name, value in rules.items() if value is not None]
+        if len(given) != 1:
+            got = " and ".join(given) or "none of them"
+            raise ValueError(f"problem.visits needs one of within, per and allowed, got {got}")
+        if self.price is None and self.most is None:
+            raise ValueError("problem.visits needs price, most or both, got neither")
+        return self
+
+    def on(self, points: Points) -> Visits:
+        """The visits of a table of points; raises `MeasurementTimesError`."""
+        clock = points.clock
+        if points.delays:
+            raise MeasurementTimesError(
+                "visits must be left out with sensors that have a delay, unless the estimate waits "
+                "for all values: estimate = 'smoothed'"
+            )
+        if self.within is not None:
+            stops: Sequence[int] = clock.successors(float(self.within))
+        elif self.per is not None:
+            if not clock.has_dates:
+                raise MeasurementTimesError(
+                    f"visits.per = {shown(self.per)} needs dates (problem.clock.start)"
+                )
+            days = [date.date() for date in clock.dates]
+            keys = [day.isocalendar()[:2] if self.per == "week" else day for day in days]
+            last = {key: t for t, key in enumerate(keys)}
+            stops = [last[key] + 1 for key in keys]
+        else:
+            stops = self._stops_of_ranges(clock)
+        ends = tuple(points.first(stop) for stop in stops for _ in range(points.ways))
+        return Visits(ends, money(self.price or 0), self.most)
+
+    def instants(self, clock: Clock) -> set[int]:
+        """The instants at which a visit is possible."""
+        if self.allowed is None:
+            return {*range(clock.horizon + 1)}
+        return {*instants_written(self.allowed, clock, "visits.allowed")}
+
+    def _stops_of_ranges(self, clock: Clock) -> list[int]:
+        """The instant after the visit of each instant; instants outside of visits are alone."""
+        stops, before = [t + 1 for t in range(clock.horizon + 1)], -1
+        for entry in self.allowed or ():
+            each = instants_written([entry], clock, "visits.allowed")
+            if not each or each != [*range(each[0], each[-1] + 1)]:
+                raise MeasurementTimesError(
+                    "visits.allowed must list ranges of all instants from one to another, got "
+                    f"{shown(entry)}: for a visit each day, per = 'day' with problem.allowed"
+                )
+            if each[0] <= before or each[-1] > clock.horizon:
+                raise MeasurementTimesError(
+                    "visits.allowed must list visits one after another, within the horizon, got "
+                    f"{shown(list(self.allowed or ()))}"
+                )
+            before = each[-1]
+            for t in each:
+                stops[t] = before + 1
+        return stops
