@@ -77,6 +77,32 @@ def test_a_filter_of_one_system_takes_them_with_each_reading() -> None:
         filtering.update(6, 1.0, sd=0.1)
 
 
+@pytest.mark.parametrize("engine", ["kalman", "auto"])
+def test_a_planner_takes_them_with_each_reading(engine: str) -> None:
+    """Its filter has the posterior, and the truths of simulated systems have it, too."""
+    planner = pfdist.Planner(_problem(measurement_budget=6, engine=engine, particles=4000))
+    for t, y, u in zip((0, 2, 5), Y, U, strict=True):
+        estimate = planner.update(y, t, u=u)
+    mean, sd = _posterior(U)
+    tolerance = 1e-9 if engine == "kalman" else 0.03
+    assert estimate.mean[0] == pytest.approx(mean, abs=tolerance)
+    left = planner.expected([])[0].expected_mse  # nothing more is measured: the variance
+    assert left == pytest.approx(sd**2, rel=1e-9 if engine == "kalman" else 0.15)
+    if engine == "auto":
+        truths = planner._now.prior.truths.x[0]
+        assert [truths.mean(), truths.std()] == pytest.approx([mean, sd], abs=0.03)
+
+
+def test_a_reading_that_is_refused_leaves_no_error_behind() -> None:
+    filtering = pfdist.Filter(_constant([0.2] * 7), engine="compiled", horizon=6)
+    for wrong in (math.nan, "0.1"):
+        with pytest.raises(MeasurementsError, match="u must be a finite number, got"):
+            filtering.update(2, 1.0, u=wrong)
+    with pytest.raises(MeasurementsError, match="no particle"):
+        filtering.update(2, 1e200, u=0.5)
+    assert filtering.model.parameters["u"] == (0.2,) * 7
+
+
 def test_a_plan_has_the_errors_of_the_job() -> None:
     """Exact readings are worth more: the plan measures where the job foresees small errors."""
     expected = pfdist.evaluate(_problem((0.2,)), [0, 1]).expected_mse
