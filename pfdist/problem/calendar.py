@@ -129,9 +129,15 @@ class Calendar:
             found["days of the year"] = day_of_year
         return found
 
-    def in_year_of_start(self, moment_of: float) -> float:
-        """The time of the same day and hour in the year of the start."""
-        return self.time(self.date(moment_of).replace(year=self.start.year))
+    def in_year_of_start(self, moments: Sequence[float]) -> list[float]:
+        """The same days and hours, the earliest in the year that begins with the start.
+
+        Raises ValueError if a day is missing then, as 29 February.
+        """
+        dates = [*map(self.date, moments)]
+        years = self.start.year - min(dates).year
+        years += min(dates).replace(year=self.start.year) < self.start
+        return [self.time(each.replace(year=each.year + years)) for each in dates]
 
     def written(self, time: float) -> str:
         """The date and hour of a time as a text; with its offset in an hour that occurs twice."""

@@ -258,13 +258,18 @@ class Clock:
         return [int(np.abs(own - time).argmin()) for time in times]
 
     def of_table(
-        self, given: Sequence[float | str], note: Callable[[str], Any] = lambda line: None
+        self,
+        given: Sequence[float | str],
+        note: Callable[[str], Any] = lambda line: None,
+        *,
+        any_year: bool = False,
     ) -> list[float]:
         """The times of the column t of a user's table, whose dates may be written in many ways.
 
         If they do not all lie in the horizon as times and dates of the clock, another reading is
-        taken if they all do in one alone, and `note` receives a line. Raises ValueError if a time
-        is missing, if several readings are possible, or if only others than the clock's are near.
+        taken if they all do in one alone, and `note` receives a line; with `any_year` they may be
+        the same days of another year. Raises ValueError if a time is missing, if several readings
+        are possible, or if only others than the clock's are near.
         """
         for row, time in enumerate(given, 1):
             if not isinstance(time, str) and math.isnan(time):
@@ -287,8 +292,8 @@ class Clock:
         outside = {name: sum(self._away([t]) > self.slack for t in read[name]) for name in read}
         nearest = min(read, key=lambda name: (outside[name], away[name]))
         if not fits:
-            self._check_has_other_reading(nearest, read[nearest], texts)
-        elif nearest != OWN_DATES:
+            return self._in_other_reading(nearest, read[nearest], texts, any_year * [note])
+        if nearest != OWN_DATES:
             at = self.text(read[nearest][0])
             note(f"t of the table is read as {nearest}: {shown(texts[0])} is {at}")
         return read[nearest]
@@ -317,21 +322,36 @@ class Clock:
                 break
         return read, why
 
-    def _check_has_other_reading(
-        self, nearest: str, times: Sequence[float], texts: Sequence[str]
-    ) -> None:
-        """Raise ValueError if times outside the horizon are near in another reading, or year."""
+    def _in_other_reading(
+        self,
+        nearest: str,
+        times: list[float],
+        texts: Sequence[str],
+        notes: Sequence[Callable[[str], Any]],
+    ) -> list[float]:
+        """Times outside the horizon; raises ValueError if another reading, or year, is near.
+
+        With `notes`, which receive a line, those of another year are the same days of this year.
+        """
         row = max(range(len(times)), key=lambda k: self._away(times[k : k + 1]))
         rule = f"t must lie in {self.text(self.times[0])}..{self.formatted(self.horizon)}"
         rule += f", got {shown(texts[row])} (row {row + 1})"
         if nearest != OWN_DATES:
             raise ValueError(f"{rule}; the nearest are {nearest}: {self.text(times[row])}")
         try:
-            moved = [*map(cast("Calendar", self.calendar).in_year_of_start, times)]
+            moved = cast("Calendar", self.calendar).in_year_of_start(times)
         except (ValueError, OverflowError):
-            return
-        if self._away(moved) <= self.slack:
-            raise ValueError(f"{rule}, of another year: write t in {self.unit} since the start")
+            return times
+        if self._away(moved) > self.slack:
+            return times
+        if not notes:
+            raise ValueError(
+                f"{rule}, of another year: write t in {self.unit} since the start, as "
+                f"{unrounded(moved[row])}"
+            )
+        at = self.text(moved[0])
+        notes[0](f"t of the table is read as the same days of another year: {texts[0]} is {at}")
+        return moved
 
     def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:
         """The columns t and, if the clock has a start, date of a table with these instants."""

@@ -177,7 +177,7 @@ class Planner:
         self._in_flight = in_flight
 
     def update(
-        self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None, **given: float
+        self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None, **given: Any
     ) -> FilterEstimate:
         """Add a measurement, and plan the remaining times again.
 
