@@ -30,6 +30,7 @@ _ROUNDING = 1e-11
 """Rounding to 12 digits changes a time by less than this part of it."""
 _FLOAT_ROUNDING = 1e-15
 """A sum of floats differs from the true sum by about this part of it."""
+_LONG_RUN = 8  # instants in a row that answers show as a range
 _EXACT = 2**53
 """Whole floats below this are exact."""
 
@@ -387,17 +388,50 @@ class Clock:
     def listed(self, times: Iterable[Time | str], between: str = ", ") -> str:
         """Times, or measurements as users read them, as text with the unit if there is a unit.
 
+        Many instants in a row, by one sensor, are a range.
+
         >>> clock = Clock.regular(6, 0.5, "h")
         >>> clock.listed([0.0, 0.5]), clock.listed([]), clock.listed(["0 ct", "0.5 x-ray"])
         ('0, 0.5 h', '', '0 ct, 0.5 x-ray (t in h)')
+        >>> Clock.counting(20).listed([*(f"{t} ct" for t in range(9)), "12 x-ray"])
+        '0 to 8 ct, 12 x-ray'
         """
         listed = [*times]
         if all(isinstance(each, str) and " " in each for each in listed):  # late values are behind
             listed.sort(key=lambda each: self.time_and_sensor(each)[0])
-        text = between.join(map(self.text, listed))
+        ranges, texts = self.ranges(listed), list[str]()
+        for each in listed:
+            if each not in ranges or ranges[each] not in texts:
+                texts.append(ranges.get(each) or self.text(each))
+        text = between.join(texts)
         if not self.unit or not listed or self.calendar:
             return text
         return f"{text} (t in {self.unit})" if isinstance(listed[0], str) else f"{text} {self.unit}"
+
+    def ranges(self, times: Sequence[Time | str]) -> dict[Time | str, str]:
+        """The range of each measurement that is one of many instants in a row, by one sensor.
+
+        A sensor that is always on would be a long list, in which other times are not found.
+        """
+        if len(times) < _LONG_RUN:
+            return {}
+        instants = dict[str, dict[int, Time | str]]()  # of each sensor
+        for each in times:
+            time, sensor = self.time_and_sensor(each)
+            (nearest,) = self.nearest([time])
+            if abs(self.times[nearest] - time) <= self.slack:
+                instants.setdefault(sensor, {})[nearest] = each
+        runs = dict[tuple[str, int], list[int]]()
+        for sensor, own in instants.items():
+            for place, t in enumerate(sorted(own)):
+                runs.setdefault((sensor, t - place), []).append(t)
+        ranges = dict[Time | str, str]()
+        for (sensor, _), part in runs.items():
+            if len(part) >= _LONG_RUN:
+                first, last = (self.text(self.times[part[k]]) for k in (0, -1))
+                text = f"{first} to {last} {sensor}".rstrip()
+                ranges |= {instants[sensor][t]: text for t in part}
+        return ranges
 
     def duration(self, length: float) -> str:
         """A length of time as text, in the unit of the clock or a smaller one.
