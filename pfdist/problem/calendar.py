@@ -246,7 +246,9 @@ def names_dates(text: str) -> bool:
 
 def _moment(text: str, zone: tzinfo | None) -> datetime:
     if not (_DATE.fullmatch(text) or _MOMENT.fullmatch(text)):
-        raise ValueError(f"must be a date, as 2026-04-01 or 2026-04-01T08:00, got {shown(text)}")
+        hint = "; hours are 00:00 to 23:59" * text.lower().rstrip(".").endswith(("am", "pm"))
+        rule = "must be a date, as 2026-04-01 or 2026-04-01T08:00"
+        raise ValueError(f"{rule}, got {shown(text)}{hint}")
     moment: datetime = _read(datetime.fromisoformat, text)
     if moment.tzinfo is not None:
         if zone is None:

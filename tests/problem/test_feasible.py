@@ -344,7 +344,7 @@ IMPOSSIBLE = [
     ({"price": ()}, r"got price$"),
     ({"total_price": 5}, r"got total_price$"),
     ({"price": (1, 2), "total_price": 5}, r"price needs 11 values, one for each instant, got 2$"),
-    ({"price": (0,) + (1,) * 10, "total_price": 5}, r"price must be above 0, got 0$"),
+    ({"price": (0,) + (1,) * 10, "total_price": 5}, r"price must be above 0, got 0: give wh"),
     ({"price": (3,) * 11, "total_price": 2}, r"and the cheapest has the price 3, got 2$"),
     ({"price": (3,) * 11, "total_price": 5, "required": (1, 4)}, r"whose price is 6, got 5$"),
     ({"price": (9999, *(10_000,) * 10), "total_price": 99_999}, r"10,000 times .* rounder prices$"),

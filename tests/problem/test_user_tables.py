@@ -69,6 +69,7 @@ def test_spaces_comments_a_mark_of_byte_order_and_words_for_missing_are_read(
     "text",
     [
         "t;y0\n0.5;1.25\n2;0.75\n",
+        "  t      y0\n  0.5   1.25  \n   2  0.75\n",
         "t;y0\n0,5;1,25\n2;0,75\n",
         "t\ty0\n0,5\t1,25\n2\t0,75\n",
         "# Depth, m\nt|y0\n0.5|1.25\n2|0.75\n",
@@ -101,7 +102,7 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
     ("content", "words"),
     [
         ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1 or t, y_range, y_bearing"),
-        ("t y0 y1\n1 2 3", "columns must be separated by commas, semicolons, tabs or |; dec"),
+        ("t y0 y1\n1 2 3 4", "columns must be separated by commas, semicolons, tabs, | or spaces;"),
         ("t\ty0\ty1\n5s\t14n\t10n\n1\t2\t3", "must hold values, got '5s 14n 10n': remove a row"),
         ("t,y0,y1\nUTC,m,rad\n1,2,3", "the row below the names must hold values, got 'UTC m rad'"),
         ("1,2,3\n2,3,4", "the first line must name the columns"),
@@ -110,7 +111,10 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
         ("t;y0;y1\n1;1.5;2,5", "must all have a comma or all a point"),
         ("t;y0;y1\n1;1,500;2,250", "one number must show that it is not thousands, got '1,500, 2"),
         ("t;y0;y1\n1;1.500,5;2", "column 'y0' in row 1 must be a number, got '1.500,5'"),
-        ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' in row 2 must be a number, got 'high'"),
+        ("t,y0,y1\n2,2,3\n3,high,3", "in row 2 must be a number, got 'high'; an empty cell is a"),
+        ('t,y0,y1\n3,"1,000",3', "number, got '1,000'; thousands have no mark"),
+        ("date,time,y0,y1\n3,1,2,3", "; join the date and the time to one column t"),
+        ("t,y0,y1\n1792821600,1,2", "(row 1); stamps since 1970 need a start, problem.clock"),
         ("t,y0,y1\n3,.,3", "a number, got '.'; an empty cell is a missing number"),
         ("t,y0,y1\n3,<1.0,3", "a number, got '<1.0'; problem.sensor.limit reads it"),
         ("t,y0,y1\n3,1,2,3", "as many values as the first: Expected 3 fields in line 2, saw 4"),
