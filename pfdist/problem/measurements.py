@@ -362,7 +362,11 @@ def given_at(
     name: str, values: Array, at: Sequence[int], clock: Clock, own: Mapping[str, Parameter]
 ) -> tuple[float, ...]:
     """A parameter that comes with readings, (T+1,): the model's where no row has a value."""
-    series = series_at(name, values, at, clock)
+    try:
+        series = series_at(name, values, at, clock)
+    except MeasurementsError as error:
+        one = f"; give such readings as one, their mean weighted by 1 / {name}^2"
+        raise MeasurementsError(f"{error}{one * bool(np.isfinite(values).all())}") from error
     return tuple(np.where(np.isnan(series), np.array(own[name]), series).tolist())
 
 

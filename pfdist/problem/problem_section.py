@@ -196,6 +196,12 @@ class ProblemSection(JobSection):
                 "problem.sensor must be left out with problem.sensors, got both: it is that of a "
                 "model without names of sensors"
             )
+        for column, count in Counter((self.given or {}).values()).items():
+            if count > 1:
+                raise ValueError(
+                    f"problem.given must name a column for each parameter, got {column!r} twice: "
+                    "errors of several sensors need a column each"
+                )
         try:
             self.feasible, self.weights, self.instants_of_lag  # noqa: B018  made here: they check the values together
         except MeasurementTimesError as error:
