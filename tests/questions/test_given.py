@@ -121,7 +121,7 @@ def test_a_plan_has_the_distribution_of_errors_that_the_model_draws() -> None:
         return 0.5 * np.exp(0.8 * v[1])
 
     drawn = replace(
-        _constant((0.2,)),
+        _constant([0.2] * 2),
         measurement=lambda x, t, v, p: (x[0] + error(v) * v[0], error(v)),
         log_likelihood=lambda y, x, t, p: normal_logpdf(y[0], x[0], y[1]),
         measurement_noise=("normal", "normal"),
