@@ -67,7 +67,9 @@ def compared(subject: Subject) -> Section | None:
     sets = without_column(sets, *[last] * best_is_reference, *[_BELOW] * (not is_mean))
     rows = [_pair_row(subject, pair) for pair in pairs]
     best = ""
-    if not subject.found_rows:
+    if not subject.found_rows and len(ranks) == 1:
+        best = f"All sets have the same times: {next(iter(subject.distinct.values())).label}."
+    elif not subject.found_rows:
         best = _best(subject, ranks, pairs) if is_mean else _least(subject, ranks)
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),

@@ -169,6 +169,12 @@ def test_sensors_and_dates_of_a_table_become_those_of_a_set(tmp_path: Path) -> N
         Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
 
 
+def test_sets_with_the_same_times_are_one_row(few: Job, tmp_path: Path) -> None:
+    run = compare(few, times={"one": [0, 4, 8, 12], "two": "0:12:4"}, results=tmp_path / "run")
+    (sentence, *_) = lines_of(answer_of(run))[1:]
+    assert sentence == "All sets have the same times: one = two."
+
+
 def test_sets_that_do_not_differ_clearly_are_all_named(few: Job, tmp_path: Path) -> None:
     times = {"one": [0, 3, 6, 12], "two": [0, 3, 7, 12]}
     (sentence, *_) = lines_of(answer_of(compare(few, times=times, results=tmp_path / "run")))[1:]
