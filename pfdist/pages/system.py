@@ -94,7 +94,7 @@ def system_figure(tables: Tables) -> Plot:
             label_quantity(band, quantities, k.number)
             what = "typical error" if angles else "expected error"
             draw_errors, of_sets = _draw_errors, [profiles[each.name, k.number] for each in sets]
-            if _differ_little(sets, k):
+            if _is_little_better(run, sets, k):
                 what, draw_errors = "difference", _draw_difference
             errors.set_ylabel(f"{what}\n[{verbatim(k.unit)}]" if k.unit and angles else what)
             draw_errors(errors, run, sets, k, of_sets)
@@ -119,10 +119,10 @@ def system(run: Run) -> Sequence[Axes]:
     There is a column for each of the first three components of z, with three panels on one time
     axis. The first has the band of 90 % of the simulated systems, four of them, and lines at the
     plan's times. The second has the typical error of the plan and of the reference in the unit of
-    z; where the plan's is smaller, the difference is shaded. If both differ by less than 5 %, it
-    has a moving mean of their difference, over two measurements. The third has the times of both,
-    and how far each time of the plan alone may move at a loss of at most 5 %, where `pfdist.why`
-    was asked.
+    z; where the plan's is smaller, the difference is shaded. If it is smaller by less than 5 %, a
+    moving mean of the difference over two measurements is drawn instead. The third has the times of
+    both, and how far each time of the plan alone may move at a loss of at most 5 %, where
+    `pfdist.why` was asked.
 
     Parameters
     ----------
@@ -219,10 +219,17 @@ def _draw_errors(
     legend_above(ax)
 
 
-def _differ_little(sets: Sequence[_Set], k: _Component) -> bool:
-    """Whether the curves of two sets could not be told apart."""
+def _is_better(run: Run, plan: _Set) -> bool:
+    """Whether the expected MSE of a plan is clearly lower than that of its reference."""
+    row = run.table("sets").set_index("name").loc[plan.name]
+    return bool(row["gain_of_means"] > 0 and not row["gain_of_means_low"] <= 0)
+
+
+def _is_little_better(run: Run, sets: Sequence[_Set], k: _Component) -> bool:
+    """Whether a plan is better by so little that the curves could not be told apart."""
     errors = [error for each in sets for error in [*each.errors][k.number : k.number + 1]]
-    return len(errors) == 2 and 0 < abs(errors[0] - errors[1]) < _LITTLE * errors[1]
+    is_near = len(errors) == 2 and 0 < abs(errors[0] - errors[1]) < _LITTLE * errors[1]
+    return is_near and _is_better(run, sets[0])
 
 
 def _draw_difference(
@@ -311,9 +318,7 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
     )
     change = np.nan_to_num(weight * (reference - best), posinf=0.0, neginf=0.0)
     said = "The system, the typical error over time, and the times of measurements."
-    row = run.table("sets").set_index("name").loc[sets[0].name]
-    is_better = row["gain_of_means"] > 0 and not row["gain_of_means_low"] <= 0
-    if (change > 0).any() and is_better:
+    if (change > 0).any() and _is_better(run, sets[0]):
         total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
         stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
         first, end = np.unravel_index(stretches.argmax(), stretches.shape)
