@@ -365,8 +365,8 @@ def given_at(
     try:
         series = series_at(name, values, at, clock)
     except MeasurementsError as error:
-        one = f"; give such readings as one, their mean weighted by 1 / {name}^2"
-        raise MeasurementsError(f"{error}{one * bool(np.isfinite(values).all())}") from error
+        remedy = f"; give such readings as one, their mean weighted by 1 / {name}^2"
+        raise MeasurementsError(f"{error}{remedy * bool(np.isfinite(values).all())}") from error
     return tuple(np.where(np.isnan(series), np.array(own[name]), series).tolist())
 
 
