@@ -130,7 +130,7 @@ def plan(
     if dry_run:
         from pfdist.questions.sweep import foreseen_work
 
-        return foreseen_work(job, search, changes, bound_draws)
+        return foreseen_work(job, search, changes, bound_draws, against)
     return planned(job, results, search, changes, bound_draws, reuse, export, against, **options)
 
 

@@ -78,7 +78,7 @@ def plan(
     job = as_job(job, changes, sections=searched_by(search))
     ending = PLANNED if job.origin.names_searches else ""
     if against is not None:
-        job, ending = job.with_changes(settings=_of_as_many(job, against)), AGAINST
+        job, ending = of_as_many(job, against), AGAINST
     if export is not None:
         checked_export(export, job.problem.clock)
     results = folder_of(job, results, ending)
@@ -89,8 +89,8 @@ def plan(
     return planned
 
 
-def _of_as_many(job: Job, against: Any) -> dict[str, Any]:
-    """The settings of a job that compares sets, and counts as many measurements as the first."""
+def of_as_many(job: Job, against: Any) -> Job:
+    """The job that also compares sets of a user, and has as many measurements as the first."""
     texts = [against] if isinstance(against, str) else against
     is_alone = isinstance(texts, list) and len(texts) == 1 and "=" not in str(texts[0])
     sets = {"last": texts[0]} if is_alone else sets_argument(against, "against")
@@ -102,10 +102,11 @@ def _of_as_many(job: Job, against: Any) -> dict[str, Any]:
     points, number = job.problem.points, len(next(iter(instants.values()), ()))
     written = {name: points.written_of(times) for name, times in instants.items()}
     is_counted = job.problem.measurement_budget is not None
-    return {
+    settings = {
         "comparison": {"sets": {**(job.comparison.sets or {}), **written}},
         "problem": {"measurement_budget": number} if is_counted else {},
     }
+    return job.with_changes(settings=settings)
 
 
 def draws_of_bound(job: Job, given: int | None) -> int:
