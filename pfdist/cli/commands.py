@@ -59,6 +59,9 @@ COMMANDS = {
             "pfdist plan jobs/two_compartments.toml --set scenarios.criterion=worst": (
                 "Plan for the worst of the scenarios of a job"
             ),
+            "pfdist plan jobs/plan.toml --against last=0:60:4": (
+                "Compare last year's times with the best plan of as many"
+            ),
             "pfdist plan jobs/plan.toml --set seed=3 --results results/seed3": (
                 "Change a key of the job, and keep the run in another folder"
             ),

@@ -84,6 +84,7 @@ def plan(
     bound_draws: int | None = None,
     reuse: Sequence[str] = (),
     export: str | None = None,
+    against: Sequence[str] | None = None,
     dry_run: bool = False,
     **options: Unpack[Options],
 ) -> "Run | pd.DataFrame":
@@ -100,7 +101,7 @@ def plan(
         A job file, as ``jobs/plan.toml``, or the folder of a run. Searches of the job are ignored.
     results : str, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
-        ``results/NAME-plan`` if the job lists searches.
+        ``results/NAME-plan`` if the job lists searches, or ``results/NAME-against``.
     search : str
         Method of the search. Its settings are keys of the job, as ``search.relaxation.paths=16``.
     changes : sequence of str, optional
@@ -114,6 +115,9 @@ def plan(
         each.
     export : str, optional
         Also write the plan into this file: ``.csv`` for a spreadsheet, ``.ics`` for a diary.
+    against : sequence of str, optional
+        Was last year good? A table of its times, ``@last.csv``, or sets as for `pfdist.compare`,
+        with which the plan is compared. It has as many measurements as the first.
     dry_run : bool
         Print the particle-steps that are foreseen, by what they are for, and about how many minutes
         a core of this machine takes for them; compute nothing. A proof that `plan` would leave to
@@ -126,8 +130,8 @@ def plan(
     if dry_run:
         from pfdist.questions.sweep import foreseen_work
 
-        return foreseen_work(job, search, changes, bound_draws)
-    return planned(job, results, search, changes, bound_draws, reuse, export, **options)
+        return foreseen_work(job, search, changes, bound_draws, against)
+    return planned(job, results, search, changes, bound_draws, reuse, export, against, **options)
 
 
 def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:

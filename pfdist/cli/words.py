@@ -129,6 +129,7 @@ def _search() -> Word:
 _SWITCH = Word(bool, Parameter())
 WORDS: dict[str, Word | Callable[[], Word]] = {
     "address": _text("HOST:PORT"),
+    "against": _texts("TIMES"),
     "also": _text("CRITERIA"),
     "block": _number("K"),
     "bound_draws": _number("K"),

@@ -92,7 +92,7 @@ def columns_argument(value: Any) -> dict[str, str]:
     return dict(pairs)
 
 
-def sets_argument(value: Any) -> dict[str, Any]:
+def sets_argument(value: Any, argument: str = "times") -> dict[str, Any]:
     """Sets of times by name: of a mapping, of a text ``clinic=0,6,12``, or of a list of these.
 
     The word ``regular`` is a set of this name. Raises `JobError` for anything else.
@@ -101,23 +101,23 @@ def sets_argument(value: Any) -> dict[str, Any]:
         return {**value}
     sets = dict[str, str]()
     try:
-        texts = texts_argument("times", value)
+        texts = texts_argument(argument, value)
     except ArgumentError as error:
         rule = 'times must name sets, as {"mine": [0, 6, 12], "paper": "0:60:3"}'
-        raise JobError(f"{rule}, got {shown(value)}", argument="times") from error
+        raise JobError(f"{rule}, got {shown(value)}", argument=argument) from error
     for text in texts:
         name, equals, times = text.rpartition("=")
         if equals and not name:
-            raise JobError(f"times need a name before '=', got {shown(text)}", argument="times")
+            raise JobError(f"times need a name before '=', got {shown(text)}", argument=argument)
         name = name or REGULAR * (times == REGULAR)
         if not name:
             raise JobError(
                 f"times of several sets must be NAME=TIMES, as mine={times}, got {shown(times)}",
-                argument="times",
+                argument=argument,
             )
         if name in sets:
             raise JobError(
-                f"names of times must differ from each other, got {name!r} twice", argument="times"
+                f"names of times must differ from each other, got {name!r} twice", argument=argument
             )
         sets[name] = times
     return sets

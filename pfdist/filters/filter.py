@@ -1,8 +1,10 @@
 """A filter for real measurements, one after another."""
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Annotated, Any, cast
 
 import numpy as np
@@ -233,14 +235,19 @@ class Filter:
                 f"{after} {self._formatted(self._filter.t)}, got {self._formatted(t)}"
             )
         measurement = checked_measurement(y, self.model, self._formatted(t))
+        before = self.model
         if given:
-            self._give(t, given)
+            self._follow(self._with(t, given))
         predicted, mean, variance = self._moved(t)
         if measurement is None:
             self._filter = self._ahead = predicted
             self._now = self._estimate(mean[-1], variance[-1])
             return self._now
-        moved, mean, variance = predicted.at(t, measurement)
+        try:
+            moved, mean, variance = predicted.at(t, measurement)
+        except MeasurementsError:
+            self._follow(before)
+            raise
         belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
         now = estimate_of(
             t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed
@@ -257,18 +264,27 @@ class Filter:
         self._now, self._collapsed = now, now.collapsed
         return now
 
-    def _give(self, t: int, given: Mapping[str, float]) -> None:
-        """Set parameters at an instant, of the filter and of those that follow its measurements."""
+    def _with(self, t: int, given: Mapping[str, float]) -> StateSpaceModel:
+        """The model with values of parameters at an instant."""
         values = dict[str, Any]()
         for name, value in given.items():
-            own = self.model.parameters.get(name)
+            own, at = self.model.parameters.get(name), f"at t = {self._formatted(t)}"
             if not (isinstance(own, tuple) and t < len(own)):
                 raise MeasurementsError(
                     f"{name} must be a parameter of the model with a value for each instant, to be "
-                    f"given with a measurement at t = {self._formatted(t)}"
+                    f"given with a measurement {at}"
                 )
-            values[name] = (*own[:t], float(value), *own[t + 1 :])
-        self.model = model = self.model.with_parameters(values)
+            number = value if isinstance(value, Real) else math.nan
+            if not math.isfinite(number):
+                raise MeasurementsError(f"{name} must be a finite number, got {shown(value)} {at}")
+            values[name] = (*own[:t], float(number), *own[t + 1 :])
+        return self.model.with_parameters(values)
+
+    def _follow(self, model: StateSpaceModel) -> None:
+        """Continue with a model, as do the filters that follow the same measurements."""
+        if model is self.model:
+            return
+        self.model = model
         self.unmeasured = replace(self.unmeasured, model=model)
         self._filter = self._ahead = replace(self._filter, model=model)
         self._many = replace(self._many, model=model)

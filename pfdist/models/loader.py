@@ -112,6 +112,8 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
     if ".py:" in name:
         path, _, attribute = name.rpartition(":")
         return _readable((folder / path).absolute(), name), attribute
+    if name.endswith(".py"):
+        raise ModelError(f"a model in a file must be FILE:NAME, as {name}:model, got {shown(name)}")
     installed = installed_models()
     if name not in installed:
         rule = f"one of {', '.join(sorted(installed))} or 'path/file.py:object'"

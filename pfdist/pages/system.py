@@ -1,6 +1,7 @@
 """The first picture of a run: the system itself, the typical error over time, and the times."""
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from pfdist.pages.panel import (
 )
 from pfdist.pages.style import GREY
 from pfdist.pages.times_axis import forbidden_times, shade
-from pfdist.problem.clock import Time
+from pfdist.problem.clock import Clock, Time
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
 from pfdist.results.over_time import RANGE_SUMS, errors_over_time_of, ranges_of
@@ -43,6 +44,7 @@ Array = NDArray[np.float64]
 _MOST = 3  # components of z, each in a column
 _CURVES = 4  # simulated systems beside the band
 _LOW, _HIGH = 0.05, 0.95  # quantiles that limit the band
+_LITTLE = 0.05  # share of the typical error: two sets that differ by less are two equal sawteeth
 _PANELS, _ROW = (1.35, 0.95), 0.2  # inches of the upper panels, and of a row of times
 
 
@@ -91,11 +93,17 @@ def system_figure(tables: Tables) -> Plot:
             _draw_band(band, tables.trajectories, k)
             label_quantity(band, quantities, k.number)
             what = "typical error" if angles else "expected error"
+            draw_errors, of_sets = _draw_errors, [profiles[each.name, k.number] for each in sets]
+            if _is_little_better(run, sets, k):
+                what, draw_errors = "difference", _draw_difference
             errors.set_ylabel(f"{what}\n[{verbatim(k.unit)}]" if k.unit and angles else what)
-            _draw_errors(errors, run, sets, k, [profiles[each.name, k.number] for each in sets])
-            for t in (t for of_sensor in sets[0].times.values() for t in of_sensor):
-                for ax in (band, errors):
-                    ax.axvline(t, color=sets[0].style["color"], lw=thin(0.5), alpha=0.6, zorder=0)
+            draw_errors(errors, run, sets, k, of_sets)
+            for of_sensor in sets[0].times.values():
+                always = problem_of(run).clock.ranges(of_sensor)  # their lines would be a curtain
+                for t, ax in product(of_sensor, (band, errors)):
+                    if t not in always:
+                        colour = sets[0].style["color"]
+                        ax.axvline(t, color=colour, lw=thin(0.5), alpha=0.6, zorder=0)
             _draw_times(times, run, sets, named=not k.number)
             stack(column)
 
@@ -111,9 +119,10 @@ def system(run: Run) -> Sequence[Axes]:
     There is a column for each of the first three components of z, with three panels on one time
     axis. The first has the band of 90 % of the simulated systems, four of them, and lines at the
     plan's times. The second has the typical error of the plan and of the reference in the unit of
-    z; where the plan's is smaller, the difference is shaded. The third has the times of both, and
-    how far each time of the plan alone may move at a loss of at most 5 %, where `pfdist.why` was
-    asked.
+    z; where the plan's is smaller, the difference is shaded. If it is smaller by less than 5 %, a
+    moving mean of the difference over two measurements is drawn instead. The third has the times of
+    both, and how far each time of the plan alone may move at a loss of at most 5 %, where
+    `pfdist.why` was asked.
 
     Parameters
     ----------
@@ -210,6 +219,39 @@ def _draw_errors(
     legend_above(ax)
 
 
+def _is_better(run: Run, plan: _Set) -> bool:
+    """Whether the expected MSE of a plan is clearly lower than that of its reference."""
+    row = run.table("sets").set_index("name").loc[plan.name]
+    return bool(row["gain_of_means"] > 0 and not row["gain_of_means_low"] <= 0)
+
+
+def _is_little_better(run: Run, sets: Sequence[_Set], k: _Component) -> bool:
+    """Whether a plan is better by so little that the curves could not be told apart."""
+    errors = [error for each in sets for error in [*each.errors][k.number : k.number + 1]]
+    is_near = len(errors) == 2 and 0 < abs(errors[0] - errors[1]) < _LITTLE * errors[1]
+    return is_near and _is_better(run, sets[0])
+
+
+def _draw_difference(
+    ax: Axes, run: Run, sets: Sequence[_Set], k: _Component, profiles: Sequence["pd.Series[float]"]
+) -> None:
+    """How far the error of the plan lies below that of the reference, as a moving mean."""
+    clock, (plan, other) = problem_of(run).clock, sets
+    t, change = profiles[0].index.to_numpy(np.float64), (profiles[1] - profiles[0]).to_numpy()
+    long = 2 * (t[-1] - t[0]) / max(2, *(len(times) for times in plan.times.values()))
+    total = np.cumsum([0.0, *np.nan_to_num(change, posinf=0.0, neginf=0.0)])
+    first, end = np.searchsorted(t, t - long / 2), np.searchsorted(t, t + long / 2, "right")
+    mean = (total[end] - total[first]) / (end - first)
+    own, before = (rounded(each.errors[k.number], 3) for each in sets)
+    over = f"{long:.0f} instants" if clock.counts else clock.duration(long)
+    label = f"{other.label} ({before}) less {plan.label} ({own}), mean over {over}"
+    colour = plan.style["color"]
+    ax.axhline(0, color=GREY, lw=thin(0.6))
+    ax.plot(t, mean, color=colour, label=label)
+    ax.fill_between(t, 0, mean, mean > 0, color=colour, alpha=0.15, lw=0)
+    legend_above(ax)
+
+
 def _draw_times(ax: Axes, run: Run, sets: Sequence[_Set], *, named: bool) -> None:
     """The times of each set and sensor, with the sampling windows of the plan."""
     clock, names, windows = problem_of(run).clock, list[str](), list[Any]()
@@ -249,6 +291,21 @@ def _of_halves(run: Run, name: str) -> tuple[Array, Array]:
     return first, second
 
 
+def _stretch(clock: Clock, first: float, last: float) -> str:
+    """From one time to another in words: days with their month, hours only of one day."""
+    ends = [*dict.fromkeys(map(clock.text, [first, last]))]
+    if clock.calendar is None:
+        return f"at t = {' to '.join(ends)}"
+    dates = [*map(clock.calendar.date, [first, last])]
+    days = [*dict.fromkeys(f"{each.day} {each:%b %Y}" for each in dates)]
+    if len(days) == 1 and len(ends) == 2:
+        return f"on {days[0]}, {dates[0]:%H:%M} to {dates[1]:%H:%M}"
+    if len(days) == 2:
+        for shared in (f"{dates[1]: %b %Y}", f" {dates[1].year}"):
+            days[0] = days[0].removesuffix(shared)
+    return f"on {days[0]}" if len(days) == 1 else f"from {days[0]} to {days[1]}"
+
+
 def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
     """Say what the panels show, and where the error of the plan is lowest beside the other."""
     run, clock = tables.run, problem_of(tables.run).clock
@@ -261,9 +318,7 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
     )
     change = np.nan_to_num(weight * (reference - best), posinf=0.0, neginf=0.0)
     said = "The system, the typical error over time, and the times of measurements."
-    row = run.table("sets").set_index("name").loc[sets[0].name]
-    is_better = row["gain_of_means"] > 0 and not row["gain_of_means_low"] <= 0
-    if (change > 0).any() and is_better:
+    if (change > 0).any() and _is_better(run, sets[0]):
         total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
         stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
         first, end = np.unravel_index(stretches.argmax(), stretches.shape)
@@ -275,11 +330,11 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
             rounded(typical_error(mean, angles_of(run)[0]) if is_root else mean, 3)
             for mean in means
         )
-        ends = " to ".join(dict.fromkeys(map(clock.text, [t[first], t[end - 1]])))
+        when = _stretch(clock, *(float(t[k]) for k in (first, end - 1)))
         what = "typical error" if is_root else "expected MSE"
         if means[1] < means[0] and now != before:
             said = (
-                f"With {plan} instead of {other}, the {what} falls most at t = {ends}: from "
+                f"With {plan} instead of {other}, the {what} falls most {when}: from "
                 f"{before} to {f'{now} {unit}'.rstrip()}."
             )
     if len(components_in(tables.trajectories, "z_")) > 1:

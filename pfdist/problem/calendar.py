@@ -129,9 +129,15 @@ class Calendar:
             found["days of the year"] = day_of_year
         return found
 
-    def in_year_of_start(self, moment_of: float) -> float:
-        """The time of the same day and hour in the year of the start."""
-        return self.time(self.date(moment_of).replace(year=self.start.year))
+    def in_year_of_start(self, moments: Sequence[float]) -> list[float]:
+        """The same days and hours, the earliest in the year that begins with the start.
+
+        Raises ValueError if a day is missing then, as 29 February.
+        """
+        dates = [*map(self.date, moments)]
+        years = self.start.year - min(dates).year
+        years += min(dates).replace(year=self.start.year) < self.start
+        return [self.time(each.replace(year=each.year + years)) for each in dates]
 
     def written(self, time: float) -> str:
         """The date and hour of a time as a text; with its offset in an hour that occurs twice."""
@@ -240,7 +246,9 @@ def names_dates(text: str) -> bool:
 
 def _moment(text: str, zone: tzinfo | None) -> datetime:
     if not (_DATE.fullmatch(text) or _MOMENT.fullmatch(text)):
-        raise ValueError(f"must be a date, as 2026-04-01 or 2026-04-01T08:00, got {shown(text)}")
+        hint = "; hours are 00:00 to 23:59" * text.lower().rstrip(".").endswith(("am", "pm"))
+        rule = "must be a date, as 2026-04-01 or 2026-04-01T08:00"
+        raise ValueError(f"{rule}, got {shown(text)}{hint}")
     moment: datetime = _read(datetime.fromisoformat, text)
     if moment.tzinfo is not None:
         if zone is None:

@@ -30,6 +30,7 @@ _ROUNDING = 1e-11
 """Rounding to 12 digits changes a time by less than this part of it."""
 _FLOAT_ROUNDING = 1e-15
 """A sum of floats differs from the true sum by about this part of it."""
+_LONG_RUN = 8  # instants in a row that answers show as a range
 _EXACT = 2**53
 """Whole floats below this are exact."""
 
@@ -258,13 +259,18 @@ class Clock:
         return [int(np.abs(own - time).argmin()) for time in times]
 
     def of_table(
-        self, given: Sequence[float | str], note: Callable[[str], Any] = lambda line: None
+        self,
+        given: Sequence[float | str],
+        note: Callable[[str], Any] = lambda line: None,
+        *,
+        any_year: bool = False,
     ) -> list[float]:
         """The times of the column t of a user's table, whose dates may be written in many ways.
 
         If they do not all lie in the horizon as times and dates of the clock, another reading is
-        taken if they all do in one alone, and `note` receives a line. Raises ValueError if a time
-        is missing, if several readings are possible, or if only others than the clock's are near.
+        taken if they all do in one alone, and `note` receives a line; with `any_year` they may be
+        the same days of another year. Raises ValueError if a time is missing, if several readings
+        are possible, or if only others than the clock's are near.
         """
         for row, time in enumerate(given, 1):
             if not isinstance(time, str) and math.isnan(time):
@@ -287,8 +293,8 @@ class Clock:
         outside = {name: sum(self._away([t]) > self.slack for t in read[name]) for name in read}
         nearest = min(read, key=lambda name: (outside[name], away[name]))
         if not fits:
-            self._check_has_other_reading(nearest, read[nearest], texts)
-        elif nearest != OWN_DATES:
+            return self._in_other_reading(nearest, read[nearest], texts, any_year * [note])
+        if nearest != OWN_DATES:
             at = self.text(read[nearest][0])
             note(f"t of the table is read as {nearest}: {shown(texts[0])} is {at}")
         return read[nearest]
@@ -317,21 +323,36 @@ class Clock:
                 break
         return read, why
 
-    def _check_has_other_reading(
-        self, nearest: str, times: Sequence[float], texts: Sequence[str]
-    ) -> None:
-        """Raise ValueError if times outside the horizon are near in another reading, or year."""
+    def _in_other_reading(
+        self,
+        nearest: str,
+        times: list[float],
+        texts: Sequence[str],
+        notes: Sequence[Callable[[str], Any]],
+    ) -> list[float]:
+        """Times outside the horizon; raises ValueError if another reading, or year, is near.
+
+        With `notes`, which receive a line, those of another year are the same days of this year.
+        """
         row = max(range(len(times)), key=lambda k: self._away(times[k : k + 1]))
         rule = f"t must lie in {self.text(self.times[0])}..{self.formatted(self.horizon)}"
         rule += f", got {shown(texts[row])} (row {row + 1})"
         if nearest != OWN_DATES:
             raise ValueError(f"{rule}; the nearest are {nearest}: {self.text(times[row])}")
         try:
-            moved = [*map(cast("Calendar", self.calendar).in_year_of_start, times)]
+            moved = cast("Calendar", self.calendar).in_year_of_start(times)
         except (ValueError, OverflowError):
-            return
-        if self._away(moved) <= self.slack:
-            raise ValueError(f"{rule}, of another year: write t in {self.unit} since the start")
+            return times
+        if self._away(moved) > self.slack:
+            return times
+        if not notes:
+            raise ValueError(
+                f"{rule}, of another year: write t in {self.unit} since the start, as "
+                f"{unrounded(moved[row])}"
+            )
+        at = self.text(moved[0])
+        notes[0](f"t of the table is read as the same days of another year: {texts[0]} is {at}")
+        return moved
 
     def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:
         """The columns t and, if the clock has a start, date of a table with these instants."""
@@ -367,17 +388,50 @@ class Clock:
     def listed(self, times: Iterable[Time | str], between: str = ", ") -> str:
         """Times, or measurements as users read them, as text with the unit if there is a unit.
 
+        Many instants in a row, by one sensor, are a range.
+
         >>> clock = Clock.regular(6, 0.5, "h")
         >>> clock.listed([0.0, 0.5]), clock.listed([]), clock.listed(["0 ct", "0.5 x-ray"])
         ('0, 0.5 h', '', '0 ct, 0.5 x-ray (t in h)')
+        >>> Clock.counting(20).listed([*(f"{t} ct" for t in range(9)), "12 x-ray"])
+        '0 to 8 ct, 12 x-ray'
         """
         listed = [*times]
         if all(isinstance(each, str) and " " in each for each in listed):  # late values are behind
             listed.sort(key=lambda each: self.time_and_sensor(each)[0])
-        text = between.join(map(self.text, listed))
+        ranges, texts = self.ranges(listed), list[str]()
+        for each in listed:
+            if each not in ranges or ranges[each] not in texts:
+                texts.append(ranges.get(each) or self.text(each))
+        text = between.join(texts)
         if not self.unit or not listed or self.calendar:
             return text
         return f"{text} (t in {self.unit})" if isinstance(listed[0], str) else f"{text} {self.unit}"
+
+    def ranges(self, times: Sequence[Time | str]) -> dict[Time | str, str]:
+        """The range of each measurement that is one of many instants in a row, by one sensor.
+
+        A sensor that is always on would be a long list, in which other times are not found.
+        """
+        if len(times) < _LONG_RUN:
+            return {}
+        instants = dict[str, dict[int, Time | str]]()  # of each sensor
+        for each in times:
+            time, sensor = self.time_and_sensor(each)
+            (nearest,) = self.nearest([time])
+            if abs(self.times[nearest] - time) <= self.slack:
+                instants.setdefault(sensor, {})[nearest] = each
+        runs = dict[tuple[str, int], list[int]]()
+        for sensor, own in instants.items():
+            for place, t in enumerate(sorted(own)):
+                runs.setdefault((sensor, t - place), []).append(t)
+        ranges = dict[Time | str, str]()
+        for (sensor, _), part in runs.items():
+            if len(part) >= _LONG_RUN:
+                first, last = (self.text(self.times[part[k]]) for k in (0, -1))
+                text = f"{first} to {last} {sensor}".rstrip()
+                ranges |= {instants[sensor][t]: text for t in part}
+        return ranges
 
     def duration(self, length: float) -> str:
         """A length of time as text, in the unit of the clock or a smaller one.

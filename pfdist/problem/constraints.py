@@ -423,7 +423,10 @@ def _check_budget_or_price(constraints: Constraints) -> None:
             f"price needs {instants} values, one for each instant, got {len(price)}"
         )
     if price is not None and min(price) <= 0:
-        raise MeasurementTimesError(f"price must be above 0, got {min(price)}")
+        raise MeasurementTimesError(
+            f"price must be above 0, got {min(price)}: give what costs nothing a small price, and "
+            "total_price as much more"
+        )
 
 
 def _check_number(constraints: Constraints) -> None:

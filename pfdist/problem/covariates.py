@@ -47,8 +47,9 @@ def times_of_file(
 ) -> list[Any]:
     """The times of a table as a job writes them, given a text such as ``@last.csv``.
 
-    They are those of the column t, or of another as in ``@last.csv:date``, with their sensors. Each
-    counts at the nearest instant, two at one instant once; `note` receives a line if one moves.
+    They are those of the column t, or of another as in ``@last.csv:date``, with their sensors, in
+    any year. Each counts at the nearest instant, two at one instant once; `note` receives a line if
+    one moves.
     Raises `JobError`, which begins with `key`.
     """
     from pfdist.store.user_tables import read_user_table  # noqa: PLC0415  as below
@@ -71,7 +72,7 @@ def times_of_file(
             path, check_header, names, {"sensor": points.sensors}, clock.readers(between=True),
             renamed=renamed,
         )  # fmt: skip
-        times = clock.of_table(table["t"].tolist(), note)
+        times = clock.of_table(table["t"].tolist(), note, any_year=True)
         for time in times:
             clock.check_is_within(time, "t")
     except OSError as error:

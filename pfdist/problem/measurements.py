@@ -26,6 +26,7 @@ from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
 _FURTHER = 10_000  # rows
+_STAMP = 1e8  # seconds; in 1973
 _MOST_REPEATS = 8  # rows of a sensor at a time
 _NAMED = 8  # columns that are not read
 COMPONENT = re.compile(r"y\d+")
@@ -326,7 +327,11 @@ def given_at(
     name: str, values: Array, at: Sequence[int], clock: Clock, own: Mapping[str, Parameter]
 ) -> tuple[float, ...]:
     """A parameter that comes with readings, (T+1,): the model's where no row has a value."""
-    series = series_at(name, values, at, clock)
+    try:
+        series = series_at(name, values, at, clock)
+    except MeasurementsError as error:
+        remedy = f"; give such readings as one, their mean weighted by 1 / {name}^2"
+        raise MeasurementsError(f"{error}{remedy * bool(np.isfinite(values).all())}") from error
     return tuple(np.where(np.isnan(series), np.array(own[name]), series).tolist())
 
 
@@ -358,7 +363,9 @@ def instants_of_table(
             exact.append(clock.times[instant_on(clock, t, start)])
         except MeasurementsError as error:
             if not clock.times[start] <= t <= clock.times[-1]:
-                raise MeasurementsError(f"{error} (row {row})") from error
+                is_stamp = not clock.has_dates and t > _STAMP
+                hint = "; stamps since 1970 need a start, problem.clock" * is_stamp
+                raise MeasurementsError(f"{error} (row {row}){hint}") from error
             exact.append(t)
             has_others = True
     if has_others and not clock.counts and reading.any_time():
@@ -414,6 +421,8 @@ def _check_header(
         text += f"; {SEPARATORS}"
     elif header and header[0][:1].isdigit():
         text += "; the first line must name the columns"
+    elif {"date", "time"} <= {*map(str.lower, header)}:
+        text += "; join the date and the time to one column t"
     else:
         text += f"; {RENAME}"
     raise MeasurementsError(text)

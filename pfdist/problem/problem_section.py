@@ -54,7 +54,6 @@ from pfdist.problem.written import instants_written
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
 _SEASON, _YEAR = 2, 12  # months: a plan of a longer season has a count for each
-_LONG_RUN = 5  # required times that are shown as a range
 _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
@@ -198,6 +197,12 @@ class ProblemSection(JobSection):
                 "problem.sensor must be left out with problem.sensors, got both: it is that of a "
                 "model without names of sensors"
             )
+        for column, count in Counter((self.given or {}).values()).items():
+            if count > 1:
+                raise ValueError(
+                    f"problem.given must name a column for each parameter, got {column!r} twice: "
+                    "errors of several sensors need a column each"
+                )
         try:
             self.feasible, self.weights, self.instants_of_lag  # noqa: B018  made here: they check the values together
         except MeasurementTimesError as error:
@@ -483,30 +488,10 @@ class ProblemSection(JobSection):
         parts = visits.parts(points.read(times)) if visits else ()
         return [points.together(part) for part in parts]
 
-    def listed(self, times: Iterable[Time | str]) -> str:
-        """Times as text; required ones that follow each other, by one sensor, are a range.
-
-        A sensor that is always on would be a long list, in which the other times are not found.
-        """
-        points, clock, listed = self.points, self.clock, [*times]
-        required = {*self.feasible.required}.intersection(points.read(listed))
-        by_sensor = sorted(required, key=lambda each: (points.way(each), each))
-        ranges, in_ranges = list[str](), set[int]()
-        runs = dict[tuple[int, int], list[int]]()
-        for place, each in enumerate(by_sensor):
-            runs.setdefault((points.way(each), points.instant(each) - place), []).append(each)
-        for part in runs.values():
-            if len(part) >= _LONG_RUN:
-                first, last = (clock.text(clock.times[points.instant(part[k])]) for k in (0, -1))
-                ranges.append(f"{first} to {last} {points.sensor(part[0])}".rstrip())
-                in_ranges.update(part)
-        others = [each for each in listed if points.read([each])[0] not in in_ranges]
-        return ", ".join(filter(None, [*ranges, clock.listed(others)]))
-
     def when(self, times: Iterable[Time | str]) -> str:
         """When a set measures, in words: dates have weekdays, and a season a count a month."""
         listed, calendar, points = [*times], self.clock.calendar, self.points
-        text = self.listed(listed)
+        text = self.clock.listed(listed)
         if calendar is None or not listed or " to " in text:
             return f"at {'t = ' if listed else 'no time'}{text}"
         words, day, months = list[str](), "", Counter[str]()

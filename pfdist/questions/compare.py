@@ -132,7 +132,8 @@ class SetsToCompare:
             got = ", ".join(self._written) or "none"
             raise JobError(
                 f"compare needs at least two sets of times, got {got}: give sets, as mine=0,6,12 "
-                "and regular, or runs",
+                "and regular, or runs; `pfdist plan JOB --against TIMES` compares one set with the "
+                "best of as many",
                 argument="times",
             )
         named, (reference, times) = dict(self._written), next(iter(self._written.items()))

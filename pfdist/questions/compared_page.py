@@ -7,6 +7,7 @@ from typing import Any
 
 from pfdist.common.changes import change_of, effect
 from pfdist.common.estimate import Estimate
+from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import (
     Block,
     Cell,
@@ -33,6 +34,7 @@ from pfdist.results.columns import (
 from pfdist.results.stored_run import named_sets
 
 _OF_A_SET = "label", "measurements", "price", *ERRORS_SHOWN, *CRITERIA_SHOWN
+_GIVEN_SHOWN = 3  # sets of a user that the answer of a plan names
 _BELOW = "the best is lower by, %"  # in expected MSE
 _PAIRS_HEAD = ("first", "second", "first minus second", "clear", "in % of second")
 _SETS_MEANING = (
@@ -69,7 +71,9 @@ def compared(subject: Subject) -> Section | None:
     sets = without_column(sets, *[last] * best_is_reference, *[_BELOW] * (not is_mean))
     rows = [_pair_row(subject, pair) for pair in pairs]
     best = ""
-    if not subject.found_rows:
+    if not subject.found_rows and len(ranks) == 1:
+        best = f"All sets have the same times: {next(iter(subject.distinct.values())).label}."
+    elif not subject.found_rows:
         best = _best(subject, ranks, pairs) if is_mean else _least(subject, ranks)
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),
@@ -128,6 +132,30 @@ def _lower(pairs: Iterable[Row], name: str, other: str) -> tuple[Any, Any, Any]:
             gain, high, low = (None if each in (None, 1.0) else each / (each - 1) for each in gains)
             return gain, low, high
     return 0.0, 0.0, 0.0
+
+
+def beside_given_sets(subject: Subject, plan: Row) -> Iterator[str]:
+    """How far the error of a plan, and of evenly spaced times, lies below that of given sets."""
+    written = subject.run.job["comparison"].get("sets") or {}
+    given = [name for name in named_sets(subject.run) if list(written[name]) != [name]]
+    if not (given and subject.criterion.is_mean):
+        return
+    pairs = rows_of(subject.run.table("pairs"))
+    even = subject.rows.get(EVEN, plan)
+    others = [plan, *[even] * (even.measurement_times != plan.measurement_times)]
+    for name in given[:_GIVEN_SHOWN]:
+        own = subject.rows[name]
+        changes = [
+            f"{change_of(gain, ends)} with {phrase_of(each.label)}"
+            for each in others
+            if each.measurement_times != own.measurement_times
+            for gain, *ends in [_lower(pairs, each.name, name)]
+            if gain is not None
+        ]
+        if changes:
+            number, phrase = number_of(own.measurements, "measurement"), phrase_of(own.label)
+            changed = ", and ".join(changes)
+            yield f"Instead of {phrase} ({number}), the expected MSE is {changed}."
 
 
 def _set_row(subject: Subject, row: Row, pairs: Sequence[Row], best: str) -> list[Cell]:

@@ -75,6 +75,8 @@ class NextTime(Shown):
         starts from a few particles.
     in_flight : tuple of int or float
         Times of measurements whose values arrive after `now`.
+    always : tuple of int or float
+        Planned times that the job requires, many in a row: those of a sensor that is always on.
     """
 
     run: Path | None
@@ -90,6 +92,7 @@ class NextTime(Shown):
     clock: Clock
     collapsed: Time | None = None
     in_flight: tuple[Time, ...] = ()
+    always: tuple[Time, ...] = ()
 
     @property
     def difference(self) -> Estimate | None:
@@ -148,7 +151,8 @@ class NextTime(Shown):
         number, clock = number_of(len(self.measured), "measurement"), self.clock
         facts = [("expected MSE", self._expected(self.expected))]
         if self.plan:
-            following, *later = self.plan
+            chosen = [each for each in self.plan if each not in self.always]
+            following, *later = chosen or self.plan
             is_written = later and isinstance(following, str)
             said = f"Measure next at t = {following if is_written else clock.listed([following])}"
             if later:
@@ -158,7 +162,8 @@ class NextTime(Shown):
             where = f"{number}{', at t = ' * bool(measured)}{measured}"
             to_come = f"of t = {clock.listed(self.in_flight)}"
             waiting = [("values to come", to_come)] * bool(self.in_flight)
-            facts = [("measured", where), *waiting, *facts, *self._before()]
+            on = [("required", f"t = {clock.listed(self.always)}")] * bool(self.always)
+            facts = [("measured", where), *waiting, *on, *facts, *self._before()]
         elif self.left == 0:
             said = f"The budget is spent: {number}"
         else:
@@ -294,6 +299,12 @@ def next_time(
     expected, *expected_before = planner.expected(
         planner.plan(), *([points.written_of(before)] if still else [])
     )
+    if expected_before and expected.difference(expected_before[0]).interval()[0] > 0:
+        # A short search has found less than what was planned before.
+        planner._plan = tuple(sorted({*planner._in_flight, *before}))
+        expected = expected_before[0]
+    required = points.written_of(sorted({*feasible.required}.intersection(planner._plan)))
+    ranges = clock.ranges(required)
     result = NextTime(
         plan.path,
         plan.name,
@@ -308,6 +319,7 @@ def next_time(
         clock,
         planner.estimate().collapsed,
         planner.in_flight,
+        tuple(each for each in required if each in ranges),
     )
     for line in result._page().alarms if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)

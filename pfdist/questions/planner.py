@@ -177,7 +177,7 @@ class Planner:
         self._in_flight = in_flight
 
     def update(
-        self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None
+        self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None, **given: Any
     ) -> FilterEstimate:
         """Add a measurement, and plan the remaining times again.
 
@@ -190,6 +190,8 @@ class Planner:
         t : int or float, optional
             The time at which the values arrive, if it is not that of the next planned time. Planned
             times before it count as missed, unless they were `taken`.
+        given
+            Values of parameters that come with the reading, as for `Filter.update`: ``u=0.2``.
 
         Returns
         -------
@@ -205,7 +207,8 @@ class Planner:
             A formula failed in a simulated system. Make a new planner to continue.
         """
         instant = self._time(t)
-        estimate, measurement = self._filter.update(instant, y), None
+        estimate, measurement = self._filter.update(instant, y, **given), None
+        self._truths = replace(self._truths, model=self._filter.model)
         if estimate.measured:
             measurement = np.atleast_1d(np.array(y, np.float64))
             here = made(self._filter.model, instant, measurement)

@@ -30,6 +30,7 @@ from pfdist.questions.about_run import computed, made_by, problem, question, usi
 from pfdist.questions.bound_page import proof
 from pfdist.questions.budget_page import budget_section
 from pfdist.questions.compared_page import (
+    beside_given_sets,
     compared,
     criterion_effect,
     online_section,
@@ -192,6 +193,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
         provenance_of(subject.run).get("on_the_way", ""),
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)
+    yield from (Text(each, prominent=True) for each in beside_given_sets(subject, row))
     yield from subject.heavy_tail
     for error in subject.beside:
         yield from _beside(subject, row, error)
@@ -324,9 +326,8 @@ def _broken(subject: Subject) -> Iterator[Text]:
         if row.measurements < budget:
             number = row.measurements
             yield Text(
-                f"{times} has {number} of {budget} measurements. `pfdist plan` with --set "
-                f"problem.measurement_budget={number} finds the best {number}, and the best "
-                "evenly spaced ones."
+                f"{times} has {number} of {budget} measurements. `pfdist plan JOB --against "
+                f"{row.name}=TIMES` finds the best {number}, and the best evenly spaced ones."
             )
         for constraint in row.broken_constraints:
             yield Text(f"{times} breaks a constraint, and is compared all the same: {constraint}.")

@@ -19,7 +19,7 @@ from pfdist.problem.sweep_points import Values
 from pfdist.questions.at_work import at_work
 from pfdist.questions.model_checks import seconds_a_step
 from pfdist.questions.options import Chosen, Options, following, with_options
-from pfdist.questions.plan import draws_of_bound
+from pfdist.questions.plan import draws_of_bound, of_as_many
 from pfdist.questions.points_at_work import PointsAtWork
 from pfdist.questions.report import tried, try_report
 from pfdist.questions.run import PATIENCE, minutes_of_bound
@@ -239,13 +239,18 @@ def foreseen(
 
 
 def foreseen_work(
-    job: JobSource, search: str, changes: Iterable[str], bound_draws: int | None
+    job: JobSource,
+    search: str,
+    changes: Iterable[str],
+    bound_draws: int | None,
+    against: Any = None,
 ) -> pd.DataFrame:
     """The particle-steps of a plan by what they are for, and minutes of a core of this machine.
 
     The arguments are those of `pfdist.plan`, and the errors, too.
     """
     wanted = as_job(job, changes, sections=searched_by(search))
+    wanted = wanted if against is None else of_as_many(wanted, against)
     built, prover = build(wanted, folder_of(wanted, None)), None
     with contextlib.suppress(JobError, ModelError):  # no bound is known
         if draws := draws_of_bound(wanted, bound_draws):

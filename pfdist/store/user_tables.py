@@ -42,7 +42,9 @@ NO_NAMES: Mapping[str, str] = {}  # all columns have the names that pfdist reads
 _DECIMAL = r"[+-]?\d*[.,]\d+(?:[eE][+-]?\d+)?"  # a number with a decimal point or comma
 _GROUPED = r"[+-]?[1-9]\d{0,2}[.,]\d{3}"  # such a number that may be a whole one, in thousands
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
-SEPARATORS = "columns must be separated by commas, semicolons, tabs or |; decimals have a point"
+SEPARATORS = (
+    "columns must be separated by commas, semicolons, tabs, | or spaces; decimals have a point"
+)
 _VALUE = re.compile(r"[<>]?\s*[+-]?[.\d][-+.,:/\deETZ ]*")  # a number, or a date
 
 
@@ -63,12 +65,12 @@ def read_user_table(
 
     A file is Parquet if its name ends in ``.parquet``, else CSV. The first line of CSV names the
     columns; lines before it that begin with ``#`` are comments. Columns are separated by commas,
-    or by semicolons, tabs or ``|``, whichever the line of names has most of; then decimals may have
-    a comma, unless a number could be one of thousands. A row of units or formats is an error. The
-    index of a table in memory counts as a column if it has a name. `check_header` raises an error
-    if the names of the columns are wrong, and may return those that hold texts. With `only`, other
-    columns are left out, and may hold anything. Errors count rows from 1, without the line of
-    names and blank lines.
+    semicolons, tabs or ``|``, whichever the line of names has most of, or else by spaces; without
+    commas between columns, decimals may have a comma, unless a number could be one of thousands. A
+    row of units or formats is an error. The index of a table in memory counts as a column if it has
+    a name. `check_header` raises an error if the names of the columns are wrong, and may return
+    those that hold texts. With `only`, other columns are left out, and may hold anything. Errors
+    count rows from 1, without the line of names and blank lines.
 
     The names of the columns, and of Parquet the types and sizes, are checked before any row is
     read. Rows become numbers a part at a time, so memory grows with the numbers alone.
@@ -164,7 +166,10 @@ def _in_csv(path: Path, wanted: Callable[[list[str]], list[str]]) -> Iterator[pd
         if not line:
             raise ValueError("a table must have a line that names the columns, got none")
         separator = max(",;\t|", key=line.count)
-        names = next(csv.reader(chain([line], lines), delimiter=separator))
+        if separator not in line and '"' not in line and len(line.split()) > 1:
+            separator, names = r"\s+", line.split()
+        else:
+            names = next(csv.reader(chain([line], lines), delimiter=separator))
         header = [name.strip("\ufeff ") for name in names]
         kept, start, mark = wanted(header), 1, ""
         file.seek(0)
@@ -285,9 +290,11 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
         for row in column.index[wrong][:1]:
             rule = f"one of {', '.join(names)}" if names else "a number"
             place = f"column {shown(name)} in row {row + 1}"
-            hint = "; problem.sensor.limit reads it" * texts[row].startswith(("<", ">"))
-            if not re.search(r"\w|[<>]", texts[row]):
-                hint = "; an empty cell is a missing number"
+            hint = "; an empty cell is a missing number"
+            if texts[row].startswith(("<", ">")):
+                hint = "; problem.sensor.limit reads it"
+            elif re.fullmatch(rf"{_GROUPED}.*", texts[row]):
+                hint = "; thousands have no mark"
             raise ValueError(must_be(place, rule, texts[row], names) + hint * (not names))
     elif kind not in "iuf":
         raise ValueError(f"column {shown(name)} must hold numbers, got {column.dtype}")

@@ -91,7 +91,12 @@ def test_a_name_without_its_model_is_an_error(plug, folder, name, words):
     assert [part for part in words if part not in str(caught.value)] == []
 
 
-@pytest.mark.parametrize("name", ["ungn", "mine.py", ""])
+def test_a_file_alone_names_no_model():
+    with pytest.raises(ModelError, match=r"must be FILE:NAME, as mine\.py:model, got 'mine\.py'"):
+        load_model("mine.py")
+
+
+@pytest.mark.parametrize("name", ["ungn", "mine", ""])
 def test_an_unknown_name_lists_the_known_ones(name):
     with pytest.raises(ModelError) as caught:
         load_model(name)

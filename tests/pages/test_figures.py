@@ -3,6 +3,7 @@
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,8 @@ from pfdist.pages.plots import (
 )
 from pfdist.pages.searches import legend_inches
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED, styled
+from pfdist.pages.system import _stretch
+from pfdist.problem.calendar import Calendar
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.problem.set_key import phrase_of
@@ -229,6 +232,47 @@ def test_the_first_picture_has_the_system_the_typical_error_and_the_times(
     assert not FIGURES["system"].files(several)
     [(_, plot)] = FIGURES["times"].plots(Tables(several))  # of several numbers
     assert len(drawn(plot).axes) == 1
+
+
+def test_the_first_picture_shows_a_small_difference_alone_and_says_months(
+    finished: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two sets of nearly the same error are two sawteeth: a moving mean of the difference."""
+    found = pfdist.open_run(finished())
+    best = found.best.measurement_times
+    tried = found.table("evaluations").sort_values("expected_mse")["measurement_times"].map(tuple)
+    moved = next([*map(int, times)] for times in tried if times != best)
+    dated = "problem.clock={start='2027-04-30',step='1 d'}"
+    run = pfdist.open_run(finished(f"comparison.reference={moved}", dated))
+    own, other = (row.typical_error[0] for row in run.table("sets").iloc[[-1, 0]].itertuples())
+    [(_, plot)] = FIGURES["system"].plots(Tables(run))
+    _, errors, _ = drawn(plot).axes
+    assert abs(own - other) > 0.05 * other
+    assert errors.get_ylabel() == "typical error"
+    monkeypatch.setattr("pfdist.pages.system._LITTLE", 0.1)
+    [(_, plot)] = FIGURES["system"].plots(Tables(run))
+    _, errors, _ = drawn(plot).axes
+    assert errors.get_ylabel() == "difference"
+    zero, mean, *_ = errors.get_lines()
+    assert [*zero.get_ydata()] == [0, 0]
+    assert mean.get_label().startswith(f"reference ({rounded(other, 3)}) less ")
+    profile = run.table("error_over_time").set_index("name")["error"]
+    change = np.sqrt(profile[run.names[0]].to_numpy()) - np.sqrt(profile[run.best.name].to_numpy())
+    reach = 12 // len(best)  # of the 13 instants, twice the mean interval in all
+    middle = [change[t - reach : t + reach + 1].mean() for t in range(reach, 13 - reach)]
+    np.testing.assert_allclose(mean.get_ydata()[reach : 13 - reach], middle, rtol=1e-9)
+    assert re.search(r"falls most (on|from) \d+ (.*)May 2027: from ", plot.title)
+
+
+def test_a_stretch_of_dates_says_days_with_their_month() -> None:
+    hours = replace(Clock.regular(9000, 1, "h"), calendar=Calendar.starting("2027-12-30", "h"))
+    assert [_stretch(hours, 8, last) for last in (8, 12, 40, 80)] == [
+        "on 30 Dec 2027",
+        "on 30 Dec 2027, 08:00 to 12:00",
+        "from 30 to 31 Dec 2027",
+        "from 30 Dec 2027 to 2 Jan 2028",
+    ]
+    assert _stretch(Clock.counting(9), 3, 5) == "at t = 3 to 5"
 
 
 def test_the_first_picture_names_no_gain_over_the_same_times(finished: Callable[..., Path]) -> None:

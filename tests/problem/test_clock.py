@@ -1,5 +1,6 @@
 """The clock of a problem: times are turned into instants, and instants into times."""
 
+from dataclasses import replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from pfdist.common.measurement_times import regular
 from pfdist.errors import MeasurementTimesError
+from pfdist.problem.calendar import Calendar
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
@@ -211,3 +213,21 @@ def test_a_broken_constraint_is_told_in_times_of_the_clock() -> None:
         "forbidden: 8 is measured",
         "minimum_spacing is 1.0, got 0 and 0.5",
     ]
+
+
+def test_times_of_a_sensor_that_is_always_on_are_a_range() -> None:
+    """Published case: 41 times of a sonde hid those of three grab samples."""
+    sonde, grab = [f"{t} sonde" for t in range(9)], ["3 grab", "7 grab"]
+    assert (
+        Clock.counting(9).listed([*sonde[:4], *grab, *sonde[4:]]) == "0 to 8 sonde, 3 grab, 7 grab"
+    )
+    assert Clock.counting(9).listed(["1 grab", "2 sonde"]) == "1 grab, 2 sonde"
+    hours = Clock.regular(20, 0.5, "h")
+    assert hours.listed([0, *(2 + k / 2 for k in range(8)), 8]) == "0, 2 to 5.5, 8 h"
+    assert hours.listed([k / 2 for k in range(7)]) == "0, 0.5, 1, 1.5, 2, 2.5, 3 h"
+    days = replace(Clock.regular(9, 1, "d"), calendar=Calendar.starting("2027-04-01", "d"))
+    always = [f"2027-04-0{k} sonde" for k in range(1, 9)]
+    assert days.listed([*always, "2027-04-05 grab"]) == (
+        "2027-04-01T00:00 to 2027-04-08T00:00 sonde, 2027-04-05 grab"
+    )
+    assert [*days.ranges([*always, "2027-04-05 grab"])] == always

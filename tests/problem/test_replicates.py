@@ -139,8 +139,8 @@ COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
     [
         ("", "a table must have a line that names the columns, got none"),
         (HEAD, "the table must have rows, got none"),
-        ("day t y0\na 0 1", "the column t is missing, got day t y0; columns must be separated by "
-                            "commas, semicolons, tabs or |; decimals have a point"),
+        ("day:t:y0\na:0:1", "the column t is missing, got day:t:y0; columns must be separated by "
+                            "commas, semicolons, tabs, | or spaces; decimals have a point"),
         (f"{HEAD}\n,0,1", "column 'day' must not be empty, got nothing in row 1"),
         ("day,y0\na,1", "the column t is missing, got day, y0"),
         (f"{HEAD},y1\na,0,1,1", f"unknown column 'y1'. Columns: {COLUMNS}"),

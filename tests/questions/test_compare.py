@@ -160,9 +160,19 @@ def test_sensors_and_dates_of_a_table_become_those_of_a_set(tmp_path: Path) -> N
     with pytest.warns(PfdistWarning, match=r"t of the table is read as day\.month\.year"):
         job = Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
     assert job.comparison.sets == {"last": ("2026-04-13 ct", "2026-04-15 x-ray")}
+    (tmp_path / "last.csv").write_text("t,sensor\n2024-04-13,ct\n2024-04-15,x-ray\n")
+    with pytest.warns(PfdistWarning, match="same days of another year: 2024-04-13 is 2026-04-13"):
+        earlier = Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
+    assert earlier.comparison.sets == job.comparison.sets
     (tmp_path / "last.csv").write_text("t,sensor\n2027-05-01,ct\n")
     with pytest.raises(JobError, match=r"^comparison.sets.last: t must lie in 2026-04-10..2026-04"):
         Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
+
+
+def test_sets_with_the_same_times_are_one_row(few: Job, tmp_path: Path) -> None:
+    run = compare(few, times={"one": [0, 4, 8, 12], "two": "0:12:4"}, results=tmp_path / "run")
+    (sentence, *_) = lines_of(answer_of(run))[1:]
+    assert sentence == "All sets have the same times: one = two."
 
 
 def test_sets_that_do_not_differ_clearly_are_all_named(few: Job, tmp_path: Path) -> None:
@@ -183,7 +193,7 @@ def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     assert [line for line in lines if len(line) > 80] == []
     text = " ".join(" ".join(lines).split())
     assert text.startswith("Best of 3 sets (95 % confidence, all pairs together): ")
-    assert "has 2 of 4 measurements. `pfdist plan` with --set problem.measurement_budget=2" in text
+    assert "has 2 of 4 measurements. `pfdist plan JOB --against few=TIMES` finds the best 2" in text
     assert "Best first, on 500 draws" in text
     assert "Pairs of sets" not in text
     assert "Pairs of sets first second" in " ".join(

@@ -1,6 +1,7 @@
 """A standard error that comes with each reading, in a column of the table: [problem.given]."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from scipy.stats import multivariate_normal
 import pfdist
 from pfdist import StateSpaceModel
 from pfdist.densities import normal_logpdf
-from pfdist.errors import MeasurementsError, ModelError
+from pfdist.errors import JobError, MeasurementsError, ModelError
+from pfdist.problem.problem import as_job
 
 U = [0.3, 0.5, 0.1]
 Y = [1.1, 0.4, 0.9]
@@ -77,6 +79,32 @@ def test_a_filter_of_one_system_takes_them_with_each_reading() -> None:
         filtering.update(6, 1.0, sd=0.1)
 
 
+@pytest.mark.parametrize("engine", ["kalman", "auto"])
+def test_a_planner_takes_them_with_each_reading(engine: str) -> None:
+    """Its filter has the posterior, and the truths of simulated systems have it, too."""
+    planner = pfdist.Planner(_problem(measurement_budget=6, engine=engine, particles=4000))
+    for t, y, u in zip((0, 2, 5), Y, U, strict=True):
+        estimate = planner.update(y, t, u=u)
+    mean, sd = _posterior(U)
+    tolerance = 1e-9 if engine == "kalman" else 0.03
+    assert estimate.mean[0] == pytest.approx(mean, abs=tolerance)
+    left = planner.expected([])[0].expected_mse  # nothing more is measured: the variance
+    assert left == pytest.approx(sd**2, rel=1e-9 if engine == "kalman" else 0.15)
+    if engine == "auto":
+        truths = planner._now.prior.truths.x[0]
+        assert [truths.mean(), truths.std()] == pytest.approx([mean, sd], abs=0.03)
+
+
+def test_a_reading_that_is_refused_leaves_no_error_behind() -> None:
+    filtering = pfdist.Filter(_constant([0.2] * 7), engine="compiled", horizon=6)
+    for wrong in (math.nan, "0.1"):
+        with pytest.raises(MeasurementsError, match="u must be a finite number, got"):
+            filtering.update(2, 1.0, u=wrong)
+    with pytest.raises(MeasurementsError, match="no particle"):
+        filtering.update(2, 1e200, u=0.5)
+    assert filtering.model.parameters["u"] == (0.2,) * 7
+
+
 def test_a_plan_has_the_errors_of_the_job() -> None:
     """Exact readings are worth more: the plan measures where the job foresees small errors."""
     expected = pfdist.evaluate(_problem((0.2,)), [0, 1]).expected_mse
@@ -84,6 +112,33 @@ def test_a_plan_has_the_errors_of_the_job() -> None:
     of_all = [1 / (1 + n / 0.04) for n in (1, *[2] * 6)]
     assert expected == pytest.approx(np.mean(of_all), rel=1e-9)
     assert early < expected
+
+
+def test_a_plan_has_the_distribution_of_errors_that_the_model_draws() -> None:
+    """The manual's recipe: y has the error, too. E[1 / (1 + 1 / u^2)] by Gauss-Hermite nodes."""
+
+    def error(v: Any) -> Any:
+        return 0.5 * np.exp(0.8 * v[1])
+
+    drawn = replace(
+        _constant([0.2] * 2),
+        measurement=lambda x, t, v, p: (x[0] + error(v) * v[0], error(v)),
+        log_likelihood=lambda y, x, t, p: normal_logpdf(y[0], x[0], y[1]),
+        measurement_noise=("normal", "normal"),
+        normalised=False,
+        linear_gaussian=False,
+    )
+    job = {"horizon": 1, "measurement_budget": 1, "particles": 1000}
+    found = pfdist.evaluate(pfdist.Problem(drawn, **job), [0], draws=4000)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    u = 0.5 * np.exp(0.8 * nodes)
+    right = np.average(1 / (1 + 1 / u**2), weights=weights)
+    assert abs(found.expected_mse - right) < 4 * found.standard_error
+    assert found.standard_error < 0.02 < right - 0.2  # 0.2 with u = 0.5 alone
+    rows = pd.DataFrame({"t": [0], "y0": [1.1], "y1": [0.3]})
+    problem = pfdist.Problem(drawn, **{**job, "particles": 20_000})
+    table = pfdist.filter_measurements(problem, rows, report=False).table
+    assert table["mean_0"].iloc[0] == pytest.approx(1.1 / 1.09, abs=0.02)
 
 
 def test_next_fit_and_backtest_read_the_column(tmp_path: Path) -> None:
@@ -117,7 +172,11 @@ def _log_likelihood(rows: list[dict[str, Any]], sd: float) -> float:
     ("rows", "words"),
     [
         ({"t": [0], "y0": [1.0]}, "columns must be columns of the table, t, y0, got 'error'"),
-        ({"t": [0, 0], "y0": [1.0, 2.0], "error": [0.1, 0.2]}, "u must have one finite value at"),
+        (
+            {"t": [0, 0], "y0": [1.0, 2.0], "error": [0.1, 0.2]},
+            r"0.1 and 0.2 at t = 0; give such readings as one, their mean weighted by 1 / u\^2$",
+        ),
+        ({"t": [0], "y0": [1.0], "error": [math.inf]}, "one finite value .* got inf at t = 0$"),
     ],
 )
 def test_a_wrong_column_is_explained(rows: dict[str, Any], words: str) -> None:
@@ -125,7 +184,18 @@ def test_a_wrong_column_is_explained(rows: dict[str, Any], words: str) -> None:
         pfdist.filter_measurements(_problem(), pd.DataFrame(rows))
 
 
-def test_it_names_a_parameter_of_the_model() -> None:
+def test_readings_of_one_time_are_their_weighted_mean() -> None:
+    """The remedy of the error: the precision of the mean is the sum of theirs."""
+    precision = [1 / each**2 for each in U]
+    mean = np.average(Y, weights=precision)
+    table = pd.DataFrame({"t": [3], "y0": [mean], "error": [sum(precision) ** -0.5]})
+    found = pfdist.filter_measurements(_problem(), table, report=False).table.iloc[-1]
+    assert [found["mean_0"], found["sd_0"]] == pytest.approx(_posterior(U), rel=1e-12)
+
+
+def test_it_names_a_parameter_of_the_model_and_a_column_once() -> None:
+    with pytest.raises(JobError, match="a column for each parameter, got 'error' twice"):
+        as_job(_problem(given={"u": "error", "sd": "error"}))
     with pytest.raises(ModelError, match="given must be parameters of the model, u, sd, got"):
         pfdist.simulate(_problem(given={"v": "error"}))
     assert "wrong" not in {*pfdist.check_model(_problem())["state"]}

@@ -14,6 +14,7 @@ from pfdist.problem.problem import as_job
 from pfdist.problem.sweep import read_sweep
 from pfdist.questions.budget import _section
 from pfdist.questions.options import Options
+from pfdist.questions.plan import of_as_many
 
 FUNCTIONS = [
     pfdist.run, pfdist.plan, pfdist.budget, pfdist.online, pfdist.compare, pfdist.bound,
@@ -50,6 +51,11 @@ AS_LISTS: dict[str, Callable[[], bool]] = {
         == columns_argument({"t": "Time", "y0": "a=b"})
     ),
     "times": lambda: sets_argument(["a=0,6", "regular"]) == {"a": "0,6", "regular": "regular"},
+    "against": lambda: (
+        of_as_many(as_job(WALK), ["0,6"])
+        == of_as_many(as_job(WALK), "last=0,6")
+        == of_as_many(as_job(WALK), {"last": [0, 6]})
+    ),
     "budget.measurements": lambda: _section([2, 5]) == _section({5, 2}) != _section((2, 5)),
     "over": lambda: (
         read_sweep(WALK, ["seed=1:3"], (), (), {}).points

@@ -4,6 +4,7 @@ import json
 import shlex
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,3 +129,34 @@ def test_a_plan_that_leaves_measurements_over_says_so(tmp_path: Path) -> None:
         pfdist.plan(problem, folder, changes=["comparison.draws=2"], bound_draws=0, figures=False)
         text = str(page_of(pfdist.open_run(folder)))
         assert ("This uses 2 of 6 measurements." in text) is said
+
+
+@pytest.mark.parametrize("written", ["@last.csv", ["last=@last.csv"], {"last": [2, 5, 6, 11]}])
+def test_last_years_times_are_compared_with_the_best_of_as_many(
+    unnamed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: Any
+) -> None:
+    """The job asks for another number; its exact errors are those of `evaluate`."""
+    monkeypatch.chdir(tmp_path)
+    Path("last.csv").write_text("t,y0\n2,1\n5,2\n6,1\n11,0\n")
+    changes = [*EXACT, "problem.measurement_budget=6"]
+    run = pfdist.plan(unnamed, changes=changes, bound_draws=0, against=written, figures=False)
+    assert run.path == tmp_path / "results" / "unnamed-against"
+    assert {len(times) for times in run.sets.values()} == {4}
+    sets = {"last": run.sets["last"], "plan": run.best.measurement_times}
+    errors = pfdist.evaluate(pfdist.load_job(unnamed, changes), sets)
+    lower = 100 * (1 - errors["plan"].expected_mse / errors["last"].expected_mse)
+    said = f"Instead of the set last (4 measurements), the expected MSE is {lower:.2f}"
+    assert said in " ".join(str(run).split())
+
+
+def test_a_wrong_set_to_plan_against_names_the_option(
+    unnamed: Path, call: Callable[..., Any]
+) -> None:
+    for written, words in (
+        ("3,99", "measurement_times must lie in 0..12, got 99"),
+        ("=3", "a name"),
+    ):
+        code, _, error = call("plan", str(unnamed), "--against", written)
+        assert code == 1
+        assert error.startswith("pfdist: --against: ")
+        assert words in error

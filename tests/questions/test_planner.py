@@ -365,3 +365,26 @@ def test_steps_of_planners_and_questions_for_the_next_time_leave_nothing_in_memo
         step()
         gc.collect()
         assert len(gc.get_objects()) < before + 100  # a step makes thousands
+
+
+def test_next_names_the_samples_beside_a_sensor_that_is_always_on(tmp_path: Path) -> None:
+    """A sample at another time than planned; the rest is planned no worse than it was before."""
+    always = pfdist.Problem(
+        "two_compartments",
+        times=range(25),
+        measurement_budget=28,
+        sensors=["immunoassay", "chromatography"],
+        required=["0:24 immunoassay"],
+        engine="kalman",
+    )
+    run = pfdist.plan(always, tmp_path / "run", bound_draws=0, figures=False)
+    rows = pd.DataFrame({"t": [*range(10), 5], "sensor": ["immunoassay"] * 10 + ["chromatography"],
+                         "y0": [5.0] * 11})  # fmt: skip
+    found = pfdist.next_time(run, rows, say=lambda _: None)
+    samples = [each for each in found.plan if "chromatography" in str(each)]
+    assert [*found.always] == [f"{t} immunoassay" for t in range(10, 25)]
+    assert f"Measure next at t = {samples[0]}" in str(found)
+    assert "t = 10 to 24 immunoassay'" in repr(found._page().sections)
+    assert found.difference is None or found.difference.value <= 0
+    followed = pfdist.filter_measurements(run, rows, report=False, say=lambda _: None)
+    assert "0 to 9 immunoassay, 5 chromatography" in repr(followed._page().sections)

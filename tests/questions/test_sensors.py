@@ -270,7 +270,7 @@ def test_the_last_instant_of_a_clock_is_planned() -> None:
     [
         ("2,near,1.5\n\n40,near,1", r"t must lie in 0\.\.12, got 40 \(row 2\)$"),
         ("2,Near,1.5", "in row 1: got 'Near'; did you mean 'near'. Allowed: "),
-        ("2,near,wet", "column 'y0' in row 1 must be a number, got 'wet'$"),
+        ("2,near,wet", "column 'y0' in row 1 must be a number, got 'wet'"),
         ("2,near,1,5", "decimals have a point; .* Expected 3 fields in line 2, saw 4$"),
     ],
 )
