@@ -92,9 +92,8 @@ def _check_header(allowed: list[list[str]], header: list[str]) -> None:
 def user_columns(kind: str, model: StateSpaceModel) -> list[list[str]]:
     """The lists of columns that a table of x or y may have: x0, x1, ..., or names.
 
-    There is a second list if the model names these components.
+    Components without names have the second as `pfdist.simulate` writes them: x_0, x_1, ...
     """
     components = model.named(kind)
     numbered = [f"{kind}{number}" for number in range(len(components))]
-    named = [f"{kind}_{each.suffix}" for each in components if each.name]
-    return [numbered, named] if named else [numbered]
+    return [numbered, [f"{kind}_{each.suffix}" for each in components]]

@@ -290,7 +290,8 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
         for row in column.index[wrong][:1]:
             rule = f"one of {', '.join(names)}" if names else "a number"
             place = f"column {shown(name)} in row {row + 1}"
-            hint = "; an empty cell is a missing number"
+            is_word = re.search(r"\w", texts[row]) and not name.startswith("y")
+            hint = "" if is_word else "; an empty cell is a missing number"
             if texts[row].startswith(("<", ">")):
                 hint = "; problem.sensor.limit reads it"
             elif re.fullmatch(rf"{_GROUPED}.*", texts[row]):
