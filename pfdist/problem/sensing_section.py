@@ -13,7 +13,6 @@ from pfdist.common.sensing import PLAIN, REPEATS, Sensing
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.problem.clock import Clock
 from pfdist.problem.sections import Moment, Written
-from pfdist.store.user_tables import number_of_cell
 
 Finite = int | Annotated[float, Field(allow_inf_nan=False)]
 
@@ -100,6 +99,8 @@ class Sensings(NamedTuple):
 
     def read(self, text: str) -> float:
         """The number of a cell, which may be beyond a limit."""
+        from pfdist.store.user_tables import number_of_cell  # noqa: PLC0415  it loads pandas
+
         if text[:1] not in ("<", ">"):
             try:
                 return number_of_cell(text)
