@@ -2,20 +2,22 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from pfdist.common.arguments import sets_argument
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sections import DEFAULT_METHOD
-from pfdist.questions.evaluate import OneSet, instants_evaluated
 from pfdist.questions.options import Names, Options, with_options
 from pfdist.questions.run import run
 from pfdist.questions.run_of_job import PLANNED, folder_of, searched_by
 from pfdist.results import Run
 from pfdist.results.export import checked_export
 from pfdist.runner.bound_settings import LEAST_DRAWS
+
+if TYPE_CHECKING:
+    from pfdist.questions.evaluate import OneSet
 
 AGAINST = "-against"
 """Ending of the folder of a plan of as many measurements as a user's set."""
@@ -30,7 +32,7 @@ def plan(
     bound_draws: int | None = None,
     reuse: str | Path | Iterable[str | Path] = (),
     export: str | Path | None = None,
-    against: Mapping[str, OneSet] | Names | None = None,
+    against: "Mapping[str, OneSet] | Names | None" = None,
     **options: Unpack[Options],
 ) -> Run:
     """Find measurement times for a job's problem, and prove how good they are.
@@ -91,6 +93,8 @@ def plan(
 
 def of_as_many(job: Job, against: Any) -> Job:
     """The job that also compares sets of a user, and has as many measurements as the first."""
+    from pfdist.questions.evaluate import instants_evaluated  # noqa: PLC0415  it loads pandas
+
     texts = [against] if isinstance(against, str) else against
     is_alone = isinstance(texts, list) and len(texts) == 1 and "=" not in str(texts[0])
     sets = {"last": texts[0]} if is_alone else sets_argument(against, "against")
