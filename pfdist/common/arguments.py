@@ -103,7 +103,7 @@ def sets_argument(value: Any, argument: str = "times") -> dict[str, Any]:
     try:
         texts = texts_argument(argument, value)
     except ArgumentError as error:
-        rule = 'times must name sets, as {"mine": [0, 6, 12], "paper": "0:60:3"}'
+        rule = f'{argument} must name sets, as {{"mine": [0, 6, 12], "paper": "0:60:3"}}'
         raise JobError(f"{rule}, got {shown(value)}", argument=argument) from error
     for text in texts:
         name, equals, times = text.rpartition("=")

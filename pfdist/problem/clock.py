@@ -255,8 +255,11 @@ class Clock:
 
     def nearest(self, times: Iterable[float]) -> list[int]:
         """The instant nearest to each time."""
-        own = np.array(self.times, np.float64)
-        return [int(np.abs(own - time).argmin()) for time in times]
+        own, at = np.array(self.times, np.float64), np.array([*times], np.float64)
+        after = np.minimum(np.searchsorted(own, at), own.size - 1)
+        before = np.maximum(after - 1, 0)
+        near: list[int] = np.where(at - own[before] <= own[after] - at, before, after).tolist()
+        return near
 
     def of_table(
         self,
@@ -351,7 +354,8 @@ class Clock:
                 f"{unrounded(moved[row])}"
             )
         at = self.text(moved[0])
-        notes[0](f"t of the table is read as the same days of another year: {texts[0]} is {at}")
+        written = shown(texts[0])
+        notes[0](f"t of the table is read as the same days of another year: {written} is {at}")
         return moved
 
     def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:
@@ -399,11 +403,12 @@ class Clock:
         listed = [*times]
         if all(isinstance(each, str) and " " in each for each in listed):  # late values are behind
             listed.sort(key=lambda each: self.time_and_sensor(each)[0])
-        ranges, texts = self.ranges(listed), list[str]()
-        for each in listed:
-            if each not in ranges or ranges[each] not in texts:
-                texts.append(ranges.get(each) or self.text(each))
-        text = between.join(texts)
+        ranges = self.ranges(listed)
+        texts = {  # a range once
+            ranges.get(each, number): ranges.get(each) or self.text(each)
+            for number, each in enumerate(listed)
+        }
+        text = between.join(texts.values())
         if not self.unit or not listed or self.calendar:
             return text
         return f"{text} (t in {self.unit})" if isinstance(listed[0], str) else f"{text} {self.unit}"
@@ -416,9 +421,9 @@ class Clock:
         if len(times) < _LONG_RUN:
             return {}
         instants = dict[str, dict[int, Time | str]]()  # of each sensor
-        for each in times:
-            time, sensor = self.time_and_sensor(each)
-            (nearest,) = self.nearest([time])
+        read = [self.time_and_sensor(each) for each in times]
+        near = self.nearest(time for time, _ in read)
+        for each, (time, sensor), nearest in zip(times, read, near, strict=True):
             if abs(self.times[nearest] - time) <= self.slack:
                 instants.setdefault(sensor, {})[nearest] = each
         runs = dict[tuple[str, int], list[int]]()

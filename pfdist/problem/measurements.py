@@ -330,7 +330,10 @@ def given_at(
     try:
         series = series_at(name, values, at, clock)
     except MeasurementsError as error:
-        remedy = f"; give such readings as one, their mean weighted by 1 / {name}^2"
+        remedy = (
+            f"; if {name} is a standard error, give such readings as one: their mean weighted by "
+            f"1 / {name}^2, whose error is 1 / sqrt(sum of 1 / {name}^2)"
+        )
         raise MeasurementsError(f"{error}{remedy * bool(np.isfinite(values).all())}") from error
     return tuple(np.where(np.isnan(series), np.array(own[name]), series).tolist())
 

@@ -76,7 +76,7 @@ class NextTime(Shown):
     in_flight : tuple of int or float
         Times of measurements whose values arrive after `now`.
     always : tuple of int or float
-        Planned times that the job requires, many in a row: those of a sensor that is always on.
+        Planned times of sensors that measure at required times alone: those that are always on.
     """
 
     run: Path | None
@@ -111,7 +111,12 @@ class NextTime(Shown):
     @property
     def next(self) -> Time | None:
         """The time to measure next; None if the budget is spent."""
-        return self.plan[0] if self.plan else None
+        return self._chosen[0] if self.plan else None
+
+    @property
+    def _chosen(self) -> tuple[Time, ...]:
+        """The planned times but those of sensors that are always on, if there are others."""
+        return tuple(each for each in self.plan if each not in self.always) or self.plan
 
     @property
     def is_improbable(self) -> bool:
@@ -151,8 +156,7 @@ class NextTime(Shown):
         number, clock = number_of(len(self.measured), "measurement"), self.clock
         facts = [("expected MSE", self._expected(self.expected))]
         if self.plan:
-            chosen = [each for each in self.plan if each not in self.always]
-            following, *later = chosen or self.plan
+            following, *later = self._chosen
             is_written = later and isinstance(following, str)
             said = f"Measure next at t = {following if is_written else clock.listed([following])}"
             if later:
@@ -303,8 +307,8 @@ def next_time(
         # A short search has found less than what was planned before.
         planner._plan = tuple(sorted({*planner._in_flight, *before}))
         expected = expected_before[0]
-    required = points.written_of(sorted({*feasible.required}.intersection(planner._plan)))
-    ranges = clock.ranges(required)
+    chosen = {points.sensor(point) for point in feasible.optional}
+    always = [point for point in planner._plan if chosen and points.sensor(point) not in chosen]
     result = NextTime(
         plan.path,
         plan.name,
@@ -319,7 +323,7 @@ def next_time(
         clock,
         planner.estimate().collapsed,
         planner.in_flight,
-        tuple(each for each in required if each in ranges),
+        tuple(points.written_of(always)),
     )
     for line in result._page().alarms if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)

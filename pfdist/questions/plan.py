@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from pfdist.common.arguments import sets_argument
-from pfdist.errors import MeasurementTimesError
+from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sections import DEFAULT_METHOD
@@ -64,7 +64,7 @@ def plan(
         Also write the plan into this file: ``.csv`` for a spreadsheet, ``.ics`` for a diary.
     against : mapping of str to iterable or str, or list of str, optional
         Was last year good? A table of its times, ``@last.csv``, or sets as for `pfdist.compare`,
-        with which the plan is compared. It has as many measurements as the first.
+        with which the plan is compared. Of counted measurements, it has as many as the first.
     options
         See `Options`.
 
@@ -96,7 +96,7 @@ def of_as_many(job: Job, against: Any) -> Job:
     from pfdist.questions.evaluate import instants_evaluated  # noqa: PLC0415  it loads pandas
 
     texts = [against] if isinstance(against, str) else against
-    is_alone = isinstance(texts, list) and len(texts) == 1 and "=" not in str(texts[0])
+    is_alone = isinstance(texts, (list, tuple)) and len(texts) == 1 and "=" not in str(texts[0])
     sets = {"last": texts[0]} if is_alone else sets_argument(against, "against")
     try:
         instants = {name: instants_evaluated(job, name, times) for name, times in sets.items()}
@@ -105,6 +105,8 @@ def of_as_many(job: Job, against: Any) -> Job:
         raise
     points, number = job.problem.points, len(next(iter(instants.values()), ()))
     written = {name: points.written_of(times) for name, times in instants.items()}
+    if not number:
+        raise JobError("against must name at least one time, as last=0,6,12", argument="against")
     is_counted = job.problem.measurement_budget is not None
     settings = {
         "comparison": {"sets": {**(job.comparison.sets or {}), **written}},

@@ -15,6 +15,7 @@ from pfdist.common.measurement_times import validated
 from pfdist.common.parts import Page
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
+from pfdist.errors import ArgumentError
 from pfdist.problem.needs import WHY
 from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource
@@ -162,7 +163,7 @@ def why(
         There is no finished run of the job; the run is of another job or of other models; or it has
         sets of several numbers of measurements.
     ArgumentError, ModelError
-        There are too few draws, or the model cannot be loaded.
+        There are too few draws for the criterion, or the model cannot be loaded.
     JobError
         The job has a section [budget], or asks for the least error in the worst scenario.
     """
@@ -173,6 +174,12 @@ def why(
         if export is not None:
             checked_export(export, built.job.problem.clock)
         WHY.check("why", built.job)
+        criterion = built.job.criterion
+        if draws < criterion.fewest and (criterion.needs_draws or not built.evaluator.exact):
+            rule = f"draws must be at least {criterion.fewest:,}, so that errors of"
+            raise ArgumentError(
+                f"{rule} {criterion.label} are known, got {draws:,}", argument="draws"
+            )
         with own_store(opened, built, tell, must_be=False) as store:
             session = RunSession(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(opened.sets))

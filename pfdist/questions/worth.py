@@ -48,10 +48,9 @@ def worth_of(
     """The error of a set, its rows of the table ``profile``, and those of the table ``worth``.
 
     The rows lack position and name, and those of the worth lack draws. The worth is that by the
-    criterion of the job. The set up to every instant
-    and all its changes share draws and noise. So common prefixes are filtered once, and differences
-    are paired. The name of the set keys the noise. The effective sample size is a mean over the
-    first draws.
+    criterion of the job. The set up to every instant and all its changes share draws and noise. So
+    common prefixes are filtered once, and differences are paired. The name of the set keys the
+    noise. The effective sample size is a mean over the first draws.
     """
     built = session.built
     evaluator, instants = built.evaluator, built.evaluator.horizon + 1

@@ -63,10 +63,8 @@ _LOOKED = 100, 300  # draws of a look that seek the threshold: fewest and most
 _TRIALS_OF_LOOK = 2 + _HALVINGS + 2 * _FEW  # of so many draws each
 _CLEARLY = 2.0  # standard errors by which a rule must be better than the plan
 _AROUND, _NARROW = (0.4, 2.5), 8  # factors of thresholds: ends, halvings
-_PRICES = (
-    1 / 32,
-    4.0,
-)  # ends of the prices of a measurement, in errors of one with constant thresholds
+# Ends of the prices of a measurement, in errors of one with constant thresholds:
+_PRICES = 1 / 32, 4.0
 _GAPS = 3  # a change of a sweep counts for so many mean distances between measurements
 _GUESSES = 200  # draws that show how large z is
 
@@ -137,7 +135,7 @@ def work_of(
     # A work is stored or lacking as a whole, so no other work has one of its ids.
     own = [(*ends, end) for end in ends] or [()]
     columns = [(what, *end) for what in ("mse", "spent") for end in own]
-    columns += [("deviation",)] * (flipped is not None)
+    columns += [("deviation", *ends)] * (flipped is not None)
     ends = ends or (evaluator.horizon,)
     ids = tuple(evaluator.id_of(estimation, *parts, *what) for what in columns)
     of_columns = (*ends, *ends, ends[-1])[: len(columns)]
@@ -454,13 +452,13 @@ class _Search:
     def _ends(self, rule: Thresholds) -> list[int]:
         """For each point, the last instant whose error counts in a sweep.
 
-        A limit leaves what is not spent to all later instants, and a smoothed estimate uses later
-        measurements.
+        A limit leaves what is not spent to all later instants, as does a largest number or a price
+        that is paid once; and a smoothed estimate uses later measurements.
         """
-        evaluator, points = self._built.evaluator, self._built.feasible.points
-        window = math.ceil(_GAPS * (evaluator.horizon + 1 - evaluator.start) / self._number)
-        if rule.limit or evaluator.lag:
-            window = evaluator.horizon + 1
+        evaluator, feasible = self._built.evaluator, self._built.feasible
+        points, window = feasible.points, evaluator.horizon + 1
+        if not (rule.limit or evaluator.lag or feasible.shared or feasible.step_limits.most):
+            window = math.ceil(_GAPS * (window - evaluator.start) / self._number)
         return [min(evaluator.horizon, points.instant(p) + window - 1) for p in self._every]
 
 

@@ -41,6 +41,7 @@ NO_READERS: Mapping[str, Callable[[str], Any]] = {}  # all numbers are written a
 NO_NAMES: Mapping[str, str] = {}  # all columns have the names that pfdist reads
 _DECIMAL = r"[+-]?\d*[.,]\d+(?:[eE][+-]?\d+)?"  # a number with a decimal point or comma
 _GROUPED = r"[+-]?[1-9]\d{0,2}[.,]\d{3}"  # such a number that may be a whole one, in thousands
+_SPACES = r"\s+"  # between columns
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 SEPARATORS = (
     "columns must be separated by commas, semicolons, tabs, | or spaces; decimals have a point"
@@ -167,7 +168,7 @@ def _in_csv(path: Path, wanted: Callable[[list[str]], list[str]]) -> Iterator[pd
             raise ValueError("a table must have a line that names the columns, got none")
         separator = max(",;\t|", key=line.count)
         if separator not in line and '"' not in line and len(line.split()) > 1:
-            separator, names = r"\s+", line.split()
+            separator, names = _SPACES, line.split()
         else:
             names = next(csv.reader(chain([line], lines), delimiter=separator))
         header = [name.strip("\ufeff ") for name in names]
@@ -182,6 +183,11 @@ def _in_csv(path: Path, wanted: Callable[[list[str]], list[str]]) -> Iterator[pd
             chunksize=_CELLS // len(header),
         ) as parts:  # fmt: skip
             for part in parts:
+                if separator == _SPACES and (part == "").any(axis=None):
+                    raise ValueError(
+                        "between spaces, each row must have as many values as the first: write nan "
+                        "for a missing one, or commas between columns"
+                    )
                 if start and len(part) > 1:
                     _check_holds_values(part.iloc[1])
                 table = part.set_axis(header, axis=1)[kept].iloc[start:]

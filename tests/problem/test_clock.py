@@ -231,3 +231,5 @@ def test_times_of_a_sensor_that_is_always_on_are_a_range() -> None:
         "2027-04-01T00:00 to 2027-04-08T00:00 sonde, 2027-04-05 grab"
     )
     assert [*days.ranges([*always, "2027-04-05 grab"])] == always
+    long = Clock.counting(30_000)
+    assert long.listed(range(30_001)) == "0 to 30000"  # the work grows with the number of times

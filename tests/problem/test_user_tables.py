@@ -456,3 +456,13 @@ def test_a_wrong_prior_is_explained_in_one_line(
 def test_a_prior_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(PriorError, match=r"^cannot read .*none\.parquet: No such file"):
         read_prior(tmp_path / "none.parquet", load_model("ungm"))
+
+
+@pytest.mark.parametrize("row", ["3      2.0", "3 1.0"])
+def test_between_spaces_an_empty_cell_is_no_missing_value(
+    tmp_path: Path, ship: StateSpaceModel, row: str
+) -> None:
+    """Nobody can tell which column it is: the values behind it would move to the left."""
+    (tmp_path / "ship.txt").write_text(f"t y0 y1\n{row}\n4 1.0 3.0\n")
+    with pytest.raises(MeasurementsError, match="each row must have as many values as the first"):
+        read_measurements(tmp_path / "ship.txt", ship, Clock.counting(10))

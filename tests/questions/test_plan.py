@@ -160,3 +160,6 @@ def test_a_wrong_set_to_plan_against_names_the_option(
         assert code == 1
         assert error.startswith("pfdist: --against: ")
         assert words in error
+    for none in ([], {}, {"last": []}):
+        with pytest.raises(JobError, match="against must name at least one time, as last=0,6,12"):
+            pfdist.plan(unnamed, against=none)

@@ -182,6 +182,8 @@ def test_errors_and_measurements_count_up_to_each_end(small_job: Job, weights: l
     assert several.steps_a_draw == alone.steps_a_draw
     assert ids.isdisjoint(ruling.work_of(*given).ids)
     assert 0 < spent[:, 1].mean() < spent[:, 2].mean()
+    flipped = [ruling.work_of(*given, flipped=7, ends=ends).ids for ends in ((), (4,), (9,))]
+    assert len({*flipped[0], *flipped[1], *flipped[2]}) == 9
 
 
 def test_where_no_rule_is_better_than_the_plan_the_answer_is_the_plan(tmp_path: Path) -> None:
