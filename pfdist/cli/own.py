@@ -117,7 +117,7 @@ def plan(
         Also write the plan into this file: ``.csv`` for a spreadsheet, ``.ics`` for a diary.
     against : sequence of str, optional
         Was last year good? A table of its times, ``@last.csv``, or sets as for `pfdist.compare`,
-        with which the plan is compared. Of counted measurements, it has as many as the first.
+        with which the plan is compared. It has as many as the first, if they are counted.
     dry_run : bool
         Print the particle-steps that are foreseen, by what they are for, and about how many minutes
         a core of this machine takes for them; compute nothing. A proof that `plan` would leave to

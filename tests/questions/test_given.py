@@ -174,7 +174,7 @@ def _log_likelihood(rows: list[dict[str, Any]], sd: float) -> float:
         ({"t": [0], "y0": [1.0]}, "columns must be columns of the table, t, y0, got 'error'"),
         (
             {"t": [0, 0], "y0": [1.0, 2.0], "error": [0.1, 0.2]},
-            r"0.1 and 0.2 at t = 0; if u is a standard error, give such readings as one: their mean",
+            r"0.1 and 0.2 at t = 0; if u is a standard error, give such readings as one: their",
         ),
         ({"t": [0], "y0": [1.0], "error": [math.inf]}, "one finite value .* got inf at t = 0$"),
     ],
