@@ -108,7 +108,10 @@ class Rule:
             The instant has passed, or lies after T; or `belief` is no filter and no such number.
         """
         if not self._next <= t < self.instants:
-            raise ArgumentError(f"t must lie in {self._next}..{self.instants - 1}, got {t}")
+            raise ArgumentError(
+                f"t must lie in {self._next}..{self.instants - 1}, got {t}: load the rule again "
+                "for another system"
+            )
         spread = belief.predict(t).spread if isinstance(belief, Filter) else belief
         if not (isinstance(spread, Real) and spread >= 0.0):
             raise ArgumentError(

@@ -161,7 +161,7 @@ def test_sensors_and_dates_of_a_table_become_those_of_a_set(tmp_path: Path) -> N
         job = Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
     assert job.comparison.sets == {"last": ("2026-04-13 ct", "2026-04-15 x-ray")}
     (tmp_path / "last.csv").write_text("t,sensor\n2024-04-13,ct\n2024-04-15,x-ray\n")
-    with pytest.warns(PfdistWarning, match="same days of another year: 2024-04-13 is 2026-04-13"):
+    with pytest.warns(PfdistWarning, match="same days of another year: '2024-04-13' is 2026-04-13"):
         earlier = Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
     assert earlier.comparison.sets == job.comparison.sets
     (tmp_path / "last.csv").write_text("t,sensor\n2027-05-01,ct\n")
