@@ -4,7 +4,9 @@ Everything below the job counts instants, 0..T. A user's times become instants w
 and instants become times when they are shown.
 """
 
+import contextlib
 import math
+import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +33,7 @@ _ROUNDING = 1e-11
 _FLOAT_ROUNDING = 1e-15
 """A sum of floats differs from the true sum by about this part of it."""
 _LONG_RUN = 8  # instants in a row that answers show as a range
+_NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")
 _EXACT = 2**53
 """Whole floats below this are exact."""
 
@@ -296,7 +299,7 @@ class Clock:
         outside = {name: sum(self._away([t]) > self.slack for t in read[name]) for name in read}
         nearest = min(read, key=lambda name: (outside[name], away[name]))
         if not fits:
-            return self._in_other_reading(nearest, read[nearest], texts, any_year * [note])
+            return self._in_other_reading(nearest, read, texts, any_year * [note])
         if nearest != OWN_DATES:
             at = self.text(read[nearest][0])
             note(f"t of the table is read as {nearest}: {shown(texts[0])} is {at}")
@@ -329,34 +332,49 @@ class Clock:
     def _in_other_reading(
         self,
         nearest: str,
-        times: list[float],
+        read: Mapping[str, list[float]],
         texts: Sequence[str],
         notes: Sequence[Callable[[str], Any]],
     ) -> list[float]:
         """Times outside the horizon; raises ValueError if another reading, or year, is near.
 
-        With `notes`, which receive a line, those of another year are the same days of this year.
+        With `notes`, which receive a line, those of another year are the same days of this year, if
+        that is so in one reading alone.
         """
+        times, moved = read[nearest], self._in_year_of_start(read, texts)
         row = max(range(len(times)), key=lambda k: self._away(times[k : k + 1]))
         rule = f"t must lie in {self.text(self.times[0])}..{self.formatted(self.horizon)}"
         rule += f", got {shown(texts[row])} (row {row + 1})"
+        if notes and len(moved) == 1:
+            ((name, own),) = moved.items()
+            dates = "" if name == OWN_DATES else f"{name}, of "
+            notes[0](
+                f"t of the table is read as {dates}the same days of another year: "
+                f"{shown(texts[0])} is {self.text(own[0])}"
+            )
+            return own
         if nearest != OWN_DATES:
             raise ValueError(f"{rule}; the nearest are {nearest}: {self.text(times[row])}")
-        try:
-            moved = cast("Calendar", self.calendar).in_year_of_start(times)
-        except (ValueError, OverflowError):
-            return times
-        if self._away(moved) > self.slack:
-            return times
-        if not notes:
+        if nearest in moved:
             raise ValueError(
                 f"{rule}, of another year: write t in {self.unit} since the start, as "
-                f"{unrounded(moved[row])}"
+                f"{unrounded(moved[nearest][row])}"
             )
-        at = self.text(moved[0])
-        written = shown(texts[0])
-        notes[0](f"t of the table is read as the same days of another year: {written} is {at}")
-        return moved
+        return times
+
+    def _in_year_of_start(
+        self, read: Mapping[str, list[float]], texts: Sequence[str]
+    ) -> dict[str, list[float]]:
+        """The readings of a column in which the same days of the year of the start are all here."""
+        found = dict[str, list[float]]()
+        for name, times in read.items():
+            if name == OWN_DATES and all(map(_NUMBER.fullmatch, texts)):  # elapsed time has no year
+                continue
+            with contextlib.suppress(ValueError, OverflowError):
+                own = cast("Calendar", self.calendar).in_year_of_start(times)
+                if self._away(own) <= self.slack:
+                    found[name] = own
+        return found
 
     def columns(self, instants: Sequence[int]) -> dict[str, list[Any]]:
         """The columns t and, if the clock has a start, date of a table with these instants."""

@@ -164,6 +164,15 @@ def test_sensors_and_dates_of_a_table_become_those_of_a_set(tmp_path: Path) -> N
     with pytest.warns(PfdistWarning, match="same days of another year: '2024-04-13' is 2026-04-13"):
         earlier = Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
     assert earlier.comparison.sets == job.comparison.sets
+    (tmp_path / "last.csv").write_text("t,sensor\n13.04.2024,ct\n15.04.2024,x-ray\n")
+    with pytest.warns(
+        PfdistWarning, match=r"read as day\.month\.year, of the same days of another"
+    ):
+        german = Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
+    assert german.comparison.sets == job.comparison.sets
+    (tmp_path / "last.csv").write_text("t,sensor\n368,ct\n")  # days since the start have no year
+    with pytest.raises(JobError, match=r"in 2026-04-10\.\.2026-04-19, got 2027-04-13"):
+        Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
     (tmp_path / "last.csv").write_text("t,sensor\n2027-05-01,ct\n")
     with pytest.raises(JobError, match=r"^comparison.sets.last: t must lie in 2026-04-10..2026-04"):
         Job(Origin(tmp_path / "job.toml"), seed=1, problem=problem, comparison=sets)
