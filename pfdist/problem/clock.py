@@ -33,7 +33,7 @@ _ROUNDING = 1e-11
 _FLOAT_ROUNDING = 1e-15
 """A sum of floats differs from the true sum by about this part of it."""
 _LONG_RUN = 8  # instants in a row that answers show as a range
-_NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")  # in a text
 _EXACT = 2**53
 """Whole floats below this are exact."""
 

@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import pfdist
-from pfdist import StateSpaceModel, plots
+from oracles.walks import WALK
+from pfdist import plots
 from pfdist.errors import JobError, MeasurementsError, PriorError, RunMismatchError
 from pfdist.filters.user_prior import read_prior
 from pfdist.problem.clock import Clock
@@ -223,21 +224,7 @@ def test_errors_in_two_units_that_are_added_up_are_noted(unit: str, notes: int) 
 
 def test_a_simulated_system_is_filtered_as_it_was_written() -> None:
     """Without names, `pfdist.simulate` writes y_0, and `filter` reads y0, too."""
-    walk = pfdist.Problem(
-        StateSpaceModel(
-            name="walk",
-            initial=lambda w, p: (w[0],),
-            transition=lambda x, t, w, p: (x[0] + w[0],),
-            measurement=lambda x, t, v, p: (x[0] + v[0],),
-            log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-            quantity_of_interest=lambda x, t, p: (x[0],),
-            initial_noise=("normal",),
-            process_noise=("normal",),
-            measurement_noise=("normal",),
-        ),
-        horizon=6,
-        measurement_budget=2,
-    )
+    walk = pfdist.Problem(WALK, horizon=6, measurement_budget=2)
     simulated = pfdist.simulate(walk, 1, seed=3)
     assert "y_0" in simulated
     own, renamed = (
