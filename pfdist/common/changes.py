@@ -22,10 +22,12 @@ def change_of(gain: float, interval: Sequence[float | None]) -> str:
     ('5.0 % lower (95 % CI 1.0 to 9.0 %)', '5.0000 % higher (exact)')
     >>> change_of(-0.05, [-0.09, 0.01])
     '5.0 % higher (95 % CI -1.0 to 9.0 %)'
+    >>> change_of(0.05, [math.nan, math.nan])
+    '5.00 % lower (too few draws for an interval)'
     """
     low, high = interval
     side = "lower" if gain >= 0 else "higher"
-    if low is None or high is None or math.isinf(high - low):
+    if low is None or high is None or not math.isfinite(high - low):
         value, *_ = with_interval(100 * abs(gain), None, None)
         return f"{value} % {side} (too few draws for an interval)"
     ends = [low, high] if gain >= 0 else [-high, -low]

@@ -90,10 +90,11 @@ def _check_header(allowed: list[list[str]], header: list[str]) -> None:
 
 
 def user_columns(kind: str, model: StateSpaceModel) -> list[list[str]]:
-    """The lists of columns that a table of x or y may have: x0, x1, ..., or names.
+    """The lists of columns that a table of x or y may have: x0, x1, ..., or names; one may be x.
 
     Components without names have the second as `pfdist.simulate` writes them: x_0, x_1, ...
     """
     components = model.named(kind)
     numbered = [f"{kind}{number}" for number in range(len(components))]
-    return [numbered, [f"{kind}_{each.suffix}" for each in components]]
+    named = [f"{kind}_{each.suffix}" for each in components]
+    return [numbered, named, *[[kind]] * (len(components) == 1)]

@@ -9,6 +9,7 @@ from pydantic.json_schema import models_json_schema
 from pfdist.problem.job import Job
 from pfdist.problem.sweep import SweepFile
 
+_ROOTS = frozenset({Job.__name__, SweepFile.__name__})
 _KEY = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?:    .*(?:\n|$))+)", re.MULTILINE)
 
 
@@ -27,19 +28,34 @@ def job_schema() -> dict[str, Any]:
         keys: dict[str, dict[str, Any]] = section.get("properties", {})
         for key in described.keys() & keys.keys():
             keys[key]["description"] = described[key]
-    either = [{"$ref": f"#/$defs/{each.__name__}"} for each in (Job, SweepFile)]
-    title = "A job or a sweep of pfdist"
-    return {"title": title, "anyOf": either, "$defs": _without_nulls(sections)}
+    job, sweep = (sections[each.__name__]["properties"] for each in (Job, SweepFile))
+    whole = {  # no choice at the root, so that an editor marks the wrong key and not all lines
+        "title": "A job or a sweep of pfdist",
+        "type": "object",
+        "properties": job | sweep,
+        "if": {"required": ["job"]},
+        "then": {"propertyNames": {"enum": [*sweep]}},
+        "else": {"propertyNames": {"enum": [*job]}, "required": sections["Job"]["required"]},
+        "$defs": {name: each for name, each in sections.items() if name not in _ROOTS},
+    }
+    written: dict[str, Any] = _as_written(whole)
+    return written
 
 
-def _without_nulls(schema: Any) -> Any:
-    """The schema of files in TOML, which has no null."""
+def _as_written(schema: Any) -> Any:
+    """The schema of files in TOML, which has no null; without choices where one type is left."""
     if isinstance(schema, list):
-        return [_without_nulls(each) for each in schema if each != {"type": "null"}]
+        return [_as_written(each) for each in schema if each != {"type": "null"}]
     if not isinstance(schema, dict):
         return schema
-    return {
-        key: _without_nulls(value)
+    written = {
+        key: _as_written(value)
         for key, value in schema.items()
         if (key, value) != ("default", None)
     }
+    ways = written.get("anyOf", ())
+    if len(ways) == 1:
+        return ways[0] | {key: value for key, value in written.items() if key != "anyOf"}
+    if ways and all(set(way) == {"type"} for way in ways):
+        written["type"] = [way["type"] for way in written.pop("anyOf")]
+    return written

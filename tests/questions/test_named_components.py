@@ -223,13 +223,13 @@ def test_errors_in_two_units_that_are_added_up_are_noted(unit: str, notes: int) 
 
 
 def test_a_simulated_system_is_filtered_as_it_was_written() -> None:
-    """Without names, `pfdist.simulate` writes y_0, and `filter` reads y0, too."""
+    """Without names, `pfdist.simulate` writes y_0, and `filter` reads y0 and y, too."""
     walk = pfdist.Problem(WALK, horizon=6, measurement_budget=2)
     simulated = pfdist.simulate(walk, 1, seed=3)
     assert "y_0" in simulated
-    own, renamed = (
+    own, *renamed = (
         pfdist.filter_measurements(walk, table, report=False, say=lambda _: None).table
-        for table in (simulated, simulated.rename(columns={"y_0": "y0"}))
+        for table in (simulated.rename(columns={"y_0": name}) for name in ("y_0", "y0", "y"))
     )
-    assert own.equals(renamed)
+    assert all(own.equals(each) for each in renamed)
     assert own["measured"].all()
