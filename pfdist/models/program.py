@@ -139,11 +139,8 @@ class Program:
         return tuple(dict.fromkeys(found))
 
 
-def merged(program: Program) -> Program:
-    """The program without repetitions: equal columns and operations merged, unused ones removed.
-
-    All values stay the same.
-    """
+def pruned(program: Program) -> Program:
+    """The program without the operations that no output needs."""
     needed = [False] * len(program.operations)
     for number in program.outputs:
         needed[number] = True
@@ -151,12 +148,26 @@ def merged(program: Program) -> Program:
         if needed[number]:
             for each in program.operations[number].arguments:
                 needed[each] = True
+    moved, columns = dict[int, int](), dict[int, int]()
+    operations = list[Operation]()
+    for number, (name, arguments, which) in enumerate(program.operations):
+        if needed[number]:
+            column = columns.setdefault(which, len(columns)) if name == "constant" else which
+            moved[number] = len(operations)
+            operations.append(Operation(name, tuple(moved[each] for each in arguments), column))
+    outputs = tuple(moved[each] for each in program.outputs)
+    return Program(tuple(operations), outputs, program.constants[:, [*columns]], program.tables)
+
+
+def merged(program: Program) -> Program:
+    """The program without repetitions: equal columns and operations merged, unused ones removed.
+
+    All values stay the same.
+    """
+    program = pruned(program)
     numbers, columns = dict[Any, int](), dict[bytes, int]()
     moved, operations = list[int](), list[Operation]()
-    for is_needed, (name, arguments, which) in zip(needed, program.operations, strict=True):
-        if not is_needed:
-            moved.append(-1)
-            continue
+    for name, arguments, which in program.operations:
         attribute = which
         if name == "constant":
             attribute = columns.setdefault(program.constants[:, which].tobytes(), len(columns))

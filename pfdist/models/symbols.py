@@ -7,6 +7,7 @@ methods of each symbol.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -20,6 +21,7 @@ from pfdist.models.program import (
     Operation,
     Program,
     excess_of_loops,
+    pruned,
     take_entries,
 )
 
@@ -29,6 +31,16 @@ _LARGEST_TABLE = 64  # entries of a table whose entries are symbols
 
 
 _KEPT_FROM_LOOP = "a value of a step is kept from a loop: take those that it gives"
+_CONDITION = (
+    "a condition on a value of particles, as in if, and, or, min, max or 0 < x < 1: write "
+    "pfdist.where(condition, a, b), & and |, np.minimum and np.maximum"
+)
+_NUMBER = (
+    "a value of particles as a number of Python: write np.sin and not math.sin, "
+    "pfdist.densities.lgamma and not math.lgamma, and np.array([a, b]) and not an assignment into "
+    "an array of numbers"
+)
+_AS_KEY = "a value of particles as a key: write take(table, value.astype(int)) or pfdist.where"
 _SPECIAL = {
     **dict.fromkeys(("gammaln", "loggamma"), "write pfdist.densities.lgamma"),
     **{name: f"write pfdist.densities.{name}" for name in ("erf", "erfc", "logsumexp")},
@@ -41,9 +53,13 @@ class RefusedError(TypeError):
 
 
 class Recording:
-    """The operations that a formula has computed so far."""
+    """The operations that a formula has computed so far.
 
-    def __init__(self) -> None:
+    `value_of` gives the number that a program gives without particles; None if it needs them.
+    """
+
+    def __init__(self, value_of: Callable[[Program], float | None] = lambda _: None) -> None:
+        self._value_of, self._was_asked = value_of, False
         self.operations: list[Operation] = []
         self.constants: list[float] = []
         self.tables: dict[bytes, int] = {}
@@ -70,6 +86,11 @@ class Recording:
                 self._loop_of[number] = loops.pop()
         self.operations.append(Operation(name, arguments, which))
         return number
+
+    def known(self, number: int) -> float | None:
+        """The value of an operation as a number; None if it is not known."""
+        self._was_asked = True
+        return self._value_of(pruned(self._program((number,))))
 
     # --- loops ------------------------------------------------------------------------------------
 
@@ -126,6 +147,11 @@ class Recording:
         content = np.ascontiguousarray(values, np.float64).tobytes()
         return self.tables.setdefault(content, len(self.tables))
 
+    def _program(self, outputs: tuple[int, ...]) -> Program:
+        constants = np.array([self.constants], np.float64).reshape(1, -1)
+        tables = tuple(np.frombuffer(content) for content in self.tables)
+        return Program(tuple(self.operations), outputs, constants, tables)
+
     def closed(self, outputs: Sequence[Any]) -> Program:
         """The finished program that gives some values, which are symbols or numbers."""
         numbers = tuple(
@@ -134,20 +160,20 @@ class Recording:
         if any(number in self._loop_of for number in numbers):
             raise RefusedError(_KEPT_FROM_LOOP)
         self.is_open = False
-        constants = np.array([self.constants], np.float64).reshape(1, -1)
-        tables = tuple(np.frombuffer(content) for content in self.tables)
-        if not self._loop_of:
-            return Program(tuple(self.operations), numbers, constants, tables)
-        order = self._in_order()
-        place = {number: k for k, number in enumerate(order)}
-        operations = (self.operations[number] for number in order)
-        moved = tuple(
-            Operation(name, tuple(place[each] for each in arguments), which)
-            for name, arguments, which in operations
-        )
-        if excess := excess_of_loops(moved):
-            raise RefusedError(excess)
-        return Program(moved, tuple(place[each] for each in numbers), constants, tables)
+        program = self._program(numbers)
+        if self._loop_of:
+            order = self._in_order()
+            place = {number: k for k, number in enumerate(order)}
+            operations = (self.operations[number] for number in order)
+            moved = tuple(
+                Operation(name, tuple(place[each] for each in arguments), which)
+                for name, arguments, which in operations
+            )
+            if excess := excess_of_loops(moved):
+                raise RefusedError(excess)
+            outputs = tuple(place[each] for each in numbers)
+            program = replace(program, operations=moved, outputs=outputs)
+        return pruned(program) if self._was_asked else program  # conditions leave no operations
 
 
 class Symbol:
@@ -169,23 +195,22 @@ class Symbol:
 
     ndim, size = 0, 1
 
-    # --- what a symbol cannot be ------------------------------------------------------------------
+    # --- what a symbol cannot be, unless its value is known without particles ---------------------
+
+    def _known(self, refusal: str) -> float:
+        value = self.recording.known(self.number)
+        if value is None:
+            raise RefusedError(refusal)
+        return value
 
     def __bool__(self) -> bool:
-        raise RefusedError(
-            "a condition on a value of particles, as in if, and, or, min, max or 0 < x < 1: write "
-            "pfdist.where(condition, a, b), & and |, np.minimum and np.maximum"
-        )
+        return bool(self._known(_CONDITION))
 
     def __float__(self) -> float:
-        raise RefusedError(
-            "a value of particles as a number of Python: write np.sin and not math.sin, "
-            "pfdist.densities.lgamma and not math.lgamma, and np.array([a, b]) and not an "
-            "assignment into an array of numbers"
-        )
+        return self._known(_NUMBER)
 
     def __int__(self) -> int:
-        raise RefusedError("int of a value of particles: write value.astype(int)")
+        return int(self._known("int of a value of particles: write value.astype(int)"))
 
     def __index__(self) -> int:
         raise RefusedError(
@@ -197,9 +222,7 @@ class Symbol:
         raise RefusedError("round of a value of particles: write np.round")
 
     def __hash__(self) -> int:
-        raise RefusedError(
-            "a value of particles as a key: write take(table, value.astype(int)) or pfdist.where"
-        )
+        return hash(self._known(_AS_KEY))
 
     def __iter__(self) -> Any:
         raise RefusedError("a loop over, or the parts of, a value of particles: it is one number")

@@ -1,8 +1,9 @@
 """Tracing: a call of a formula with symbols, which gives a program.
 
 The time t and the parameters are also symbols, the same for all particles. A formula that needs t
-as a number, for a dictionary or a branch, is traced again for each instant. If it also needs
-parameters as numbers, it gets numbers. Programs of single instants with the same operations become
+as a number, for a dictionary or a branch, is traced again for each instant; its parameters are then
+symbols with known values, for a branch or a key. If it needs more, as an array of them, it gets
+numbers. Programs of single instants with the same operations become
 one, whose constants are rows of a table.
 """
 
@@ -11,7 +12,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
@@ -32,7 +33,7 @@ from pfdist.models.mistakes import (
     remedy,
 )
 from pfdist.models.parameters import Parameter, named_parameters
-from pfdist.models.program import Array, Program, evaluate_program, merged
+from pfdist.models.program import GROUPS, LOOPS, Array, Program, evaluate_program, merged
 from pfdist.models.symbols import Recording, RefusedError, Symbol
 
 MOST_STRUCTURES: Final = 32
@@ -183,13 +184,23 @@ class Formula:
 
     def recorded(self, mode: str, t: int) -> Program:
         """The program of one call at the instant t."""
-        recording = Recording()
+        known = partial(self._value, t) if mode == MODES[1] else lambda _: None
+        recording = Recording(known)
         given = [
             self._given(name, count, recording, mode, t) for name, count in self.arguments.items()
         ]
         with np.errstate(all="ignore"):  # as in the compiled program
             value = self.function(*given)
         return recording.closed(self._outputs(value))
+
+    def _value(self, t: int, program: Program) -> float | None:
+        """The value of a program, whose parameters are then read; None if it needs particles."""
+        if {each.name for each in program.operations} & {*GROUPS, *LOOPS}:
+            return None
+        self._numbers.read.update(
+            each.which for each in program.operations if each.name in ("parameter", "covariate")
+        )
+        return float(*evaluate_program(program, {}, t, self.parameters))
 
     def with_numbers(self, groups: Mapping[str, tuple[Any, ...]], t: int) -> tuple[Any, ...]:
         """The values of the formula for one particle; empty if it fails or needs symbols."""
@@ -355,7 +366,8 @@ def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
         Program(first.operations, first.outputs, np.array(rows), first.tables)
         for first, rows in zip(firsts, constants, strict=True)
     )
-    traced = Traced(instants, programs, np.array(which), mode, formula.read)
+    read = formula.read
+    traced = Traced(instants, programs, np.array(which), MODES[2] if read else mode, read)
     for t in _few(instants):
         (before,) = traced.at(range(t, t + 1)).programs
         _check_same(formula, before, _recorded_at(formula, mode, t), t)

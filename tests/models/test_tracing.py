@@ -228,6 +228,26 @@ def test_programs_of_instants_with_the_same_operations_are_one():
     np.testing.assert_array_equal(two.which, [0, 1, 1, 0, 1, 1, 0, 1])
 
 
+def at_meals(x, t, w, p):
+    meal = np.exp(-p.sd) if p.rate[t] in (RATE[2], RATE[5]) else 0.0
+    return (x[0] * np.exp(-p.rate[t]) + meal * {2.0: 1.5}[p.sd],)
+
+
+def test_a_branch_on_parameters_leaves_their_functions_to_the_program():
+    """No constant is computed by NumPy, whose last bit depends on the processor."""
+    of_instants, _ = traced(at_meals)
+    assert (of_instants.mode, len(of_instants.programs)) == (NUMBERS, 2)
+    assert of_instants.read == {"sd": 2.0, "rate": RATE}
+    for program in of_instants.programs:
+        assert {*program.constants.ravel()} <= {0.0, 1.5, *range(8)}
+        assert "exp" in {each.name for each in program.operations}
+    x = np.array([0.3, -1.2])
+    for t in range(8):
+        found = of_instants.values({"x": (x, x), "w": (x,)}, t, {"sd": 2.0, "rate": RATE})
+        meal = 1.5 * np.exp(-2.0) * (t in (2, 5))
+        np.testing.assert_allclose(*found, x * np.exp(-RATE[t]) + meal, rtol=1e-15)
+
+
 def test_merging_changes_no_value_and_keeps_different_columns_apart():
     """a[t] x + b[t] x has one structure also where a[t] = b[t]."""
     operations = (
