@@ -33,6 +33,7 @@ from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
 from pfdist.problem.clock_section import ClockSection
 from pfdist.problem.job import Job
+from pfdist.problem.job_schema import documented
 from pfdist.problem.methods import METHODS
 from pfdist.problem.needs import CAPABILITIES
 from pfdist.problem.online_section import Online
@@ -594,19 +595,11 @@ def _described(documented: type) -> dict[str, str]:
     return {name: meaning for name, (_, meaning) in _documented(documented).items()}
 
 
-def _documented(documented: type) -> dict[str, tuple[str, str]]:
-    """Give the unit and the meaning of each key, by the section Parameters of docstrings.
-
-    The keys of the first base come before those of the class.
-    """
-    base = documented.__base__
-    inherited = _documented(base) if base is not None and issubclass(base, JobSection) else {}
-    text = inspect.getdoc(documented) or ""
-    parameters = text.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
-    found = re.findall(r"(?m)^(\w+) : (.*)\n((?:    .*\n?)+)", parameters + "\n")
-    return inherited | {
-        name: (kind.partition(", ")[2], _sentence(" ".join(lines.split())).replace("``", "`"))
-        for name, kind, lines in found
+def _documented(section: type) -> dict[str, tuple[str, str]]:
+    """Give the unit and the meaning of each key."""
+    return {
+        name: (kind.partition(", ")[2], _sentence(meaning).replace("``", "`"))
+        for name, (kind, meaning) in documented(section).items()
     }
 
 

@@ -52,7 +52,7 @@ def initial(w, p):  # w: random numbers; p: parameters
     return (w[0],)
 
 
-def transition(x, t, w, p):  # from t - 1 to t
+def transition(x, t, w, p):  # from t to t + 1
     disturbance = p.calm + p.disturbed * np.exp(-(((t - 35) / 6) ** 2))
     return (p.memory * x[0] + disturbance * w[0],)
 

@@ -2,34 +2,48 @@
 
 import inspect
 import re
+from collections.abc import Iterator
 from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
+from pfdist.common.section import JobSection
 from pfdist.problem.job import Job
 from pfdist.problem.sweep import SweepFile
 
 _ROOTS = frozenset({Job.__name__, SweepFile.__name__})
-_KEY = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?:    .*(?:\n|$))+)", re.MULTILINE)
+_KEY = re.compile(r"(?m)^(\w+) : (.*)\n((?:    .*\n?)+)")
+_KEYWORDS = {"gt": "exclusiveMinimum", "lt": "exclusiveMaximum"}
+_OF_LISTS = {"minLength": "minItems", "maxLength": "maxItems"}
+
+
+def documented(section: type) -> dict[str, tuple[str, str]]:
+    """The type and the meaning of each key of a section, by the docstrings of its classes.
+
+    The keys of the first base come before those of the class.
+    """
+    base = section.__base__
+    inherited = documented(base) if base is not None and issubclass(base, JobSection) else {}
+    text = inspect.getdoc(section) or ""
+    parameters = text.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+    found = _KEY.findall(parameters + "\n")
+    return inherited | {name: (kind, " ".join(lines.split())) for name, kind, lines in found}
 
 
 def job_schema() -> dict[str, Any]:
     """The JSON schema of job files and sweep files as they are written, with dates as texts."""
-    _, whole = models_json_schema([(Job, "validation"), (SweepFile, "validation")], by_alias=True)
-    sections: dict[str, Any] = whole["$defs"]
-    for section in sections.values():
-        about = inspect.cleandoc(section.pop("description", ""))
-        section["description"] = about.partition("\n\nParameters\n")[0]
-        described = {
-            name: " ".join(text.split())
-            for names, text in _KEY.findall(about)
-            for name in names.split(", ")
-        }
-        keys: dict[str, dict[str, Any]] = section.get("properties", {})
-        for key in described.keys() & keys.keys():
-            keys[key]["description"] = described[key]
+    _, both = models_json_schema([(Job, "validation"), (SweepFile, "validation")], by_alias=True)
+    sections: dict[str, Any] = both["$defs"]
+    for each in _below(JobSection):
+        if section := sections.get(each.__name__):
+            section["description"] = (inspect.getdoc(each) or "").partition("\n\nParameters\n")[0]
+            keys: dict[str, dict[str, Any]] = section.get("properties", {})
+            for key, (_, meaning) in documented(each).items():
+                if key in keys:
+                    keys[key]["description"] = meaning
     job, sweep = (sections[each.__name__]["properties"] for each in (Job, SweepFile))
     whole = {  # no choice at the root, so that an editor marks the wrong key and not all lines
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A job or a sweep of pfdist",
         "type": "object",
         "properties": job | sweep,
@@ -42,14 +56,21 @@ def job_schema() -> dict[str, Any]:
     return written
 
 
+def _below(section: type) -> Iterator[type]:
+    """All classes that are made from a class."""
+    for each in section.__subclasses__():
+        yield from (each, *_below(each))
+
+
 def _as_written(schema: Any) -> Any:
     """The schema of files in TOML, which has no null; without choices where one type is left."""
     if isinstance(schema, list):
         return [_as_written(each) for each in schema if each != {"type": "null"}]
     if not isinstance(schema, dict):
         return schema
+    keywords = _KEYWORDS | (_OF_LISTS if schema.get("type") == "array" else {})
     written = {
-        key: _as_written(value)
+        keywords.get(key, key): _as_written(value)
         for key, value in schema.items()
         if (key, value) != ("default", None)
     }

@@ -258,7 +258,8 @@ def _is_long(session: RunSession, run: Run, prover: Prover) -> bool:
     """Whether a bound would take too long beside other results; a message says so."""
     minutes = minutes_of_bound(session.built, prover)
     if minutes > PATIENCE and "bound" not in run.tables:
-        command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
+        folder = relative(str(run.path))
+        command = f"`pfdist bound {folder} --draws {prover.settings.most_draws}`"
         _unproved(session, f"{command} takes about {minutes:,.0f} minutes of one core")
     return minutes > PATIENCE
 

@@ -44,6 +44,7 @@ def test_every_job_of_the_manual_validates_and_so_do_parts_of_jobs(page: str) ->
         ("forbidden", "20:30"),
         ("horizon", [1]),
         ("sensors", [1]),
+        ("total_price", -1),
         ("estimate", "smooth"),
     ],
 )
@@ -63,6 +64,17 @@ def test_a_file_is_a_job_or_a_sweep() -> None:
 
 
 def test_keys_have_the_descriptions_of_their_sections() -> None:
-    keys = job_schema()["$defs"]["ProblemSection"]["properties"]
+    sections = job_schema()["$defs"]
+    keys = sections["ProblemSection"]["properties"]
     assert keys["total_price"]["description"].startswith("Largest sum of the prices of a set")
-    assert all("description" in key for key in keys.values())
+    for section in sections.values():
+        for key in section.get("properties", {}).values():
+            assert "description" in key or "$ref" in key
+
+
+def test_it_has_no_keywords_that_json_schemas_do_not_have() -> None:
+    lengths = [{"type": "array", "minItems": 2, "maxItems": 2}, {"type": "string", "minLength": 1}]
+    schema = job_schema()["$defs"]["SensorSection"]["properties"]
+    assert all(schema["limits"][key] == value for key, value in lengths[0].items())
+    assert all(schema["together"][key] == value for key, value in lengths[1].items())
+    assert schema["install"]["exclusiveMinimum"] == 0

@@ -269,7 +269,7 @@ def test_a_run_of_a_model_with_long_formulas_has_no_bound_yet(
         patched.setattr("pfdist.questions.run.operations_of", lambda *_: 10**9)
         assert "bound" not in pfdist.run(walk / "job.toml", walk, **again, say=lines.append).tables
     (line,) = lines  # no pool was started
-    says = r"Not proved: `pfdist bound JOB --draws 480` takes about ([\d,]+) minutes of one core\."
+    says = r"Not proved: `pfdist bound \S+ --draws 480` takes about ([\d,]+) minutes of one core\."
     told = re.fullmatch(says, line)
     assert told is not None
     assert int(told[1].replace(",", "")) > 4
