@@ -114,6 +114,11 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
         return _readable((folder / path).absolute(), name), attribute
     if name.endswith(".py"):
         raise ModelError(f"a model in a file must be FILE:NAME, as {name}:model, got {shown(name)}")
+    if name.endswith(".toml"):
+        raise ModelError(
+            f"a model must be a name or FILE.py:NAME, got the job file {shown(name)}: give the "
+            "model that it names, or pfdist.Planner the job"
+        )
     installed = installed_models()
     if name not in installed:
         rule = f"one of {', '.join(sorted(installed))} or 'path/file.py:object'"
