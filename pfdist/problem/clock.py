@@ -353,13 +353,13 @@ class Clock:
                 f"{shown(texts[0])} is {self.text(own[0])}"
             )
             return own
-        if nearest != OWN_DATES:
-            raise ValueError(f"{rule}; the nearest are {nearest}: {self.text(times[row])}")
         if nearest in moved:
             raise ValueError(
                 f"{rule}, of another year: write t in {self.unit} since the start, as "
                 f"{unrounded(moved[nearest][row])}"
             )
+        if nearest != OWN_DATES:
+            raise ValueError(f"{rule}; the nearest are {nearest}: {self.text(times[row])}")
         return times
 
     def _in_year_of_start(
