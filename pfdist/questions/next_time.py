@@ -282,7 +282,8 @@ def next_time(
     made, is_own = rows.made_with(believed), rows.clock is clock and rows.repeats == 1
     is_own = is_own and not rows.given
     late = (point for point in made if points.made_at(point) < points.instant(point))
-    planner._in_flight = tuple(sorted({*planner._in_flight, *rows.in_flight, *late}))
+    rest = planner.rest
+    rest.in_flight = tuple(sorted({*rest.in_flight, *rows.in_flight, *late}))
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
         last, surprise = _tell(planner, rows) if is_own else (-1, None)
         if not is_own:
@@ -293,22 +294,22 @@ def next_time(
                 planner.missed(clock.time(instant))
             last = instant
     is_number = feasible.measurement_budget is not None
-    spent = tuple(sorted((*planner._taken, *planner._in_flight)))
+    spent = tuple(sorted((*rest.taken, *rest.in_flight)))
     left = max(0, feasible.total - len(spent)) if is_number else None
     first = max(last + 1, start)
     kept = [t for t in plan.times if t not in spent and points.made_at(t) >= first]
     before = tuple(sorted(sorted(kept, key=points.made_at)[:left]))
-    left_now = feasible.left(planner._taken, first, planner._in_flight)
+    left_now = feasible.left(rest.taken, first, rest.in_flight)
     still = plan.run is not None and left_now.may_all(before)
     expected, *expected_before = planner.expected(
         planner.plan(), *([points.written_of(before)] if still else [])
     )
     if expected_before and expected.difference(expected_before[0]).interval()[0] > 0:
         # A short search has found less than what was planned before.
-        planner._plan = tuple(sorted({*planner._in_flight, *before}))
+        rest.keep(before)
         expected = expected_before[0]
     chosen = {points.sensor(point) for point in feasible.optional}
-    always = [point for point in planner._plan if chosen and points.sensor(point) not in chosen]
+    always = [point for point in rest.plan if chosen and points.sensor(point) not in chosen]
     result = NextTime(
         plan.path,
         plan.name,
@@ -340,11 +341,12 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     float or None
         The p-value of the most surprising among all measurements.
     """
-    estimates, clock = list[FilterEstimate](), planner.clock
+    estimates, clock, points = list[FilterEstimate](), planner.clock, planner.feasible.points
     missed = ((t, None) for t in rows.missed)
     instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=itemgetter(0))
     for t, y in instants:
-        planner._fail(each for each in rows.failed if planner._points.instant(each) == t)
+        failed = (point for point in rows.failed if points.instant(point) == t)
+        planner.rest.taken = tuple(sorted({*planner.rest.taken, *failed}))
         if y is None:
             planner.missed(clock.time(t))
         else:
