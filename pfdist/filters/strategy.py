@@ -2,7 +2,6 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, Protocol
 
 from pfdist.filters.one_filter import Followed
@@ -30,7 +29,7 @@ def follow(
     belief: Followed,
     look: Callable[[int, Sequence[str]], Any],
     instants: Iterable[int],
-    delays: Mapping[str, int] = MappingProxyType({}),
+    delays: Mapping[str, int],
 ) -> None:
     """Filter a system that is measured when a strategy decides.
 
@@ -43,8 +42,8 @@ def follow(
         Gives the measurement (m,) whose values arrive at an instant, from the instant and the names
         of the sensors that have measured; the components of others are NaN.
     instants : iterable of int
-    delays : mapping of str to int, optional
-        The number of instants after which the value of a sensor arrives; by default 0.
+    delays : mapping of str to int
+        The number of instants after which the value of a sensor arrives; 0 for others.
 
     Raises
     ------

@@ -185,21 +185,15 @@ class Planner:
         Raises
         ------
         ArgumentError
-            The instant has passed, or lies after T; or `belief` is no filter.
+            `belief` is no filter.
         """
-        first, horizon = self.rest.now.first, self.feasible.horizon
-        if not (isinstance(belief, Filter) and first <= t <= horizon):
-            raise ArgumentError(
-                f"decide needs a Filter and an instant in {first}..{horizon}, got "
-                f"{shown(belief)} and {shown(t)}"
-            )
+        if not isinstance(belief, Filter):
+            raise ArgumentError(f"belief must be a Filter, got {shown(belief)}")
         if belief is not self._filter:
             self._filter, self._heard = belief, 0
-        passed = any(point < self._points.first(t) for point in self.rest.plan)
-        if passed or len(belief.seen) > self._heard:
-            if belief.cloud.t < t - 1:
-                belief.update(t - 1, self._nothing)
-            self._hear()
+        first = self._points.first(t)
+        if len(belief.seen) > self._heard or min(self.rest.plan, default=first) < first:
+            self._hear(t - 1)
         return self.rest.measure(t)
 
     def update(
@@ -235,7 +229,7 @@ class Planner:
         instant = self._time(t)
         estimate = self._filter.update(instant, y, **given)
         here = (each for each in self.rest.plan if self._points.instant(each) == instant)
-        self._hear([] if estimate.measured else here)
+        self._hear(instant, [] if estimate.measured else here)
         return self._on_clock(estimate)
 
     def missed(self, t: Time | None = None) -> None:
@@ -255,9 +249,7 @@ class Planner:
         """
         left = {*self.rest.plan} - {*self.rest.in_flight}
         due = [self._points.made_at(point) for point in left if t is None]
-        instant = min(due) if due else self._time(t)
-        self._filter.update(instant, self._nothing)
-        self._hear()
+        self._hear(min(due) if due else self._time(t))
 
     def estimate(self, t: Time | None = None) -> FilterEstimate:
         """The estimate of z(t) from all measurements so far.
@@ -355,11 +347,6 @@ class Planner:
             )
         return self._points.instant(self.rest.plan[0])
 
-    @property
-    def _nothing(self) -> NDArray[np.float64]:
-        """A measurement without any value."""
-        return np.full(self._filter.model.components[1], np.nan)
-
     def _follow(
         self, filtering: Filter, rows: Measurements, taken: Times, until: int, *, passed: bool
     ) -> list[FilterEstimate]:
@@ -371,14 +358,16 @@ class Planner:
         """
         self._filter, self._times = filtering, rows.clock
         last = rows.clock.instant(self.clock.times[until])
-        seen = dict.fromkeys((*rows.missed, last), self._nothing)
+        seen = dict.fromkeys((*rows.missed, last), _nothing(filtering))
         seen |= dict(zip(rows.t, rows.y, strict=True))
         estimates = [filtering.update(*each) for each in sorted(seen.items(), key=itemgetter(0))]
         self._again(Now(_at(until, filtering.with_truths()), passed), taken)
         return estimates
 
-    def _hear(self, failed: Iterable[int] = ()) -> None:
-        """Plan again from what the filter has received since the last plan."""
+    def _hear(self, last: int, failed: Iterable[int] = ()) -> None:
+        """Plan again from what the filter has received up to the last instant that has passed."""
+        if self._filter.now.t < last:
+            self._filter.update(last, _nothing(self._filter))
         new, self._heard = self._filter.seen[self._heard :], len(self._filter.seen)
         here = chain.from_iterable(made(self._filter.model, *each) for each in new)
         self._again(Now(self._filter.with_truths(), measured=True), here, failed)
@@ -389,6 +378,11 @@ class Planner:
         passed = (e for e in self.rest.in_flight if e < self._points.first(now.first))
         spent = (each for each in chain(failed, passed) if fails[self._points.way(each)])
         self.rest.again(now, chain(taken, spent))
+
+
+def _nothing(filtering: Filter) -> NDArray[np.float64]:
+    """A measurement without any value."""
+    return np.full(filtering.model.components[1], np.nan)
 
 
 def _at(t: int, prior: Prior) -> Prior:

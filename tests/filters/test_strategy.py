@@ -34,7 +34,7 @@ def test_a_strategy_decides_from_what_has_arrived() -> None:
             deviations.update(t, 0.0)
             wanted.append(t)
     strategy, belief = Unsure(1.5), pfdist.Filter(model, engine="kalman")
-    follow(strategy, belief, lambda t, _: Y[t], range(horizon + 1))
+    follow(strategy, belief, lambda t, _: Y[t], range(horizon + 1), {})
     assert 1 < len(wanted) < horizon
     assert [t for t, _ in belief.seen] == wanted
     assert [number for _, number in strategy.asked] == [

@@ -164,10 +164,10 @@ def test_a_planner_decides_in_the_loop_of_any_strategy(job: Job) -> None:
     """As if its methods had been given each value, and each measurement that was not made."""
     by_hand, planner, belief = Planner(job, PLAN), Planner(job, PLAN), filter_of(build(job))
     measured(by_hand)
-    follow(planner, belief, lambda t, _: Y[0, t], range(15))
+    follow(planner, belief, lambda t, _: Y[0, t], range(15), {})
     assert tuple(t for t, _ in belief.seen) == by_hand.measured
-    with pytest.raises(ArgumentError, match=r"decide needs a Filter and an instant in 13\.\.14"):
-        planner.decide(belief, 2)
+    with pytest.raises(ArgumentError, match=r"belief must be a Filter, got 0\.3"):
+        planner.decide(0.3, 14)  # type: ignore[arg-type]
     planner, belief = Planner(job, PLAN), filter_of(build(job))
     assert planner.decide(belief, 0) == ["y"]
     assert planner.in_flight == (0,)

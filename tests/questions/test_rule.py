@@ -410,7 +410,7 @@ def test_the_loop_in_the_manual_measures_as_the_filter_of_the_run(
         )
         exec(code_of_the_manual()[0], {"look": look})
         used, belief = pfdist.Rule.load("results/robot/rule.json"), filter_of(built, draw=draw)
-        follow(used, belief, lambda t, _, y=y: y[t], range(used.instants))
+        follow(used, belief, lambda t, _, y=y: y[t], range(used.instants), {})
         assert [t for t, _ in belief.seen] == measured
         assert measured == ruling.followed(built.evaluator, work, draw).measured
         assert 6 in measured
