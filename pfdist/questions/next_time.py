@@ -9,6 +9,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from pfdist.common.estimate import Estimate
@@ -20,7 +21,7 @@ from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.problem.clock import Clock, Time
-from pfdist.problem.measurements import Measurements, read_measurements
+from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
 from pfdist.questions.next_by_rule import NextByRule, next_by_rule
@@ -264,20 +265,23 @@ def next_time(
     """
     table = table_argument("measurements", measurements)
     plan = planned_run(job, results, changes, say, planned, prior, must_be=rule)
+    ask = next_by_rule if rule else _next_by_plan
+    result = ask(plan, table, now, reading_of(plan.built, columns, within, say))
+    for line in result._page().alarms if say is silent else ():
+        warnings.warn(line, PfdistWarning, stacklevel=2)
+    return result
+
+
+def _next_by_plan(
+    plan: PlannedRun, table: Path | pd.DataFrame, now: Any, reading: Reading
+) -> NextTime:
+    """The answer by a new plan of what is left."""
     believed = plan.built.evaluator.believed
     clock, points = plan.built.job.problem.clock, plan.built.job.problem.points
-    if rule and plan.path is not None:
-        by_rule = next_by_rule(
-            plan, plan.path, table, now, reading_of(plan.built, columns, within, say)
-        )
-        for line in by_rule.doubts if say is silent else ():
-            warnings.warn(line, PfdistWarning, stacklevel=2)
-        return by_rule
     times = points.written_of(plan.times) if plan.run else None
     planner = Planner(plan.built, times, prior=plan.prior)
     feasible = planner.feasible
     start = clock.instant(planner.estimate().t)
-    reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, clock, start, reading)
     made, is_own = rows.made_with(believed), rows.clock is clock and rows.repeats == 1
     is_own = is_own and not rows.given
@@ -310,7 +314,7 @@ def next_time(
         expected = expected_before[0]
     chosen = {points.sensor(point) for point in feasible.optional}
     always = [point for point in rest.plan if chosen and points.sensor(point) not in chosen]
-    result = NextTime(
+    return NextTime(
         plan.path,
         plan.name,
         tuple(replace(points, clock=rows.clock).written_of(made)),
@@ -326,9 +330,6 @@ def next_time(
         planner.in_flight,
         tuple(points.written_of(always)),
     )
-    for line in result._page().alarms if say is silent else ():
-        warnings.warn(line, PfdistWarning, stacklevel=2)
-    return result
 
 
 def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
