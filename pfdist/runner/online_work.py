@@ -65,23 +65,18 @@ class OnlineWork(FilterWork):
         """The chosen times of one draw; a degenerate draw keeps its last plan."""
         replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
         strategy = Replanning(replanner, self.measurement_times[0], Now(), draw)
-        y, points = (
-            evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0],
-            self.feasible.points,
-        )
+        y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         engine, noise = evaluator.computed_by.name, self.filter_streams[0]
-        filtering = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
+        first = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
+        points, instants = self.feasible.points, range(evaluator.horizon + 1)
 
         def look(t: int, sensors: Sequence[str]) -> NDArray[np.float64]:
-            here = tuple(points.first(t) + points.names.index(name) for name in sensors)
+            here = tuple(points.first(t) + points.names.index(sensor) for sensor in sensors)
             return seen(evaluator.model, y[t], here)
 
-        instants, delays = (
-            range(evaluator.horizon + 1),
-            zip(points.names, points.delays, strict=False),
-        )
+        delays = dict(zip(points.names, points.delays, strict=False))
         with suppress(MeasurementsError):  # the draw is degenerate
-            follow(strategy, Followed(filtering), look, instants, dict(delays))
+            follow(strategy, Followed(first), look, instants, delays)
         return (*strategy.taken, *strategy.plan)
 
 
