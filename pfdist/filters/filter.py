@@ -44,6 +44,7 @@ from pfdist.filters.filter_estimate import (
 )
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import (
+    Followed,
     OneFilter,
     checked_instant,
     checked_measurement,
@@ -67,7 +68,7 @@ MANY = 200_000
 LEAST = 2 / MANY  # p-values below it cannot be told apart
 
 
-class Filter:
+class Filter(Followed):
     """A particle filter of one real system, which receives its measurements in the order of time.
 
     It is bit for bit the filter of a run with the same noise key.
@@ -153,15 +154,13 @@ class Filter:
         name = COMPILED.name if engine == AUTO else engine
         if name == "kalman":
             matrices_of(self.model, 0)
-        self.unmeasured = OneFilter(self.model, settings, self.stream, draw, name)
-        """The filter before its first instant, from which other filters of the system start."""
+        super().__init__(OneFilter(self.model, settings, self.stream, draw, name))
         self._filter, mean, variance = self.unmeasured.at(self.unmeasured.t)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
         # the last suspicious one, and `_unseen_by_many` has all measurements since then.
         many = replace(settings, particles=max(particles, MANY))
         self._many = replace(self.unmeasured, settings=many)
-        self._seen: list[tuple[int, Array]] = []
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
         self._collapsed: int | None = None
@@ -171,14 +170,6 @@ class Filter:
     def now(self) -> FilterEstimate:
         """The current estimate of z: that at the last update."""
         return self._now
-
-    @property
-    def cloud(self) -> Prior:
-        """The particles at the instant of `now`, from which another filter can start.
-
-        They include the measurement at this instant. For "kalman", a normal distribution.
-        """
-        return _prior(self._filter)
 
     @property
     def log_evidence(self) -> float | None:
@@ -258,7 +249,7 @@ class Filter:
         # The filter moves only here, after everything that may raise an error. So it stays where it
         # was if a measurement is refused.
         self._filter = self._ahead = moved
-        self._seen.append((t, measurement))
+        self.seen.append((t, measurement))
         self._unseen_by_many.append((t, measurement))
         self._evidence += log_density
         self._now, self._collapsed = now, now.collapsed
@@ -344,7 +335,7 @@ class Filter:
         """
         start, is_angle = self.unmeasured, self.model.is_angle
         last = self.predict(self._now.t if t is None else t).t
-        instants, measured = last + 1 - start.t, {at for at, _ in self._seen}
+        instants, measured = last + 1 - start.t, {at for at, _ in self.seen}
         if instants > start.most_smoothed:
             raise ArgumentError(
                 f"the estimate of {start.settings.particles:,} particles can be smoothed at "
@@ -352,7 +343,7 @@ class Filter:
             )
         if lag is not None and not np.max(lag) >= 1:
             raise ArgumentError(f"lag must be at least 1, got {shown(lag)}", argument="lag")
-        found, estimates = start.smoothed(last, self._seen, lag or instants), []
+        found, estimates = start.smoothed(last, self.seen, lag or instants), []
         for k, (mean, variance) in enumerate(
             zip(found.estimate[0], found.variance[0], strict=True)
         ):

@@ -4,7 +4,8 @@ It gives the same bits as a filter with the same keys that receives all measurem
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, cast
@@ -194,51 +195,69 @@ def circular_components(model: StateSpaceModel, cloud: Cloud, y: Array) -> list[
     return found
 
 
-def filter_of_truths(first: OneFilter) -> OneFilter:
-    """A second filter of the same system, whose particles serve as truths of simulated systems.
+class Followed:
+    """A system that a filter follows, from one measurement to the next.
 
-    Simulated filters start from the particles of the first filter. Their truths must not depend on
-    these particles: a filter that contains its truth looks too good. A filter that excludes it
-    looks too bad, and in a finite state space is certainly wrong. Given the measurements, the
-    particles of a filter with independent noise are independent of those of the first.
+    A second filter follows it, too. Its particles are the truths of simulated systems, whose
+    filters start from the particles of the first. These truths must not depend on those particles:
+    a filter that contains its truth looks too good. A filter that excludes it looks too bad, and in
+    a finite state space is certainly wrong. Given the measurements, the particles of a filter with
+    independent noise are independent of those of the first.
     """
-    return replace(first, stream=stream_key(first.stream, "truths"))
 
+    def __init__(self, unmeasured: OneFilter) -> None:
+        self.unmeasured = unmeasured
+        """The filter before its first instant, from which other filters of the system start."""
+        self.seen: list[tuple[int, Array]] = []
+        """The measurements so far: instants, and arrays (m,)."""
+        self._filter = unmeasured
+        second = replace(unmeasured, stream=stream_key(unmeasured.stream, "truths"))
+        self._second, self._seen_by_second = second, 0
 
-def with_truths(
-    first: Prior | None, second: OneFilter, t: int, y: Array | None
-) -> tuple[Prior | None, OneFilter]:
-    """The prior of the first filter at t with its truths, and the filter of the truths at t.
+    @property
+    def cloud(self) -> Prior:
+        """The particles at the instant of `now`, from which another filter can start.
 
-    `y` is as for `OneFilter.at`. A normal distribution does not need a second filter. If no
-    particle of the second filter explains y, it restarts from the particles of the first.
-    """
-    if not isinstance(first, Cloud):
-        return first, second
-    try:
-        second, *_ = second.at(t, y)
-    except MeasurementsError:
-        settings = replace(second.settings, prior=first)
-        second = replace(second, settings=settings, measured=y is not None)
-    return replace(first, truths=cast(Cloud, second.settings.prior)), second
+        They include the measurement at this instant. For "kalman", a normal distribution.
+        """
+        return cast(Prior, self._filter.settings.prior)  # there is one after the first instant
 
+    def update(self, t: int, y: Array) -> Any:
+        """Move the filter to t, and give it the measurement there, as `OneFilter.at` has it."""
+        self._filter, *_ = self._filter.at(t, y)
+        self.seen.append((t, y))
 
-def again(first: OneFilter, seen: Iterable[tuple[int, Array | None]], number: int) -> Prior | None:
-    """The prior, with truths, of an independent filter of the same system.
+    def with_truths(self) -> Prior:
+        """The cloud, with its truths; a normal distribution needs none.
 
-    `first` is the filter before its first instant, and `seen` has what happened since: instants,
-    and the measurements there. As in a degenerate draw, the filter leaves out a measurement that no
-    particle explains.
-    """
-    filtering = replace(first, stream=stream_key(first.stream, "again", number))
-    truths, prior = filter_of_truths(filtering), first.settings.prior
-    for t, y in seen:
+        If no particle of the second filter explains a measurement, it starts again from the cloud.
+        """
+        first, second = self.cloud, replace(self._second, model=self.unmeasured.model)
+        if not isinstance(first, Cloud):
+            return first
         try:
-            filtering, *_ = filtering.at(t, y)
+            for each in self.seen[self._seen_by_second :]:
+                second, *_ = second.at(*each)
+            if not self.seen or self.seen[-1][0] < first.t:
+                second, *_ = second.at(first.t)
         except MeasurementsError:
-            filtering, *_ = filtering.at(t)
-        prior, truths = with_truths(filtering.settings.prior, truths, t, y)
-    return prior
+            settings = replace(second.settings, prior=first)
+            second = replace(second, settings=settings, measured=self._filter.measured)
+        self._second, self._seen_by_second = second, len(self.seen)
+        return replace(first, truths=cast(Cloud, second.settings.prior))
+
+    def again(self, number: int) -> Prior:
+        """The cloud, with truths, of an independent filter of the same system.
+
+        As in a degenerate draw, it leaves out a measurement that no particle explains.
+        """
+        stream = stream_key(self.unmeasured.stream, "again", number)
+        other = Followed(replace(self.unmeasured, stream=stream))
+        for each in self.seen:
+            with suppress(MeasurementsError):
+                other.update(*each)
+        other._filter, *_ = other._filter.at(self.cloud.t)
+        return other.with_truths()
 
 
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:

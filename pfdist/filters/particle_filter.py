@@ -30,7 +30,6 @@ from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan_prefixes
-from pfdist.kernels.rules import Ruling
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
@@ -131,13 +130,10 @@ def _filter(
 ) -> FilterArrays:
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
-    sensors, ruling = len(model.parts), Ruling()
-    if settings.rule is not None:
-        rule = settings.rule, settings.follows, settings.flipped
-        planned, ruling, filled = ruling_of(*rule, planned, draws.index, draws.instants, sensors)
-        others |= filled
+    sensors, rule = len(model.parts), (settings.rule, settings.follows, settings.flipped)
+    planned, ruling, filled = ruling_of(*rule, planned, draws.index, draws.instants, sensors)
     mse = np.empty((len(draws.index), len(planned.measured)))
-    results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others)
+    results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others, **filled)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
     blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)
     streams = np.array(filter_streams(stream, settings.estimator), np.uint64)
@@ -188,9 +184,7 @@ def _filter(
     degenerate = results.degenerate.view(np.bool_)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
-    if settings.rule is not None:
-        results = with_points(results, sensors)
-    return results._replace(degenerate=degenerate)
+    return with_points(results, sensors)._replace(degenerate=degenerate)
 
 
 def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:

@@ -29,13 +29,16 @@ from pfdist.kernels.rules import Ruling, Thresholds
 
 
 def ruling_of(
-    rule: Thresholds, limits: StepLimits, flipped: int | None, planned: Plan, draws: range,
+    rule: Thresholds | None, limits: StepLimits, flipped: int | None, planned: Plan, draws: range,
     instants: range, sensors: int,
 ) -> tuple[Plan, Ruling, dict[str, NDArray[Any]]]:  # fmt: skip
     """A rule for the filter of a plan's only set, that plan, and the results that the rule fills.
 
     The set has the points that may be measured. The filter fills the plan: each draw has a set.
+    Without a rule, the plan stays as it is.
     """
+    if rule is None:
+        return planned, Ruling(), {}
     follows = limits.arrays(sensors, instants)
     own = np.unpackbits(planned.measured[0], axis=1, count=sensors, bitorder="little")
     follows = follows._replace(prices=follows.prices * own.ravel())
@@ -64,7 +67,9 @@ def ruling_of(
 
 
 def with_points(results: FilterArrays, sensors: int) -> FilterArrays:
-    """The results with the points of each draw in the place of bits."""
+    """The results with the points of each draw in the place of bits, if a rule decided."""
+    if not results.measured.size:
+        return results
     bits = np.unpackbits(results.measured, axis=2, count=sensors, bitorder="little")
     return results._replace(measured=bits.reshape(len(bits), sensors * bits.shape[1]))
 

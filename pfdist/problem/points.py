@@ -16,6 +16,7 @@ from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parsing import as_text
 from pfdist.common.points import PointNumbers
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.filters.strategy import ALONE
 from pfdist.problem.calendar import groups
 from pfdist.problem.clock import Clock, Time, joined_times
 from pfdist.problem.written import SEPARATOR, instants_written
@@ -109,6 +110,11 @@ class Points(PointNumbers):
         return tuple(self.first(t) for t in later for _ in range(self.ways))
 
     # --- texts ------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the sensors; without sensors, there is one."""
+        return self.sensors or (ALONE,)
 
     def sensor(self, point: int) -> str:
         """The name of the sensor of a point; empty without sensors."""

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pandas as pd
 
@@ -76,9 +76,10 @@ class NextByRule(Shown):
 
 
 def next_by_rule(
-    plan: PlannedRun, run: Path, table: Path | pd.DataFrame, now: Any, reading: Reading
+    plan: PlannedRun, table: Path | pd.DataFrame, now: Any, reading: Reading
 ) -> NextByRule:
     """The first instant at which the spread exceeds a level of the run's rule."""
+    run = cast(Path, plan.path)
     feasible, points = plan.built.feasible, plan.built.feasible.points
     rule, clock = rule_of(run, feasible), points.clock
     start = 0 if plan.prior is None else plan.prior.t

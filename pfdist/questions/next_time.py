@@ -9,6 +9,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from pfdist.common.estimate import Estimate
@@ -20,7 +21,7 @@ from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.problem.clock import Clock, Time
-from pfdist.problem.measurements import Measurements, read_measurements
+from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
 from pfdist.questions.next_by_rule import NextByRule, next_by_rule
@@ -264,25 +265,29 @@ def next_time(
     """
     table = table_argument("measurements", measurements)
     plan = planned_run(job, results, changes, say, planned, prior, must_be=rule)
+    ask = next_by_rule if rule else _next_by_plan
+    result = ask(plan, table, now, reading_of(plan.built, columns, within, say))
+    for line in result._page().alarms if say is silent else ():
+        warnings.warn(line, PfdistWarning, stacklevel=2)
+    return result
+
+
+def _next_by_plan(
+    plan: PlannedRun, table: Path | pd.DataFrame, now: Any, reading: Reading
+) -> NextTime:
+    """The answer by a new plan of what is left."""
     believed = plan.built.evaluator.believed
     clock, points = plan.built.job.problem.clock, plan.built.job.problem.points
-    if rule and plan.path is not None:
-        by_rule = next_by_rule(
-            plan, plan.path, table, now, reading_of(plan.built, columns, within, say)
-        )
-        for line in by_rule.doubts if say is silent else ():
-            warnings.warn(line, PfdistWarning, stacklevel=2)
-        return by_rule
     times = points.written_of(plan.times) if plan.run else None
     planner = Planner(plan.built, times, prior=plan.prior)
     feasible = planner.feasible
     start = clock.instant(planner.estimate().t)
-    reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, clock, start, reading)
     made, is_own = rows.made_with(believed), rows.clock is clock and rows.repeats == 1
     is_own = is_own and not rows.given
     late = (point for point in made if points.made_at(point) < points.instant(point))
-    planner._in_flight = tuple(sorted({*planner._in_flight, *rows.in_flight, *late}))
+    rest = planner.rest
+    rest.in_flight = tuple(sorted({*rest.in_flight, *rows.in_flight, *late}))
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
         last, surprise = _tell(planner, rows) if is_own else (-1, None)
         if not is_own:
@@ -293,23 +298,23 @@ def next_time(
                 planner.missed(clock.time(instant))
             last = instant
     is_number = feasible.measurement_budget is not None
-    spent = tuple(sorted((*planner._taken, *planner._in_flight)))
+    spent = tuple(sorted((*rest.taken, *rest.in_flight)))
     left = max(0, feasible.total - len(spent)) if is_number else None
     first = max(last + 1, start)
     kept = [t for t in plan.times if t not in spent and points.made_at(t) >= first]
     before = tuple(sorted(sorted(kept, key=points.made_at)[:left]))
-    left_now = feasible.left(planner._taken, first, planner._in_flight)
+    left_now = feasible.left(rest.taken, first, rest.in_flight)
     still = plan.run is not None and left_now.may_all(before)
     expected, *expected_before = planner.expected(
         planner.plan(), *([points.written_of(before)] if still else [])
     )
     if expected_before and expected.difference(expected_before[0]).interval()[0] > 0:
         # A short search has found less than what was planned before.
-        planner._plan = tuple(sorted({*planner._in_flight, *before}))
+        rest.keep(before)
         expected = expected_before[0]
     chosen = {points.sensor(point) for point in feasible.optional}
-    always = [point for point in planner._plan if chosen and points.sensor(point) not in chosen]
-    result = NextTime(
+    always = [point for point in rest.plan if chosen and points.sensor(point) not in chosen]
+    return NextTime(
         plan.path,
         plan.name,
         tuple(replace(points, clock=rows.clock).written_of(made)),
@@ -325,9 +330,6 @@ def next_time(
         planner.in_flight,
         tuple(points.written_of(always)),
     )
-    for line in result._page().alarms if say is silent else ():
-        warnings.warn(line, PfdistWarning, stacklevel=2)
-    return result
 
 
 def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
@@ -340,11 +342,12 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     float or None
         The p-value of the most surprising among all measurements.
     """
-    estimates, clock = list[FilterEstimate](), planner.clock
+    estimates, clock, points = list[FilterEstimate](), planner.clock, planner.feasible.points
     missed = ((t, None) for t in rows.missed)
     instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=itemgetter(0))
     for t, y in instants:
-        planner._fail(each for each in rows.failed if planner._points.instant(each) == t)
+        failed = (point for point in rows.failed if points.instant(point) == t)
+        planner.rest.taken = tuple(sorted({*planner.rest.taken, *failed}))
         if y is None:
             planner.missed(clock.time(t))
         else:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from operator import itemgetter
 from typing import Any
 
@@ -12,12 +13,12 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import unrounded
 from pfdist.common.section import checked
 from pfdist.common.streams import stream_of
-from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
+from pfdist.errors import ArgumentError, MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Cloud, Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FilterEstimate
-from pfdist.filters.one_filter import again, filter_of_truths, made, with_truths
+from pfdist.filters.one_filter import made
 from pfdist.filters.user_prior import as_prior
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
@@ -28,7 +29,7 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
-from pfdist.runner.planning import Now, Planning, Replanner
+from pfdist.runner.planning import Now, Planning, Replanner, Replanning
 from pfdist.runner.searches import planning_of
 
 EXPECTED_DRAWS = 2000
@@ -74,10 +75,6 @@ class Planner:
     >>> planner.update(1.3)  # doctest: +SKIP
     """
 
-    _taken: Times
-    _plan: Times  # with the measurements in flight
-    _in_flight: Times
-
     def __init__(
         self,
         job: JobSource | Built,
@@ -95,21 +92,14 @@ class Planner:
         self._points = built.job.problem.points
         planned = None if times is None else self._points.checked(times, "times", "times")
         feasible = _feasible(built, planned)
-        self._replanner = Replanner(built.evaluator, feasible, planning, stream)
-        self._filter = filter_of(built, start, draw)
-        self._truths = filter_of_truths(self._filter.unmeasured)
-        self._built, self._draw = built, int(draw)
-        self._now, self._seen = Now(start), list[tuple[int, NDArray[np.float64] | None]]()
+        replanner, now = Replanner(built.evaluator, feasible, planning, stream), Now(start)
+        self._filter, self._built, self._heard = filter_of(built, start, draw), built, 0
         self._times = self.clock  # of the filter's instants
         if planned is None:
-            first = replace(self._replanner, planning=first_planning(planning))
-            planned = first.plan(self._now, (), (), self._draw)
-        first_left = self._points.first(self._now.first)
-        self._plan = tuple(time for time in planned if time >= first_left)
-        self._taken = tuple(time for time in planned if time < first_left)
-        self._in_flight = tuple(
-            time for time in self._plan if self._points.made_at(time) < self._now.first
-        )
+            first = replace(replanner, planning=first_planning(planning))
+            planned = first.plan(now, (), (), int(draw))
+        self.rest = Replanning(replanner, planned, now, int(draw))
+        """The points that were measured, those in flight, and the plan."""
 
     def next_time(self) -> Time | None:
         """The time to measure next; None if no measurement is left."""
@@ -117,7 +107,7 @@ class Planner:
 
     def plan(self) -> tuple[Time, ...]:
         """All planned times that are left, the next first."""
-        left = (point for point in self._plan if point not in self._in_flight)
+        left = (point for point in self.rest.plan if point not in self.rest.in_flight)
         return tuple(self._points.written_of(sorted(left, key=self._points.made_at)))
 
     @property
@@ -128,17 +118,17 @@ class Planner:
     @property
     def feasible(self) -> Feasible:
         """The feasible sets of the whole horizon."""
-        return self._replanner.feasible
+        return self.rest.replanner.feasible
 
     @property
     def measured(self) -> tuple[Time, ...]:
         """The times that were measured, also those of measurements that failed."""
-        return tuple(self._points.written_of(self._taken))
+        return tuple(self._points.written_of(self.rest.taken))
 
     @property
     def in_flight(self) -> tuple[Time, ...]:
         """The times of measurements that were made, and whose values have not arrived."""
-        return tuple(self._points.written_of(self._in_flight))
+        return tuple(self._points.written_of(self.rest.in_flight))
 
     def taken(self, t: Time | str | None = None) -> None:
         """Note that a measurement was made whose value arrives later.
@@ -162,19 +152,49 @@ class Planner:
         given = self.next_time() if t is None else t
         if given is None:
             raise MeasurementsError("no measurement is left of the plan, got one without t")
-        (point,), points = self._points.checked([given], "t"), self._points
-        if not max(points.made_at(point), self._now.first - 1) < points.instant(point):
+        (point,), points, rest = self._points.checked([given], "t"), self._points, self.rest
+        if not max(points.made_at(point), rest.now.first - 1) < points.instant(point):
             raise MeasurementsError(
                 f"taken is for a value that arrives later, got {shown(given)}: give its value to "
                 "update"
             )
-        in_flight = tuple(sorted({*points.canonical((*self._in_flight, point))}))
-        (point,) = {*in_flight} - {*self._in_flight} or {point}  # the next of alike repeats
-        if point not in self._plan:
-            planned = tuple(sorted({*self._plan, point}))
-            more = self._draw, in_flight
-            self._plan = self._replanner.plan(self._now, self._taken, planned, *more)
-        self._in_flight = in_flight
+        before, rest.in_flight = rest.in_flight, points.canonical((*rest.in_flight, point))
+        (point,) = {*rest.in_flight} - {*before} or {point}  # the next of alike repeats
+        if point not in rest.plan:
+            rest.plan = tuple(sorted({*rest.plan, point}))
+            rest.again(rest.now)
+
+    def decide(self, belief: Filter, t: int) -> list[str]:
+        """Decide whether to measure at an instant; what is chosen counts as made.
+
+        So a planner is used in a loop as `pfdist.Rule` is. What has arrived in the filter since the
+        last call, or was not measured as it was decided, changes the plan of the rest.
+
+        Parameters
+        ----------
+        belief : Filter
+            The filter of the system, with all measurements that have arrived before t.
+        t : int
+            An instant after the last one that was asked about.
+
+        Returns
+        -------
+        list of str
+            Names of the sensors that measure now; "y" for the only one of a model without sensors.
+
+        Raises
+        ------
+        ArgumentError
+            `belief` is no filter.
+        """
+        if not isinstance(belief, Filter):
+            raise ArgumentError(f"belief must be a Filter, got {shown(belief)}")
+        if belief is not self._filter:
+            self._filter, self._heard = belief, 0
+        first = self._points.first(t)
+        if len(belief.seen) > self._heard or min(self.rest.plan, default=first) < first:
+            self._hear(t - 1)
+        return self.rest.measure(t)
 
     def update(
         self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None, **given: Any
@@ -207,22 +227,10 @@ class Planner:
             A formula failed in a simulated system. Make a new planner to continue.
         """
         instant = self._time(t)
-        estimate, measurement = self._filter.update(instant, y, **given), None
-        self._truths = replace(self._truths, model=self._filter.model)
-        if estimate.measured:
-            measurement = np.atleast_1d(np.array(y, np.float64))
-            here = made(self._filter.model, instant, measurement)
-            self._taken = tuple(sorted({*self._taken, *here}))
-        else:
-            self._fail(each for each in self._plan if self._points.instant(each) == instant)
-        self._plan_anew(estimate.t, measurement)
+        estimate = self._filter.update(instant, y, **given)
+        here = (each for each in self.rest.plan if self._points.instant(each) == instant)
+        self._hear(instant, [] if estimate.measured else here)
         return self._on_clock(estimate)
-
-    def _fail(self, points: Iterable[int]) -> None:
-        """Count measurements without a value as made, of sensors that may fail."""
-        fails = [each.fails > 0.0 for _, each in self._built.job.problem.each_sensing] or [False]
-        more = (each for each in points if fails[self._points.way(each)])
-        self._taken = tuple(sorted({*self._taken, *more}))
 
     def missed(self, t: Time | None = None) -> None:
         """Note that nothing was measured up to t, and plan the remaining times again.
@@ -239,10 +247,9 @@ class Planner:
         MeasurementsError
             The time is wrong.
         """
-        nothing = [float("nan")] * self._filter.model.components[1]
-        left = [self._points.made_at(each) for each in self._plan if each not in self._in_flight]
-        instant = min(left) if t is None and left else self._time(t)
-        self._plan_anew(self._filter.update(instant, nothing).t)
+        left = {*self.rest.plan} - {*self.rest.in_flight}
+        due = [self._points.made_at(point) for point in left if t is None]
+        self._hear(min(due) if due else self._time(t))
 
     def estimate(self, t: Time | None = None) -> FilterEstimate:
         """The estimate of z(t) from all measurements so far.
@@ -285,24 +292,23 @@ class Planner:
         ArgumentError
             The number of draws is below 2.
         """
-        first, made_at = self._now.first, self._points.made_at
+        now, made_at, in_flight = self.rest.now, self._points.made_at, {*self.rest.in_flight}
         wanted = [self._points.checked(plan) for plan in plans or (self.plan(),)]
         for plan in wanted:
-            late = {point for point in plan if made_at(point) < first} - {*self._in_flight}
+            late = {point for point in plan if made_at(point) < now.first} - in_flight
             if late:
-                least = self.clock.text(self.clock.times[first])
+                least = self.clock.text(self.clock.times[now.first])
                 got = self.clock.text(self._points.written(min(late)))
                 raise MeasurementTimesError(
                     f"times that are left must be at least {least}, got {got}"
                 )
         clouds = list[Any]()
-        if self._seen and isinstance(self._now.prior, Cloud):
+        if isinstance(now.prior, Cloud) and now.prior.truths:  # something was measured
             filters = range(min(_CLOUDS, draws))
-            clouds = [again(self._filter.unmeasured, self._seen, number) for number in filters]
-            clouds = [_at(self._now.t, each) for each in clouds]
-        complete = [tuple(sorted({*plan, *self._in_flight})) for plan in wanted]
-        evaluations = self._replanner.expected(
-            self._now, complete, draws, self._built.comparing, self._draw, clouds
+            clouds = [_at(now.t, self._filter.again(number)) for number in filters]
+        complete = [tuple(sorted({*plan, *in_flight})) for plan in wanted]
+        evaluations = self.rest.replanner.expected(
+            now, complete, draws, self._built.comparing, self.rest.draw, clouds
         )
         return [
             replace(each, measurement_times=tuple(self._points.written_of(plan)))
@@ -327,19 +333,19 @@ class Planner:
                 raise MeasurementsError(
                     f"{error}: pfdist.next_time takes measurements at any times"
                 ) from error
-            if instant < self._now.first:
-                first = self.clock.text(self.clock.times[self._now.first])
+            if instant < self.rest.now.first:
+                first = self.clock.text(self.clock.times[self.rest.now.first])
                 raise MeasurementsError(
                     f"t must be at least {first}, the first instant that has not passed, got "
                     f"{unrounded(t)}"
                 )
             return instant
-        if not self._plan:
+        if not self.rest.plan:
             raise MeasurementsError(
                 f"no measurement is left of the plan, got one without t (measured: "
                 f"{shown(self.measured)})"
             )
-        return self._points.instant(self._plan[0])
+        return self._points.instant(self.rest.plan[0])
 
     def _follow(
         self, filtering: Filter, rows: Measurements, taken: Times, until: int, *, passed: bool
@@ -350,44 +356,40 @@ class Planner:
         that count as measured, sorted, and `until` is the first instant of the job that no
         measurement follows; if it has `passed`, it can no longer be measured.
         """
-        self._filter, self._truths = filtering, filter_of_truths(filtering.unmeasured)
-        self._times, estimates = rows.clock, list[FilterEstimate]()
-        self._taken = tuple(sorted({*self._taken, *taken}))
-        seen: dict[int, Any] = dict.fromkeys(
-            (*rows.missed, rows.clock.instant(self.clock.times[until]))
-        )
+        self._filter, self._times = filtering, rows.clock
+        last = rows.clock.instant(self.clock.times[until])
+        seen = dict.fromkeys((*rows.missed, last), _nothing(filtering))
         seen |= dict(zip(rows.t, rows.y, strict=True))
-        for t, y in sorted(seen.items(), key=itemgetter(0)):
-            nothing = np.full(filtering.model.components[1], np.nan)
-            estimates.append(filtering.update(t, nothing if y is None else y))
-            prior, self._truths = with_truths(filtering.cloud, self._truths, t, y)
-            self._seen.append((t, y))
-        self._now = Now(_at(until, prior), passed)
-        self._plan_rest()
+        estimates = [filtering.update(*each) for each in sorted(seen.items(), key=itemgetter(0))]
+        self._again(Now(_at(until, filtering.with_truths()), passed), taken)
         return estimates
 
-    def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
-        """Plan the remaining times after an instant, which was measured if y is given."""
-        prior, self._truths = with_truths(self._filter.cloud, self._truths, time, y)
-        self._seen.append((time, y))
-        self._now = Now(prior, measured=True)
-        self._plan_rest()
+    def _hear(self, last: int, failed: Iterable[int] = ()) -> None:
+        """Plan again from what the filter has received up to the last instant that has passed."""
+        if self._filter.now.t < last:
+            self._filter.update(last, _nothing(self._filter))
+        new, self._heard = self._filter.seen[self._heard :], len(self._filter.seen)
+        here = chain.from_iterable(made(self._filter.model, *each) for each in new)
+        self._again(Now(self._filter.with_truths(), measured=True), here, failed)
 
-    def _plan_rest(self) -> None:
-        """Plan again what is left from now on."""
-        first = self._points.first(self._now.first)
-        self._fail(point for point in self._in_flight if point < first)
-        self._in_flight = tuple(point for point in self._in_flight if point >= first)
-        left = tuple(planned for planned in self._plan if planned >= first)
-        given = self._taken, left, self._draw, self._in_flight
-        self._plan = self._replanner.plan(self._now, *given)
+    def _again(self, now: Now, taken: Iterable[int], failed: Iterable[int] = ()) -> None:
+        """Plan again what is left from now on; sensors that may fail are spent without a value."""
+        fails = [each.fails > 0.0 for _, each in self._built.job.problem.each_sensing] or [False]
+        passed = (e for e in self.rest.in_flight if e < self._points.first(now.first))
+        spent = (each for each in chain(failed, passed) if fails[self._points.way(each)])
+        self.rest.again(now, chain(taken, spent))
 
 
-def _at(t: int, prior: Prior | None) -> Any:
+def _nothing(filtering: Filter) -> NDArray[np.float64]:
+    """A measurement without any value."""
+    return np.full(filtering.model.components[1], np.nan)
+
+
+def _at(t: int, prior: Prior) -> Prior:
     """A prior at an instant of another clock at the same time."""
     truths = prior.truths if isinstance(prior, Cloud) else None
     more: Any = {} if truths is None else {"truths": replace(truths, t=t)}
-    return None if prior is None else replace(prior, t=t, **more)
+    return replace(prior, t=t, **more)
 
 
 def first_planning(planning: Planning) -> Planning:

@@ -14,6 +14,7 @@ from pfdist.common.parsing import parse_json
 from pfdist.common.section import JobSection
 from pfdist.errors import ArgumentError, StoreError, shown
 from pfdist.filters.filter import Filter
+from pfdist.filters.strategy import ALONE
 from pfdist.kernels.left import Left, StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
@@ -21,8 +22,6 @@ from pfdist.results import finite
 from pfdist.store import RULE as FILE
 from pfdist.store import read_listed, run_key, write_about
 from pfdist.store.files import reading
-
-ALONE = "y"  # name of the sensor of a model without sensors
 
 
 class Rule:

@@ -1,5 +1,7 @@
 """A unit of work: draws whose measurement times are chosen online."""
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -9,11 +11,12 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.one_filter import OneFilter, filter_of_truths, with_truths
+from pfdist.filters.one_filter import Followed, OneFilter
+from pfdist.filters.strategy import follow
 from pfdist.filters.work import FilterWork, Result
 from pfdist.models import StateSpaceModel
 from pfdist.problem.feasible import Feasible
-from pfdist.runner.planning import Now, Planning, Replanner
+from pfdist.runner.planning import Now, Planning, Replanner, Replanning
 
 # A step of a plan takes longer than a step of the comparison: measurements are near each other,
 # particles are few, and the search itself takes time.
@@ -61,26 +64,20 @@ class OnlineWork(FilterWork):
     def chosen(self, evaluator: Evaluator, draw: int) -> Times:
         """The chosen times of one draw; a degenerate draw keeps its last plan."""
         replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
+        strategy = Replanning(replanner, self.measurement_times[0], Now(), draw)
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         engine, noise = evaluator.computed_by.name, self.filter_streams[0]
-        filtering = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
-        truths = filter_of_truths(filtering)
-        taken, (plan,), points = Times(), self.measurement_times, self.feasible.points
-        while plan:
-            t = points.instant(plan[0])
-            here = tuple(point for point in plan if point in points.at(t))
-            taken, plan = (*taken, *here), plan[len(here) :]
-            if plan or not self.feasible.counted:  # else nothing is left to plan
-                measured = seen(evaluator.model, y[t], here)
-                try:
-                    filtering, *_ = filtering.at(t, measured)
-                except MeasurementsError:  # the draw is degenerate: the last plan stays
-                    return (*taken, *plan)
-                prior, truths = with_truths(filtering.settings.prior, truths, t, measured)
-                in_flight = tuple(point for point in plan if points.made_at(point) <= t)
-                now = Now(prior, measured=True)
-                plan = replanner.plan(now, taken, plan, draw, in_flight)
-        return taken
+        first = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
+        points, instants = self.feasible.points, range(evaluator.horizon + 1)
+
+        def look(t: int, sensors: Sequence[str]) -> NDArray[np.float64]:
+            here = tuple(points.first(t) + points.names.index(sensor) for sensor in sensors)
+            return seen(evaluator.model, y[t], here)
+
+        delays = dict(zip(points.names, points.delays, strict=False))
+        with suppress(MeasurementsError):  # the draw is degenerate
+            follow(strategy, Followed(first), look, instants, delays)
+        return (*strategy.taken, *strategy.plan)
 
 
 def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArray[np.float64]:

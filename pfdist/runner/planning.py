@@ -6,7 +6,7 @@ by chance, a feasible plan is replaced only by a better one.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.one_filter import Followed
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.variates import generator
@@ -146,6 +147,55 @@ class Replanner:
             evaluations.append(outlook.of_sets(outlook.draws(index), plans, ends, estimation))
         each_plan = (Evaluation.together(parts) for parts in zip(*evaluations, strict=True))
         return [replace(evaluation, purpose="evaluate") for evaluation in each_plan]
+
+
+class Replanning:
+    """A strategy: the measurements that are left are planned again after each one.
+
+    Parameters
+    ----------
+    replanner : Replanner
+    plan : tuple of int
+        The first plan. What is measured before `now.first` counts as measured.
+    now : Now
+    draw : int
+        Index of the system, which is part of the key of the noise.
+    """
+
+    def __init__(self, replanner: Replanner, plan: Times, now: Now, draw: int) -> None:
+        points = replanner.feasible.points
+        first = points.first(now.first)
+        self.replanner, self.now, self.draw, self._points = replanner, now, draw, points
+        self.plan = tuple(point for point in plan if point >= first)
+        """What is left to arrive, with what is in flight."""
+        self.taken = tuple(point for point in plan if point < first)
+        self.in_flight = tuple(each for each in self.plan if points.made_at(each) < now.first)
+
+    def decide(self, belief: Followed, t: int) -> list[str]:
+        """The sensors that measure at an instant; see `pfdist.filters.strategy.Strategy`."""
+        first = self._points.first(t)
+        if arrived := [point for point in self.in_flight if point < first]:
+            self.again(Now(belief.with_truths(), measured=True), arrived)
+        return self.measure(t)
+
+    def measure(self, t: int) -> list[str]:
+        """Make the measurements that are planned for an instant; the names of their sensors."""
+        due = (each for each in self.plan if self._points.made_at(each) == t)
+        chosen = [each for each in due if each not in self.in_flight]
+        self.in_flight = tuple(sorted((*self.in_flight, *chosen)))
+        return [self._points.names[self._points.way(point)] for point in chosen]
+
+    def again(self, now: Now, taken: Iterable[int] = ()) -> None:
+        """Plan again what is left from now on; more measurements were taken."""
+        first = self._points.first(now.first)
+        self.now, self.taken = now, tuple(sorted({*self.taken, *taken}))
+        self.in_flight = tuple(point for point in self.in_flight if point >= first)
+        left = tuple(point for point in self.plan if point >= first)
+        self.plan = self.replanner.plan(now, self.taken, left, self.draw, self.in_flight)
+
+    def keep(self, plan: Times) -> None:
+        """Replace the plan by another of what is left; what is in flight stays in it."""
+        self.plan = tuple(sorted({*self.in_flight, *plan}))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The files that identify a run, job.toml, model.json and run.json, its rule, and its key.
+"""The files that identify a run, job.toml, model.json and run.json, its answers, and its key.
 
 files.json has their hashes, which are checked when a run is read. Without files.json, the key and
 the version of a run are read without this check, for error messages.
@@ -23,7 +23,7 @@ from pfdist.common.parsing import (
 from pfdist.common.streams import stream_key
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.folder import FILES, MODELS, RULE, holds_run, no_run
+from pfdist.store.folder import ANSWERS, FILES, MODELS, holds_run, no_run
 from pfdist.store.listing import change_listing, read_listing
 from pfdist.store.schema import check_schema_version
 from pfdist.store.tables import REMEDY
@@ -80,7 +80,7 @@ def read_models(path: Path) -> tuple["StateSpaceModel", "StateSpaceModel"]:
 
 
 def read_listed(path: Path, name: str, most: int = MOST_BYTES) -> bytes:
-    """The undamaged content of a run's model.json or rule.json.
+    """The undamaged content of a run's model.json, or of an answer.
 
     Raises `StoreError` if it is missing, damaged, too large or not listed.
     """
@@ -97,11 +97,9 @@ def check_models(path: Path) -> bytes:
 
 
 def unreadable(path: Path, name: str, reason: str) -> StoreError:
-    """The error for a run with a damaged job.toml, model.json, run.json or rule.json."""
-    remedies = {
-        MODELS: "remove it, and resume the run by its job",
-        RULE: f"`pfdist rule {path}` tunes one",
-    }
+    """The error for a run with a damaged job.toml, model.json or run.json, or a damaged answer."""
+    remedies = {name: f"`{command} {path}` writes it again" for name, command in ANSWERS.items()}
+    remedies[MODELS] = "remove it, and resume the run by its job"
     return StoreError(f"{path / name} is damaged: {reason}; {remedies.get(name, REMEDY)}")
 
 

@@ -20,8 +20,9 @@ from pfdist.store.schema import TABLES
 MODELS = "model.json"
 ABOUT = ("job.toml", "run.json", MODELS)
 RULE = "rule.json"
-"""The last rule that was tuned."""
-LISTED = (*ABOUT, RULE)
+ANSWERS = {RULE: "pfdist rule"}
+"""Files with the last answer of a question about the run, and the command that asks it again."""
+LISTED = (*ABOUT, *ANSWERS)
 """Files, listed with their hashes, that are not made from tables."""
 FILES, FIGURES_FOLDER, REPORT, SUMMARY = "files.json", "figures", "report.html", "sets.json"
 FORMATS = ("png", "svg", "pdf")

@@ -1,7 +1,7 @@
 """files.json: the list of a run's files, and the key of the run.
 
 It names every published file of a table; the name of such a file ends with the hash of its content.
-It has the hashes that job.toml, model.json, run.json and rule.json may have, and those of the
+It has the hashes that job.toml, model.json, run.json and answers may have, and those of the
 pages: the figures and the report, while they are made from the tables as they are. It is replaced
 as a whole, so a reader sees the list before a change or the list after it.
 
@@ -13,7 +13,7 @@ two steps costs:
   or the former files are still there, and the next start removes what is not listed. After a kill
   behind the list, parts may be left: their phase is published again, with the same bytes.
   Several tables may take each of these steps together.
-- job.toml, model.json, run.json or rule.json is replaced: files.json lists the hashes of the old
+- job.toml, model.json, run.json or an answer is replaced: files.json lists the hashes of the old
   and the new content, then the file gets its name. The next list keeps only the hash of the file
   that is there.
 - Tables change: the pages leave the list first. Their files stay until new ones replace them, which

@@ -6,7 +6,7 @@ from pathlib import Path
 from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.about import check_models, check_version_of, read_listed, read_run
-from pfdist.store.folder import REPORT, RULE, SUMMARY, check_entries
+from pfdist.store.folder import ANSWERS, REPORT, SUMMARY, check_entries
 from pfdist.store.listing import read_listing
 from pfdist.store.lock import check_not_held
 from pfdist.store.parquet import Store
@@ -37,9 +37,9 @@ def verify_run(path: Path) -> Iterator[str]:
     for stranger in store.strangers():
         yield f"{stranger} is not in files.json, so it is not a file of this run: remove it"
     listing = read_listing(path)
-    if listing is not None and RULE in listing.about:
+    for name in ANSWERS.keys() & listing.about if listing is not None else ():
         try:
-            read_listed(path, RULE)
+            read_listed(path, name)
         except StoreError as error:
             yield str(error)
     for name, sha256 in listing.pages.items() if listing is not None else ():

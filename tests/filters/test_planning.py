@@ -13,7 +13,7 @@ from pfdist.filters import particle_filter
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.one_filter import OneFilter, filter_of_truths, with_truths
+from pfdist.filters.one_filter import Followed, OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.problem.feasible import Feasible
@@ -110,12 +110,11 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     replanner = Replanner(evaluator, Feasible(8, 9), QUICK, 5)
     planned = np.empty(systems)
     for d in range(systems):
-        filtering = OneFilter(model, settings, 3, d)
-        truths, prior = filter_of_truths(filtering), None
+        followed = Followed(OneFilter(model, settings, 3, d))
         for t in range(3):
-            filtering, *_ = filtering.at(t, draws.y[d, t])
-            prior, truths = with_truths(filtering.settings.prior, truths, t, draws.y[d, t])
-        (expected,) = replanner.expected(Now(prior, measured=True), [times], 100, settings, d)
+            followed.update(t, draws.y[d, t])
+            now = Now(followed.with_truths(), measured=True)
+        (expected,) = replanner.expected(now, [times], 100, settings, d)
         planned[d] = expected.expected_mse
     many = evaluator.draws(range(20_000), 8)
     every = particle_filter.filter_draws(model, many, range(9), particles, 4, "systematic", True)
@@ -147,14 +146,14 @@ def test_replanning_two_modes_gains_what_exact_dynamic_programming_says() -> Non
 
 def test_a_second_filter_that_no_particle_explains_starts_again_from_the_first() -> None:
     model = SYSTEMS["static"]
-    first = OneFilter(model, Estimation(50, prior=Cloud(0, np.zeros((1, 50)))), 3)
-    hopeless = replace(first.settings, prior=Cloud(0, np.full((1, 50), 1e200)))
-    known, *_ = first.at(1, np.zeros(1))
-    failing = replace(first, settings=hopeless)
-    prior, truths = with_truths(known.settings.prior, failing, 1, np.zeros(1))
-    assert prior.truths is known.settings.prior
-    assert truths.measured
-    with_truths(known.at(2)[0].settings.prior, truths, 2, np.zeros(1))
+    followed = Followed(OneFilter(model, Estimation(50, prior=Cloud(0, np.zeros((1, 50)))), 3))
+    hopeless = replace(followed.unmeasured.settings, prior=Cloud(0, np.full((1, 50), 1e200)))
+    followed._second = replace(followed.unmeasured, settings=hopeless)
+    followed.update(1, np.zeros(1))
+    assert followed.with_truths().truths is followed.cloud
+    assert followed._second.measured
+    followed.update(2, np.zeros(1))
+    assert followed.with_truths().truths is not followed.cloud
 
 
 @pytest.mark.parametrize("name", EXACT)

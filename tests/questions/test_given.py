@@ -91,7 +91,7 @@ def test_a_planner_takes_them_with_each_reading(engine: str) -> None:
     left = planner.expected([])[0].expected_mse  # nothing more is measured: the variance
     assert left == pytest.approx(sd**2, rel=1e-9 if engine == "kalman" else 0.15)
     if engine == "auto":
-        truths = planner._now.prior.truths.x[0]
+        truths = planner.rest.now.prior.truths.x[0]
         assert [truths.mean(), truths.std()] == pytest.approx([mean, sd], abs=0.03)
 
 

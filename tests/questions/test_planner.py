@@ -18,10 +18,12 @@ from oracles.kalman import SCALAR, riccati_cost
 from pfdist import Job, Planner, Problem
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
-from pfdist.errors import PfdistError, PfdistWarning
+from pfdist.errors import ArgumentError, PfdistError, PfdistWarning
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.simulation import simulate
+from pfdist.filters.strategy import follow
 from pfdist.problem.problem import as_job
+from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import build
 
 JOB = """
@@ -156,6 +158,23 @@ def test_a_missed_measurement_may_be_made_later(job: Job) -> None:
     assert planner.plan() == (13, 14)
     with pytest.raises(PfdistError, match=r"t must be at least 13, .* got 12"):
         planner.update(1.0, 12)
+
+
+def test_a_planner_decides_in_the_loop_of_any_strategy(job: Job) -> None:
+    """As if its methods had been given each value, and each measurement that was not made."""
+    by_hand, planner, belief = Planner(job, PLAN), Planner(job, PLAN), filter_of(build(job))
+    measured(by_hand)
+    follow(planner, belief, lambda t, _: Y[0, t], range(15), {})
+    assert tuple(t for t, _ in belief.seen) == by_hand.measured
+    with pytest.raises(ArgumentError, match=r"belief must be a Filter, got 0\.3"):
+        planner.decide(0.3, 14)  # type: ignore[arg-type]
+    planner, belief = Planner(job, PLAN), filter_of(build(job))
+    assert planner.decide(belief, 0) == ["y"]
+    assert planner.in_flight == (0,)
+    planner.decide(belief, 2)  # nothing was measured, nor at t = 1
+    by_hand = Planner(job, PLAN)
+    by_hand.missed(1)
+    assert {*planner.plan(), *planner.in_flight} == {*by_hand.plan()}
 
 
 def test_planned_times_that_are_passed_over_count_as_missed(job: Job) -> None:

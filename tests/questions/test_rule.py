@@ -21,6 +21,7 @@ from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, StoreError
+from pfdist.filters.strategy import follow
 from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
@@ -408,6 +409,9 @@ def test_the_loop_in_the_manual_measures_as_the_filter_of_the_run(
             pfdist, "Filter", lambda *_, draw=draw, **__: filter_of(built, draw=draw)
         )
         exec(code_of_the_manual()[0], {"look": look})
+        used, belief = pfdist.Rule.load("results/robot/rule.json"), filter_of(built, draw=draw)
+        follow(used, belief, lambda t, _, y=y: y[t], range(used.instants), {})
+        assert [t for t, _ in belief.seen] == measured
         assert measured == ruling.followed(built.evaluator, work, draw).measured
         assert 6 in measured
         assert len(measured) <= (4 if hard else 7)
