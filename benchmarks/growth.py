@@ -21,6 +21,7 @@ from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
 from pfdist.problem.feasible import Feasible
+from pfdist.search import Candidate
 from pfdist.search.state_space_relaxation import RelaxationState, StateSpaceRelaxation
 
 TITLE = "Windows that grow"
@@ -87,16 +88,7 @@ def _proved(model: StateSpaceModel, horizon: int, limit: float) -> dict[str, Any
     state, solved, first = search.init(), list[RelaxationState](), None
     while not search.done(state) and process_time() - start < limit:
         asked = search.ask(state, np.random.default_rng(0))
-        errors = expected_errors(model, horizon, [each.measurement_times for each in asked])
-        told = [
-            Evaluation.exactly(
-                each.measurement_times,
-                float(row.mean()),
-                end=each.end,
-                errors=row[each.since or 0 : (horizon if each.end is None else each.end) + 1],
-            )
-            for each, row in zip(asked, errors, strict=True)
-        ]
+        told = [_exactly(model, horizon, each) for each in asked]
         solved = [state]
         state = search.tell(state, told)
         first = first or state
@@ -113,6 +105,17 @@ def _proved(model: StateSpaceModel, horizon: int, limit: float) -> dict[str, Any
         "gap_first": _gap(_known(first or state), state, feasible.total),
         "gap": _gap(known, state, feasible.total),
     }
+
+
+def _exactly(model: StateSpaceModel, horizon: int, asked: Candidate) -> Evaluation:
+    """Evaluate a set, or the filters of windows."""
+    times, end, counted = asked.measurement_times, asked.end, asked.counted
+    if counted is not None:
+        errors = counted.of_instants(expected_errors(model, horizon, counted.sets))
+        return Evaluation.exactly(times, np.nan, end=end, errors=errors)
+    return Evaluation.exactly(
+        times, float(expected_errors(model, horizon, [times]).mean()), end=end
+    )
 
 
 def _known(state: RelaxationState) -> RelaxationState:

@@ -1,8 +1,9 @@
 """A set of measurement times: its check, and regular and random sets."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,78 @@ CLOCK: Final = ("time", "dt")
 """Parameters that the clock of a job gives: the time of each instant, and the time to the next."""
 DATES: Final = ("day_of_year", "hour", "weekday")
 """Parameters that the dates of a job give, unless a model has its own of this name."""
+
+
+@dataclass(frozen=True, eq=False)
+class ManySets(Sequence[Times]):
+    """Sets of points as bits: for hundreds of thousands of sets, with hundreds of points each.
+
+    >>> sets = ManySets.of([(0, 3), (2,)], instants=2, sensors=2)
+    >>> sets[0], [*sets], sets.bits[..., 0].tolist(), [*sets.written()]
+    ((0, 3), [(0, 3), (2,)], [[1, 2], [0, 1]], ['[0,3]', '[2]'])
+    """
+
+    bits: NDArray[np.uint8]  # (S, T+1, bytes): a bit for each sensor that measures at an instant
+    sensors: int
+
+    @classmethod
+    def of(cls, sets: Sequence[Times], instants: int, sensors: int) -> "ManySets":
+        """Sets of points of the first instants."""
+        if isinstance(sets, ManySets):
+            return cls(sets.bits[:, :instants], sensors)
+        rows = np.zeros((len(sets), instants * sensors), np.bool_)
+        for row, times in zip(rows, sets, strict=True):
+            row[list(times)] = True
+        return cls.measured(rows, sensors)
+
+    @classmethod
+    def measured(cls, points: NDArray[np.bool_], sensors: int) -> "ManySets":
+        """Sets of points, from whether each has each point, (S, points)."""
+        instants = points.shape[1] // sensors
+        by_instant = points.reshape(len(points), instants, sensors)
+        return cls(np.packbits(by_instant, axis=2, bitorder="little"), sensors)
+
+    def __len__(self) -> int:
+        """S."""
+        return len(self.bits)
+
+    def __getitem__(self, number: Any) -> Any:
+        """A set, or those of a slice."""
+        if isinstance(number, slice):
+            return ManySets(self.bits[number], self.sensors)
+        return tuple(np.flatnonzero(self.points(number)).tolist())
+
+    def __add__(self, sets: Sequence[Times]) -> "ManySets":
+        """These sets, followed by others."""
+        others = ManySets.of(sets, self.bits.shape[1], self.sensors)
+        return ManySets(np.concatenate([self.bits, others.bits]), self.sensors)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether these are the same bits."""
+        return isinstance(other, ManySets) and self._content == other._content
+
+    def __hash__(self) -> int:
+        """A hash of the bits."""
+        return hash(self._content)
+
+    def points(self, number: Any = ...) -> NDArray[np.bool_]:
+        """Whether a set has each point, (points,); of all sets, (S, points)."""
+        bits = self.bits[number]
+        chosen = np.unpackbits(bits, axis=-1, count=self.sensors, bitorder="little")
+        return chosen.reshape(*bits.shape[:-2], -1).view(np.bool_)
+
+    def written(self) -> Iterator[str]:
+        """The JSON text of each set."""
+        texts = [f",{point}".encode() for point in range(self.bits.shape[1] * self.sensors)]
+        letters = np.frombuffer(b"".join(texts), np.uint8)
+        sizes = [len(text) for text in texts]
+        for number in range(len(self)):
+            own = letters[np.repeat(self.points(number), sizes)]
+            yield f"[{own[1:].tobytes().decode()}]"
+
+    @property
+    def _content(self) -> tuple[bytes, tuple[int, ...], int]:
+        return self.bits.tobytes(), self.bits.shape, self.sensors
 
 
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:

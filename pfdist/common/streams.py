@@ -4,6 +4,8 @@ import hashlib
 import json
 from typing import Any
 
+from pfdist.common.measurement_times import ManySets
+
 CHOOSING = ("search", "shortlist", "online", "particles", "proposal", "explore", "rule")
 """Purposes of draws that decide between sets, rules, numbers of particles, or proposals.
 
@@ -26,8 +28,17 @@ def stream_key(*parts: Any) -> int:
     The values are for instance the seed, a phase's name, a generation, or measurement times. The
     same values give the same key on every machine.
     """
-    text = json.dumps(parts, separators=(",", ":"), sort_keys=True)
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little")
+    digest = hashlib.blake2b(digest_size=8)
+    for number, part in enumerate(parts):
+        digest.update(b"," if number else b"[")
+        if isinstance(part, ManySets):  # its text may be hundreds of megabytes
+            for place, text in enumerate(part.written()):
+                digest.update(f"{',' if place else '['}{text}".encode())
+            digest.update(b"]" if len(part) else b"[]")
+        else:
+            digest.update(json.dumps(part, separators=(",", ":"), sort_keys=True).encode())
+    digest.update(b"]" if parts else b"[]")
+    return int.from_bytes(digest.digest(), "little")
 
 
 def stream_of(purpose: str, seed: int, *parts: Any) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common import stopping
-from pfdist.common.measurement_times import Lag, Times
+from pfdist.common.measurement_times import Lag, ManySets, Times
 from pfdist.common.points import PointNumbers
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
@@ -365,7 +365,7 @@ class Evaluator:
             "together": max(1, self.most_together // estimation.particles),
         }
         return FilterWork(
-            measurement_times=tuple(sets),
+            measurement_times=sets if isinstance(sets, ManySets) else tuple(sets),
             draws_stream=draws_stream,
             draws=draws,
             estimation=estimation,

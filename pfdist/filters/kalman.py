@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Lag, Times, last_used
+from pfdist.common.measurement_times import Lag, ManySets, Times, last_used
 from pfdist.common.points import PointNumbers
 from pfdist.common.stopping import check
 from pfdist.errors import ModelError
@@ -262,6 +262,8 @@ def _measured(
     points: PointNumbers, horizon: int, sets: Sequence[Times], start: int
 ) -> NDArray[np.bool_]:
     """Whether each set has each point."""
+    if isinstance(sets, ManySets):
+        return sets.points()
     measured = np.zeros((len(sets), points.first(horizon + 1)), np.bool_)
     for row, times in zip(measured, sets, strict=True):
         row[[*validated_from(start, times, horizon, points)]] = True

@@ -193,7 +193,7 @@ def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = N
     if start:
         sets = [tuple(time - start * sensors for time in times) for times in sets]
     stops = None if ends is None else tuple(end + 1 - start for end in ends)
-    return plan_prefixes(tuple(sets), instants, stops, sensors)
+    return plan_prefixes(sets, instants, stops, sensors)
 
 
 def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any], ...]:

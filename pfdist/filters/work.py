@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from pfdist.common.measurement_times import Lag, Times
+from pfdist.common.measurement_times import Lag, ManySets, Times
 from pfdist.common.section import Whole
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
@@ -110,7 +110,7 @@ def control_of(given: Estimation) -> Estimation:
 class FilterWork:
     """S sets of measurement times with which the same draws are filtered."""
 
-    measurement_times: tuple[Times, ...]
+    measurement_times: tuple[Times, ...] | ManySets
     ends: tuple[int, ...]  # (S,): last instant of each set whose error counts
     filter_streams: tuple[int, ...]  # (S,): key of each filter's noise
     draws_stream: int  # key of the draws
@@ -191,7 +191,10 @@ def columns(streams: Sequence[int]) -> dict[int, list[int]]:
 
 @lru_cache(maxsize=64)
 def _instants(
-    sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int, ...], sensors: int
+    sets: tuple[Times, ...] | ManySets,
+    ends: tuple[int, ...],
+    streams: tuple[int, ...],
+    sensors: int,
 ) -> int:
     """The number of instants that are filtered for one draw, over all sets."""
     if len(sets) == 1:
@@ -199,7 +202,8 @@ def _instants(
     total = 0
     for same_noise in columns(streams).values():
         stops = tuple(ends[column] + 1 for column in same_noise)
-        same = tuple(sets[column] for column in same_noise)
+        has_all = len(same_noise) == len(sets)
+        same = sets if has_all else tuple(sets[column] for column in same_noise)
         planned = plan_prefixes(same, max(stops), stops, sensors).plan
         total += int(np.sum(planned.ends - planned.begins))
     return total

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import ManySets, Times
+
 
 class Plan(NamedTuple):
     """The order in which the filter computes U different sets, and the clouds that it saves."""
@@ -45,9 +47,8 @@ class Planned(NamedTuple):
     givers: list[int]  # for each of the U sets, the set that filters its shared prefix; -1 for none
 
 
-@lru_cache(maxsize=16)
 def plan_prefixes(
-    sets: tuple[tuple[int, ...], ...],
+    sets: Sequence[Times],
     instants: int,
     ends: tuple[int, ...] | None = None,
     sensors: int = 1,
@@ -64,25 +65,25 @@ def plan_prefixes(
     >>> givers[2]  # the error of (0, 1) at t = 0 is that of (0, 2)
     1
     """
-    wanted = [instants] * len(sets) if ends is None else list(ends)
-    unique = dict[tuple[tuple[int, ...], int], int]()
-    numbers = [unique.setdefault(key, len(unique)) for key in zip(sets, wanted, strict=True)]
-    measured = _bits_of([times for times, _ in unique], instants, sensors)
-    words, ends_ = list(map(bytes, measured)), np.array([end for _, end in unique])
+    wanted = (instants,) * len(sets) if ends is None else ends
+    return _plan(ManySets.of(sets, instants, sensors), wanted)
+
+
+@lru_cache(maxsize=16)
+def _plan(sets: ManySets, wanted: tuple[int, ...]) -> Planned:
+    unique = dict[tuple[bytes, int], int]()
+    numbers = [
+        unique.setdefault((word, -end), place)
+        for place, (word, end) in enumerate(zip(map(bytes, sets.bits), wanted, strict=True))
+    ]
     # If sets differ only in their ends, the longest comes first, so the others can share it.
-    order = sorted(range(len(unique)), key=lambda number: (words[number], -ends_[number]))
-    measured, ends_ = measured[order], ends_[order]
-    begins, givers = _shared(measured, ends_)
-    filter_plan = Plan(measured, begins, ends_, *_slot_plan(begins, givers, ends_))
-    return Planned(filter_plan, np.argsort(order)[numbers], givers)
-
-
-def _bits_of(sets: Sequence[tuple[int, ...]], instants: int, sensors: int) -> NDArray[np.uint8]:
-    """The sensors with which sets measure at each instant; see `Plan.measured`."""
-    chosen = np.zeros((len(sets), instants * sensors), np.bool_)
-    for row, times in zip(chosen, sets, strict=True):
-        row[list(times)] = True
-    return np.packbits(chosen.reshape(-1, instants, sensors), axis=2, bitorder="little")
+    order = [unique[each] for each in sorted(unique)]
+    measured, ends = sets.bits[order], np.array(wanted, np.int64)[order]
+    begins, givers = _shared(measured, ends)
+    filter_plan = Plan(measured, begins, ends, *_slot_plan(begins, givers, ends))
+    places = np.zeros(len(sets), np.int64)
+    places[order] = np.arange(len(order))
+    return Planned(filter_plan, places[numbers], givers)
 
 
 def _shared(

@@ -10,13 +10,14 @@ errors would be preferred.
 
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.estimate import Evaluation
@@ -24,7 +25,7 @@ from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.runner.build import Built
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.row_formats import BLOCK_OF_SUMS
-from pfdist.search.base import Candidate
+from pfdist.search import Candidate, Counted
 from pfdist.search.relaxation import Relaxation
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE
@@ -37,34 +38,6 @@ CHOICE_BLOCKS = GROUPS
 
 Array = NDArray[np.float64]
 Add = Callable[[int, Array], object]
-
-
-@dataclass(frozen=True)
-class Counted:
-    """Sets of times, with the first and last instant at which the errors of each set count."""
-
-    sets: tuple[Times, ...]  # S sets
-    first: NDArray[np.int64]  # (S,)
-    ends: NDArray[np.int64]  # (S,)
-
-    @property
-    def starts(self) -> NDArray[np.int64]:
-        """The index of each set's first error in an array of all E errors that count, (S,)."""
-        return np.cumsum(self._sizes) - self._sizes
-
-    @property
-    def set_of(self) -> NDArray[np.int64]:
-        """The number of the set of each error, (E,)."""
-        return np.repeat(np.arange(len(self.sets)), self._sizes)
-
-    def of_instants(self, errors: Array) -> list[Array]:
-        """The errors of each set that count, of its errors at all instants, (S, T+1)."""
-        ranges = zip(errors, self.first, self.ends, strict=True)
-        return [row[first : end + 1] for row, first, end in ranges]
-
-    @property
-    def _sizes(self) -> NDArray[np.int64]:
-        return self.ends - self.first + 1
 
 
 class BlockSums:
@@ -147,8 +120,8 @@ class BlockSums:
 
     def means(
         self, blocks: int, session: RunSession, groups: "GroupSums | None" = None
-    ) -> Generator[WorkBatch, None, list[Array]]:
-        """Mean errors of each set at the instants that count, over the first blocks.
+    ) -> Generator[WorkBatch, None, Array]:
+        """Mean errors of the sets at the instants that count, (E,), over the first blocks.
 
         A set with an infinite draw has NaN. The blocks of draws are also added to `groups`.
         """
@@ -164,7 +137,7 @@ class BlockSums:
                 groups.add(block, errors)
 
         yield from self.added(session, range(blocks), add, more_follows=True)
-        return np.split(sums / (BLOCK * blocks), self._counted.starts[1:])
+        return sums / (BLOCK * blocks)
 
 
 class GroupSums:
@@ -195,31 +168,33 @@ def evaluated_by_errors(
 ) -> Generator[WorkBatch, None, tuple[list[Evaluation], float]]:
     """Evaluations of candidates from expected errors of instants, and the particle-steps spent.
 
-    The errors are those from the candidate's `since` to its end. If the criterion judges instants,
-    they are all errors, in groups of blocks.
+    A candidate with filters comes first; its evaluation has their errors, one filter after another.
+    If the criterion judges instants, whole sets have all errors, in groups of blocks.
     """
     evaluator, others = session.built.evaluator, dict[str, Any]()
     horizon = evaluator.horizon
-    sets = tuple(candidate.measurement_times for candidate in candidates)
-    first = np.array([candidate.since or 0 for candidate in candidates])
-    ends = np.array([horizon if each.end is None else each.end for each in candidates])
-    counted = Counted(sets, first, ends)
+    whole = [each for each in candidates if each.counted is None]
+    ends = np.array([horizon if each.end is None else each.end for each in whole], np.int64)
+    of_whole = Counted(tuple(each.measurement_times for each in whole), np.zeros_like(ends), ends)
+    filters = [each.counted for each in candidates if each.counted is not None]
+    counted = reduce(add, filters + [of_whole] * bool(whole))
+    starts = np.cumsum([*(each.set_of.size for each in filters), *(ends + 1)])[:-1]
     sums, groups = sums_of(counted), GroupSums(counted) if criterion.by_instant else None
     errors = yield from sums.means(blocks, session, groups)
     evaluations = list[Evaluation]()
     if groups is not None:
         weights = evaluator.relative_weights
-        of_sets = np.split(groups.means, counted.starts[1:], axis=1)
-        for times, each in zip(sets, of_sets, strict=True):  # whole sets
+        of_sets = np.split(groups.means, starts, axis=1)
+        for candidate, each in zip(candidates, of_sets, strict=True):  # whole sets
             unweighted = each[:, weights > 0.0] / weights[weights > 0.0]
             others = {"groups": unweighted, "purpose": purpose, "criterion": criterion}
-            evaluations.append(Evaluation(times, np.empty(0), **others))
+            evaluations.append(Evaluation(candidate.measurement_times, np.empty(0), **others))
         return evaluations, sums.steps(blocks)
-    for candidate, errors_of_set in zip(candidates, errors, strict=True):
-        times, mean = candidate.measurement_times, errors_of_set.sum() / (horizon + 1)
-        others = {"end": candidate.end, "errors": errors_of_set, "purpose": purpose}
+    for candidate, own in zip(candidates, np.split(errors, starts), strict=True):
+        times, mean = candidate.measurement_times, float(own.sum() / (horizon + 1))
+        others = {"end": candidate.end, "errors": own, "purpose": purpose}
         evaluations.append(
-            Evaluation.exactly(times, float(mean), **others)
+            Evaluation.exactly(times, mean, **others)
             if evaluator.exact
             else Evaluation(times, np.array([mean]), **others)
         )

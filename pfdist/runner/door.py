@@ -43,12 +43,14 @@ from functools import partial
 from itertools import chain
 from typing import Any, Literal, NamedTuple, Protocol
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pfdist.common.stopping import check
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PfdistError, PoolError, TaskError
-from pfdist.filters.work import BLOCK, FilterWork, Result, sum_of_draws, whole_block
+from pfdist.filters.work import FilterWork, Result, sum_of_draws, whole_block
 from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
@@ -125,8 +127,7 @@ class WorkBatch:
         self._next: _Cut | None = None
         self._again: deque[_Cut] = deque()  # failed tasks
         self._in_flight = 0
-        # Results of the draws of unfinished blocks of sums, by the ids, the block and the draw
-        self._open = defaultdict[Any, dict[int, Result]](dict)
+        self._open = dict[Any, _Block]()  # unfinished blocks of sums, by the ids and the block
 
     @property
     def is_computed(self) -> bool:
@@ -138,13 +139,12 @@ class WorkBatch:
         if work.is_part_of_block:
             draw, _ = work.draws
             block = whole_block(draw)
-            draws = self._open[work.ids, block]
-            draws[draw] = result
-            if len(draws) < BLOCK:
+            sums = self._open.setdefault((work.ids, block), _Block(block[0]))
+            sums.add(draw, result.sums)
+            if sums.end < block[1]:
                 return
             del self._open[work.ids, block]
-            sums = sum_of_draws(draws[draw].sums for draw in range(*block))
-            work, result = work.part(block), replace(result, sums=sums)
+            work, result = work.part(block), replace(result, sums=sums.total)
             self.keep(work, result)
         self._learn(work, result)
 
@@ -198,6 +198,22 @@ class WorkBatch:
         """Commit the waiting rows, unless more follow."""
         if not self._more_follows:
             self.session.commit()
+
+
+class _Block:
+    """The sums over the first draws of a block; those of later draws wait, and may be large."""
+
+    def __init__(self, first: int) -> None:
+        self.end, self._waiting = first, dict[int, NDArray[np.float64]]()
+        self.total: NDArray[np.float64] = np.empty(0)
+
+    def add(self, draw: int, sums: NDArray[np.float64]) -> None:
+        """Add the sums of a draw, in the order of the draws."""
+        self._waiting[draw] = sums
+        while self.end in self._waiting:
+            following = self._waiting.pop(self.end)
+            self.total = sum_of_draws([self.total, following] if self.total.size else [following])
+            self.end += 1
 
 
 class _Cut(NamedTuple):

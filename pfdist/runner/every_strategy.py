@@ -103,7 +103,7 @@ def _least(
     )
     stream = stream_of("bound", built.job.seed, "strategies", "filter")
     of_draws = stream_of("bound", built.job.seed, "strategies", role)
-    truth, windows = built.evaluator.truth, tuple(relaxation.sets)
+    truth, windows = built.evaluator.truth, relaxation.sets
     truth.compile(estimation)
     of_windows = truth.work(
         windows, stream, of_draws, (0, 1), estimation, ends=tuple(relaxation.ends.tolist())

@@ -25,12 +25,13 @@ from pfdist.filters.work import BLOCK, Estimation, control_of
 from pfdist.results import Run
 from pfdist.results.criteria import samples_of
 from pfdist.results.stored_run import measured_of
-from pfdist.runner.block_sums import Array, BlockSums, Counted, GroupSums
+from pfdist.runner.block_sums import Array, BlockSums, GroupSums
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.proof import Gap, jackknifed, resampled
 from pfdist.runner.prover import Look, Prover, satisfies
+from pfdist.search import Counted
 
 
 class InformationProver(Prover):
@@ -122,7 +123,8 @@ class InformationProver(Prover):
         for sums in self._sums_of(times):
             if not self.particles:
                 exact = yield from sums.means(0, session)
-                information = -np.array([each.sum() for each in exact])[None] / len(exact[0])
+                of_sets = exact.reshape(count, -1)
+                information = -np.array([each.sum() for each in of_sets])[None] / of_sets.shape[1]
                 return information, information
             groups = GroupSums(self._counted_sets(self._sets(times)))
             a_block = sums.steps(1)

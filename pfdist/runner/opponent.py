@@ -25,7 +25,6 @@ from pfdist.models.batched import BatchedModel
 from pfdist.problem.even_sets import EvenSets
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.search_section import CommonNoiseSettings
-from pfdist.runner.block_sums import evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import RunSession, WorkBatch
@@ -200,11 +199,7 @@ class EvenSearch:
         if relaxation.offsets[-1] > most and not built.evaluator.exact:
             return None
         counted = np.flatnonzero(np.diff(relaxation.offsets)).tolist()
-        windows = [*map(relaxation.candidate, counted)]
-        evaluations, _ = yield from evaluated_by_errors(
-            windows, session, phase.sums, blocks, phase.purpose
-        )
-        errors = np.concatenate([each.errors_of_instants for each in evaluations])
+        errors = yield from phase.sums(relaxation.counted(counted)).means(blocks, session)
         session.later(partial(session.store.settle, "error_sums", phase.name))
         programme = Programme(relaxation, np.nan_to_num(errors, nan=np.inf), relaxation.total)
         session.known[phase.name] = programme

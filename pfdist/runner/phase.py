@@ -24,13 +24,13 @@ from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.kernels.variates import generator
-from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
+from pfdist.runner.block_sums import BlockSums, evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.door import EVALUATIONS, Part, RunSession, WorkBatch
 from pfdist.runner.progress import Reporter
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.runner.searches import Settings
-from pfdist.search import Candidate, Optimiser
+from pfdist.search import Candidate, Counted, Optimiser
 from pfdist.store import Store, schema
 
 _TABLES = ("evaluations", "draws", "error_sums")
@@ -229,11 +229,10 @@ def run_phase(
         candidates = list(optimiser.ask(state, rng))
         if copies_are_alike:
             candidates = [candidate._replace(individual=None) for candidate in candidates]
-        if by_instant := criterion.by_instant and not is_exact:  # of whole sets
-            candidates = [candidate._replace(since=0) for candidate in candidates]
+        by_instant = criterion.by_instant and not is_exact  # of whole sets
         copies = Counter(candidates)
-        windows = [each for each in copies if each.since is not None]
-        whole = [each for each in copies if by_instant or each.since is None]
+        windows = [each for each in copies if by_instant or each.counted is not None]
+        whole = [each for each in copies if each.counted is None]
         requests = [phase.request(each, generation) for each in whole]
         finalists = optimiser.finalists(state)
         record = _Generation(

@@ -26,7 +26,6 @@ from pfdist.runner.block_sums import (
     GROUPS,
     Array,
     BlockSums,
-    Counted,
     GroupSums,
     grown,
 )
@@ -38,6 +37,7 @@ from pfdist.runner.gap_parts import gap_parts, steps_of_sets
 from pfdist.runner.likelihood import VALUES, likelihood
 from pfdist.runner.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
 from pfdist.runner.ranks import RankWork, wrong_likelihood
+from pfdist.search import Counted
 from pfdist.search.first_windows import WINDOW, relaxation_for
 from pfdist.search.gaps import gaps_for
 from pfdist.search.relaxation import Indices, Relaxation
@@ -337,8 +337,7 @@ class Prover:
         session.built = replace(self._built, evaluator=evaluator)
         stream = stream_of("bound", self._built.job.seed, "weights")
         sums = BlockSums(session.built, self._counted(()), (stream, stream), self._growing)
-        means = yield from sums.means(blocks, session)
-        return np.concatenate(means)
+        return (yield from sums.means(blocks, session))
 
     def _values(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
         """The criterion's value for each set, exact or of the comparison."""
@@ -421,7 +420,7 @@ class Prover:
             errors, draws = groups.sums, groups.draws
         else:
             means = yield from sums.means(0, session)
-            errors, draws = np.concatenate(means)[None], np.ones(1)
+            errors, draws = means[None], np.ones(1)
         if not np.isfinite(errors).all():
             raise ModelError(
                 "a draw is degenerate or infinite although a particle has its true state: "
@@ -436,12 +435,9 @@ class Prover:
 
     def _counted(self, sets: tuple[Times, ...]) -> Counted:
         """The errors of all windows, and of sets at all instants."""
-        relaxation, every = self.relaxation, np.zeros(len(sets), np.int64)
-        return Counted(
-            (*relaxation.sets, *sets),
-            np.concatenate([relaxation.first, every]),
-            np.concatenate([relaxation.ends, every + relaxation.horizon]),
-        )
+        every = np.zeros(len(sets), np.int64)
+        relaxation, of_sets = self.relaxation, Counted(sets, every, every + self.relaxation.horizon)
+        return relaxation.counted(range(len(relaxation.windows))) + of_sets
 
     def _block_sums(self, sets: tuple[Times, ...]) -> BlockSums:
         """Sums of the errors of all windows, and of sets at all instants."""

@@ -6,7 +6,7 @@ supplies a generator. This room imports NumPy, but neither Numba nor Ray.
 
 from pfdist.problem.methods import method
 from pfdist.problem.search_section import Count
-from pfdist.search.base import Candidate, Optimiser
+from pfdist.search.base import Candidate, Counted, Optimiser
 from pfdist.search.corridor import Corridor
 from pfdist.search.exchange import Exchange
 from pfdist.search.exhaustive import Exhaustive

@@ -1,16 +1,54 @@
 """The contract of a search: candidates go out, evaluations come back."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
 
 
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """Sets of times, with the first and last instant at which the errors of each set count."""
+
+    sets: Sequence[Times]  # S sets
+    first: NDArray[np.int64]  # (S,)
+    ends: NDArray[np.int64]  # (S,)
+
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """The index of each set's first error in an array of all E errors that count, (S,)."""
+        return np.cumsum(self._sizes) - self._sizes
+
+    @property
+    def set_of(self) -> NDArray[np.int64]:
+        """The number of the set of each error, (E,)."""
+        return np.repeat(np.arange(len(self.sets)), self._sizes)
+
+    def of_instants(self, errors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The errors that count, (E,), of those of each set at all instants, (S, T+1)."""
+        t = np.arange(errors.shape[1])
+        counted: NDArray[np.float64] = errors[
+            (self.first[:, None] <= t) & (t <= self.ends[:, None])
+        ]
+        return counted
+
+    def __add__(self, other: "Counted") -> "Counted":
+        """These sets, followed by others."""
+        first, ends = np.append(self.first, other.first), np.append(self.ends, other.ends)
+        return Counted(self.sets + other.sets, first, ends)  # type: ignore[operator]
+
+    @property
+    def _sizes(self) -> NDArray[np.int64]:
+        return self.ends - self.first + 1
+
+
 class Candidate(NamedTuple):
-    """A set, or a prefix of sets, whose expected MSE a search needs.
+    """A set, or a prefix of sets, whose expected MSE a search needs, or many filters.
 
     Parameters
     ----------
@@ -23,16 +61,16 @@ class Candidate(NamedTuple):
     individual : int, optional
         Index in the population, with which each copy of a set has fresh draws. Copies without an
         index share one evaluation; under common noise all copies do.
-    since : int, optional
-        If given, the result is the expected error of each instant from this one on, instead of the
-        mean of each draw.
+    counted : Counted, optional
+        If given, the result has the expected errors of these sets at the instants that count, and
+        the candidate has no times of its own. It comes first.
     """
 
     measurement_times: Times
     end: int | None = None
     draws: int | None = None
     individual: int | None = None
-    since: int | None = None
+    counted: Counted | None = None
 
 
 FINALISTS = 8

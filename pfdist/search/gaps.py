@@ -17,7 +17,6 @@ The sources are those of `pfdist.search.relaxation`; see also `pfdist.kernels.li
 """
 
 import math
-from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,6 +24,7 @@ from itertools import chain
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Lag, Times, last_used
 from pfdist.errors import JobError
@@ -76,13 +76,13 @@ class GapRelaxation(Relaxation):
         has_errors[self.index[START]] = True
         return np.where(has_errors, ends, self.first - 1)
 
-    def filtered(self, window: Window) -> Times:
-        """The measurement times of the smoother of a window."""
-        allowed, last = self.constraints.allowed, window[-1]
-        end = self.constraints.points.first(int(self.ends[self.index[window]]) + 1)
-        later = allowed[bisect_left(allowed, last) :] if window != START else allowed
-        past = super().filtered(window)[: -1 if window != START else None]
-        return tuple(time for time in chain(past, later) if time < end)
+    def _measured(self, numbers: Indices) -> NDArray[np.bool_]:
+        """Whether the smoothers of some windows measure at each time, (n, T+2)."""
+        times, is_start = np.arange(self.end + 1), numbers == self.index[START]
+        last = np.where(is_start, 0, self.last[numbers])
+        until = self.constraints.points.first(1) * (self.ends[numbers] + 1)
+        later = self._is_allowed & (times >= last[:, None])
+        return (super()._measured(numbers) | later) & (times < until[:, None])
 
     def windows_of(self, times: Times) -> list[int]:
         """The index of the window before the first and after each measurement, and at the end."""

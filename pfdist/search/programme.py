@@ -142,7 +142,7 @@ class Programme:
         error = np.full((self._states, self.most + 1), np.inf)
         if self._paid <= self.most:
             error[self._start, self._paid] = 0.0
-        for moves in self._moves:
+        for moves in self._moves(self.relaxation.constraints.allowed):
             check()
             between = self._until(moves)
             reached = np.full((moves.before.size, self.most + 1), np.inf)
@@ -164,7 +164,7 @@ class Programme:
         following = np.full(error.shape, NOTHING)
         left_over = 0 if self.relaxation.constraints.counted else self.most
         error[:, : left_over + 1] = np.repeat(self._at_the_end, self.relaxation.ages)[:, None]
-        for moves in reversed(self._moves):
+        for moves in self._moves(reversed(self.relaxation.constraints.allowed)):
             check()
             between = self._until(moves)
             for price, some in self._priced(moves):
@@ -177,11 +177,12 @@ class Programme:
                 following[before, price:] = np.where(least, moves.time, times)
         return error, following
 
-    @cached_property
-    def _moves(self) -> list[Moves]:
+    def _moves(self, times: Iterable[int]) -> Iterator[Moves]:
+        """The moves by these times, if any, unless their sensor is not installed."""
         way = self.relaxation.constraints.points.way
         others = self.installed[1] if self.installed else frozenset()
-        return [moves for moves in self.relaxation.moves if way(moves.time) not in others]
+        every = (self.relaxation.moves(time) for time in times if way(time) not in others)
+        return (moves for moves in every if moves.before.size)
 
     def _priced(self, moves: Moves) -> Iterator[tuple[int, NDArray[np.bool_]]]:
         """Each price of some moves that can be paid, and the moves that have it."""
@@ -221,16 +222,12 @@ class Programme:
     def _sums(self) -> Callable[[Indices, Indices], Array]:
         return self.relaxation.sums(self.errors)
 
-    @cached_property
-    def _moves_by_time(self) -> dict[int, Moves]:
-        return {moves.time: moves for moves in self.relaxation.moves}
-
     def _path_to(self, state: int, spent: int) -> Times:
         """The times before and up to a state's last, by following the programme back."""
         relaxation, times = self.relaxation, list[int]()
         while state != self._start:
             time = int(relaxation.last[state // relaxation.ages])
-            moves = self._moves_by_time[time]
+            moves = relaxation.moves(time)
             left = spent - relaxation.priced(moves)
             is_possible = (moves.to == state) & (left >= 0)
             reached = self._until(moves) + self._to[moves.before, np.maximum(left, 0)]
@@ -241,11 +238,11 @@ class Programme:
 
     def _path_from(self, state: int, spent: int) -> Times:
         """The times after a state's last, by following the programme to the end of the horizon."""
-        following, times = self._onward[1], list[int]()
+        relaxation, following, times = self.relaxation, self._onward[1], list[int]()
         while (time := int(following[state, spent])) != NOTHING:
-            moves = self._moves_by_time[time]
+            moves = relaxation.moves(time)
             (place,) = np.flatnonzero(moves.before == state)
-            spent -= int(self.relaxation.priced(moves)[place])
+            spent -= int(relaxation.priced(moves)[place])
             state = int(moves.to[place])
             times.append(time)
         return tuple(times)

@@ -19,20 +19,19 @@ Abate, Hu, Tomlin, "On efficient sensor scheduling for linear dynamical systems"
 dynamic programs", Operations Research 58, 2010.
 """
 
-from bisect import bisect_right
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import ManySets, Times
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.visits import Installs
-from pfdist.search.base import Candidate
+from pfdist.search.base import Counted
 
 NOTHING = -1
 """First entry of a window before which nothing is measured: the window is a whole beginning."""
@@ -42,6 +41,8 @@ _MOST_CHOICES = 100_000_000  # times states and sums
 # With visits of which the first measurement counts:
 _MOST_STATES = 10_000_000  # times sums
 _MOST_MOVES = 30_000_000
+_TOGETHER = 4096  # windows whose times are laid out
+_MOST_KEPT = 4_000_000  # moves; more are computed whenever they are needed
 
 Window = tuple[int, ...]
 """Measurement times, sorted. Every allowed instant up to the first is measured."""
@@ -62,6 +63,30 @@ class Moves(NamedTuple):
     begun: NDArray[np.bool_]  # (n,): whether it begins a visit
     after: Indices  # (m,): the states after it; all differ
     starts: Indices  # (m,): the first place in `before` of each state after it
+
+
+@dataclass(frozen=True)
+class After:
+    """The window after each window and time; most windows have the row of a shorter one.
+
+    ``after[windows, times]`` has the indices of the windows after these; -1 if not allowed.
+    """
+
+    rows: States  # (R, T+2): the window after each time, and at the end
+    row_of: Indices  # (W,): the row of each window
+
+    def __getitem__(self, at: tuple[Any, Any]) -> Any:
+        windows, times = at
+        return self.rows[self.row_of[windows], times]
+
+    def allowing(self, time: int) -> Indices:
+        """The windows after which a time is allowed, sorted."""
+        return np.flatnonzero((self.rows[:, time] >= 0)[self.row_of])
+
+    @property
+    def count(self) -> int:
+        """The number of windows and times that are allowed after them."""
+        return int(np.count_nonzero(self.rows >= 0, axis=1)[self.row_of].sum())
 
 
 @dataclass(frozen=True)
@@ -117,7 +142,7 @@ class Relaxation:
         longest = 1 if visits is None else visits.longest(self.constraints.points)
         if longest == 1 or len(self.windows) * longest * (self.total + 1) > _MOST_STATES:
             return 1
-        return longest if np.count_nonzero(self.after >= 0) * longest <= _MOST_MOVES else 1
+        return longest if self.after.count * longest <= _MOST_MOVES else 1
 
     def priced(self, moves: Moves) -> Indices:
         """The price of each move, with a visit that it begins, in units, (n,)."""
@@ -187,19 +212,37 @@ class Relaxation:
         return np.cumsum(np.concatenate([[0], self.ends - self.first + 1]))
 
     @property
-    def sets(self) -> list[Times]:
+    def sets(self) -> ManySets:
         """The measurement times of the filter of each window."""
-        return [self.filtered(window) for window in self.windows]
+        return self._sets(np.arange(len(self.windows)))
 
-    def filtered(self, window: Window) -> Times:
-        """The measurement times of the filter of a window."""
-        allowed = self.constraints.allowed
-        return allowed[: bisect_right(allowed, window[0])] + window[1:]
+    def counted(self, numbers: Sequence[int]) -> Counted:
+        """The filters of some windows, and the instants at which their errors count."""
+        some = np.array(numbers, np.int64)
+        return Counted(self._sets(some), self.first[some], self.ends[some])
 
-    def candidate(self, number: int, draws: int | None = None) -> Candidate:
-        """The filter of a window, whose errors that count are wanted."""
-        times, end = self.filtered(self.windows[number]), int(self.ends[number])
-        return Candidate(times, end, draws, since=int(self.first[number]))
+    def _sets(self, numbers: Indices) -> ManySets:
+        ways, bits = self.constraints.points.ways, list[NDArray[np.uint8]]()
+        for first in range(0, max(1, numbers.size), _TOGETHER):
+            measured = self._measured(numbers[first : first + _TOGETHER])
+            bits.append(ManySets.measured(measured[:, : self.end], ways).bits)
+        return ManySets(np.concatenate(bits), ways)
+
+    def _measured(self, numbers: Indices) -> NDArray[np.bool_]:
+        """Whether the filters of some windows measure at each time, (n, T+2)."""
+        windows = [self.windows[number] for number in numbers.tolist()]
+        begin = np.array([window[0] for window in windows], np.int64)
+        measured = self._is_allowed & (np.arange(self.end + 1) <= begin[:, None])
+        for row, window in zip(measured, windows, strict=True):
+            row[[*window[1:]]] = True
+        return measured
+
+    @cached_property
+    def _is_allowed(self) -> NDArray[np.bool_]:
+        """Whether each time is allowed, (T+2,); the end is not."""
+        allowed = np.zeros(self.end + 1, np.bool_)
+        allowed[[*self.constraints.allowed]] = True
+        return allowed
 
     @cached_property
     def single(self) -> Indices:
@@ -214,40 +257,54 @@ class Relaxation:
         return WindowSums(self, errors)
 
     @cached_property
-    def after(self) -> NDArray[np.int32]:
-        """Index of the window after each time, and at the end, (W, T+2); -1 if not allowed."""
+    def after(self) -> After:
+        """The window after each window and time, and at the end."""
         # Short windows come first: a window takes the row of its longest known end, which is
-        # shorter, and then the windows that continue it replace entries (Aho and Corasick).
-        after = np.full((len(self.windows), self.end + 1), -1, np.int32)
+        # shorter. Windows that continue it, if there are any, replace entries of a copy (Aho and
+        # Corasick).
         following = dict[int, list[int]]()
         for number, window in enumerate(self.windows):
             if len(window) > 1:
                 following.setdefault(self.index[window[:-1]], []).append(number)
         single = [self.index.get((time,), -1) for time in range(self.end + 1)]
-        for number in sorted(range(len(after)), key=lambda number: len(self.windows[number])):
+        rows, row_of = [np.array(single, np.int32)], np.zeros(len(self.windows), np.int64)
+        for number in sorted(range(row_of.size), key=lambda number: len(self.windows[number])):
             window = self.windows[number]
-            after[number] = single if len(window) == 1 else after[self._suffix(window)]
-            for longer in following.get(number, ()):
-                after[number, self.windows[longer][-1]] = longer
-        allowed = self._follows[self.last + 1] & self._within_limits
-        return np.where(allowed & self.passable[after], after, -1)
+            row_of[number] = 0 if len(window) == 1 else row_of[self._suffix(window)]
+            if longer := following.get(number):
+                row = rows[row_of[number]].copy()
+                row[[self.windows[each][-1] for each in longer]] = longer
+                row_of[number] = len(rows)
+                rows.append(row)
+        # Windows with the same row, the same last time and the same times within limits are alike.
+        masks, mask_of = self._within_limits
+        kinds, kind_of = np.unique([row_of, self.last, mask_of], axis=1, return_inverse=True)
+        row, last, mask = kinds
+        after = np.array(rows)[row]
+        after[~(self._follows[last + 1] & masks[mask] & self.passable[after])] = -1
+        return After(after, kind_of)
+
+    def moves(self, time: int) -> Moves:
+        """The moves by a measurement at a time from all states that allow it."""
+        known = self._moves.get(time)
+        return known or self._moves_at(time)
 
     @cached_property
-    def moves(self) -> list[Moves]:
-        """The moves by each time that any state allows, sorted by the time."""
-        moves = []
-        for time in self.constraints.allowed:
-            windows = np.flatnonzero(self.after[:, time] >= 0)
-            states = windows[:, None] * self.ages + np.arange(self.ages)
-            before = states.ravel().astype(np.int32)
-            begun, age = self._visit(before, time)
-            to = (self.after[before // self.ages, time] * self.ages + age).astype(np.int32)
-            order = np.flatnonzero(age < self.ages)
-            order = order[np.argsort(to[order], kind="stable")]
-            after, starts = np.unique(to[order], return_index=True)
-            if order.size:
-                moves.append(Moves(time, before[order], to[order], begun[order], after, starts))
-        return moves
+    def _moves(self) -> dict[int, Moves]:
+        """The moves by each time, unless they are many."""
+        if self.after.count * self.ages > _MOST_KEPT:
+            return {}
+        return {time: self._moves_at(time) for time in self.constraints.allowed}
+
+    def _moves_at(self, time: int) -> Moves:
+        windows = self.after.allowing(time)
+        before = (windows[:, None] * self.ages + np.arange(self.ages)).ravel().astype(np.int32)
+        begun, age = self._visit(before, time)
+        to = (self.after[before // self.ages, time] * self.ages + age).astype(np.int32)
+        order = np.flatnonzero(age < self.ages)
+        order = order[np.argsort(to[order], kind="stable")]
+        starts = np.flatnonzero(np.diff(to[order], prepend=-1))
+        return Moves(time, before[order], to[order], begun[order], to[order][starts], starts)
 
     def _visit(self, before: States, time: int) -> tuple[NDArray[np.bool_], Indices]:
         """Whether a measurement begins a visit after each state, and the age after it."""
@@ -333,13 +390,16 @@ class Relaxation:
         return follows
 
     @cached_property
-    def _within_limits(self) -> NDArray[np.bool_]:
-        """Whether a time keeps the limits, after those of each window, (W, T+2)."""
-        within = np.ones((len(self.windows), self.end + 1), np.bool_)
-        if self.constraints.is_limited:
-            for row, window in zip(within, self.windows, strict=True):
-                row[self.constraints.beyond_limits(measured_in(self.constraints, window))] = False
-        return within
+    def _within_limits(self) -> tuple[NDArray[np.bool_], Indices]:
+        """Which times keep the limits, (M, T+2), and the row of the times after each window."""
+        rows, row_of = dict[Times, int](), list[int]()
+        for window in self.windows if self.constraints.is_limited else ():
+            beyond = self.constraints.beyond_limits(measured_in(self.constraints, window))
+            row_of.append(rows.setdefault(tuple(beyond), len(rows)))
+        within = np.ones((max(1, len(rows)), self.end + 1), np.bool_)
+        for times, row in rows.items():
+            within[row, [*times]] = False
+        return within, np.array(row_of or [0] * len(self.windows))
 
     def _suffix(self, window: Window) -> int:
         """Index of the longest known end of a window that is not the window itself."""

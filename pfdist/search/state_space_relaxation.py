@@ -177,8 +177,11 @@ class StateSpaceRelaxation:
         relaxation, draws = state.relaxation, None  # the number of the search's settings
         if state.level < len(_SCREENING):
             draws = max(1, self.draws // _SCREENING[state.level])
-        windows = [relaxation.candidate(number, draws) for number in state.lacking]
-        return [*windows, *map(Candidate, state.sets)]
+        candidates = [*map(Candidate, state.sets)]
+        if lacking := state.lacking:
+            windows = relaxation.counted(lacking)
+            candidates.insert(0, Candidate((), relaxation.horizon, draws, counted=windows))
+        return candidates
 
     def tell(self, state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
         """Solve the programme, and extend the windows along its best sets."""
@@ -292,9 +295,11 @@ class StateSpaceRelaxation:
 def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
     """The state after the last candidates were evaluated, without windows of infinite error."""
     lacking, relaxation, errors = state.lacking, state.relaxation, {**state.errors}
-    for number, evaluation in zip(lacking, evaluations, strict=False):
-        errors[relaxation.windows[number]] = evaluation.errors_of_instants
-    whole = (*state.whole, *evaluations[len(lacking) :])
+    if lacking:
+        sizes = np.diff(relaxation.offsets)[lacking]
+        each = np.split(evaluations[0].errors_of_instants, np.cumsum(sizes)[:-1])
+        errors.update(zip((relaxation.windows[number] for number in lacking), each, strict=True))
+    whole = (*state.whole, *evaluations[bool(lacking) :])
     updated = replace(state, errors=errors, whole=whole, sets=())
     return replace(updated, relaxation=relaxation.without(updated.infinite))
 

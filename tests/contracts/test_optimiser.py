@@ -109,16 +109,17 @@ def _feasible_errors(problem: str) -> dict[Times, NDArray[np.float64]]:
 
 def _evaluation(candidate: Candidate, problem: str) -> Evaluation:
     """An evaluation, exact or under common noise: the same in all sets, at all instants."""
-    times, end, since = candidate.measurement_times, candidate.end, candidate.since
-    instants = np.arange(PROBLEMS[problem].horizon + 1)
-    counts = ((since or 0) <= instants) & (instants <= (instants[-1] if end is None else end))
+    times, end, counted = candidate.measurement_times, candidate.end, candidate.counted
     noise = NOISE[: candidate.draws] if problem == NOISY else np.zeros((1, 1))
+    if counted is not None:
+        each = np.array([(_errors(own, problem) + noise).mean(axis=0) for own in counted.sets])
+        return Evaluation.exactly(times, np.nan, end=end, errors=counted.of_instants(each))
+    instants = np.arange(PROBLEMS[problem].horizon + 1)
+    counts = instants <= (instants[-1] if end is None else end)
     errors = np.where(counts, _errors(times, problem) + noise, 0.0)
-    if problem == NOISY and since is None:
+    if problem == NOISY:
         return Evaluation(times, errors.mean(axis=1), end=end)
-    mean = errors.mean(axis=0)
-    known = None if since is None else mean[counts]
-    return Evaluation.exactly(times, float(mean.mean()), end=end, errors=known)
+    return Evaluation.exactly(times, float(errors.mean()), end=end)
 
 
 def _search(
@@ -143,7 +144,7 @@ def _asked(method: str, problem: str) -> list[Candidate]:
 
 def _whole(method: str, problem: str) -> set[Times]:
     asked = _asked(method, problem)
-    return {each.measurement_times for each in asked if each.end is None and each.since is None}
+    return {each.measurement_times for each in asked if each.end is None and each.counted is None}
 
 
 @cache
@@ -161,13 +162,14 @@ def test_it_asks_for_sorted_sets_of_distinct_times_within_the_horizon(
 ) -> None:
     optimiser = _optimiser(method, problem)
     assert min(optimiser.generations, optimiser.evaluations) > 0  # known before it begins
-    for times, end, draws, _, since in _asked(method, problem):
+    for times, end, draws, _, counted in _asked(method, problem):
         last = PROBLEMS[problem].horizon if end is None else end
         assert all(a < b for a, b in itertools.pairwise(times))
         assert all(0 <= time <= last for time in times)
-        fewest = 2 if since is None else 1  # the mean of one draw is an expected error
+        fewest = 2 if counted is None else 1  # the mean of one draw is an expected error
         assert draws is None or fewest <= draws <= DRAWS
-        assert since is None or 0 <= since <= last
+        for first, until in zip(counted.first, counted.ends, strict=True) if counted else ():
+            assert 0 <= first <= until <= last
 
 
 @both
@@ -184,7 +186,7 @@ def test_a_feasible_set_begins_with_what_it_asks_for_up_to_an_end(
     begun = {
         each.measurement_times
         for each in _asked(method, problem)
-        if each.end is not None and each.since is None
+        if each.end is not None and each.counted is None
     }
     assert begun <= {whole[: k + 1] for whole in _costs(problem) for k in range(len(whole))}
 
@@ -198,13 +200,13 @@ def test_where_errors_are_asked_for_some_feasible_set_has_the_last_of_the_measur
     Online planning gives the cost of each draw, and no errors.
     """
     feasible = PROBLEMS[problem]
-    windows = [each for each in _asked(method, problem) if each.since is not None]
+    windows = [each.counted for each in _asked(method, problem) if each.counted is not None]
     assert bool(windows) != METHODS[method].online
-    for times, end, _, _, since in windows:
-        assert set(feasible.required) & set(range(max(times, default=0))) <= set(times)
-        assert not set(times) & set(feasible.forbidden)
-        assert since == max(times, default=0)
-        assert end is not None
+    for counted in windows:
+        for times, first in zip(counted.sets, counted.first.tolist(), strict=True):
+            assert set(feasible.required) & set(range(max(times, default=0))) <= set(times)
+            assert not set(times) & set(feasible.forbidden)
+            assert first == max(times, default=0)
 
 
 @pytest.mark.parametrize("method", FORESEEN)
@@ -224,9 +226,9 @@ def test_its_settings_travel_to_a_worker(method: str) -> None:
 
 @every
 def test_the_keys_decide_what_a_search_asks_for(method: str) -> None:
-    first, _ = _searched(method, NOISY)
-    assert _search(method, NOISY)[0] == first
-    assert (_search(method, NOISY, seed=2)[0] != first) == (method in AT_RANDOM)
+    first = _content(_searched(method, NOISY)[0])
+    assert _content(_search(method, NOISY)[0]) == first
+    assert (_content(_search(method, NOISY, seed=2)[0]) != first) == (method in AT_RANDOM)
 
 
 def _content(value: Any) -> Any:

@@ -1,6 +1,7 @@
 """Searches run to their ends where the cost is a function of the times."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,17 +34,13 @@ def last(optimiser: Optimiser, cost: Callable[[Times], float], seed: int = 1) ->
 
 def exactly(model: StateSpaceModel, horizon: int, asked: Sequence[Candidate]) -> list[Evaluation]:
     """Evaluate candidates by the Kalman filter: whole sets, prefixes, and errors of instants."""
-    sets, t, told = [candidate.measurement_times for candidate in asked], np.arange(horizon + 1), []
-    for candidate, row in zip(asked, expected_errors(model, horizon, sets), strict=True):
-        times, end, _, _, since = candidate
-        counts = (t >= (since or 0)) & (t <= (horizon if end is None else end))
-        errors = np.where(counts, row, 0.0)
-        told.append(
-            Evaluation.exactly(
-                times,
-                float(errors.mean()),
-                end=end,
-                errors=None if since is None else row[counts],
-            )
-        )
+    sets, t, told = [each.measurement_times for each in asked], np.arange(horizon + 1), []
+    whole = expected_errors(model, horizon, sets)
+    for (times, end, _, _, counted), row in zip(asked, whole, strict=True):
+        until = np.where(t <= (horizon if end is None else end), row, 0.0)
+        found = Evaluation.exactly(times, float(until.mean()), end=end)
+        if counted is not None:
+            errors = expected_errors(model, horizon, counted.sets)
+            found = replace(found, errors=counted.of_instants(errors))
+        told.append(found)
     return told

@@ -25,7 +25,7 @@ from pfdist.search import Candidate
 from pfdist.store import Store
 
 Completed = Callable[..., Any]
-Means = Callable[[RunSession, int], list[np.ndarray]]
+Means = Callable[[RunSession, int], np.ndarray]
 HORIZON, BLOCKS = 12, 3
 SETS = ((0, 3, 7), (0, 3, 4, 5), (), (0, 3, 7, 11))
 COUNTED = Counted(SETS, np.array([7, 5, 0, 0]), np.array([9, 12, 12, 12]))
@@ -42,10 +42,10 @@ def built(small_job: Job) -> Built:
 def means(completed: Completed) -> Means:
     """``means(session, blocks)``: the means of a new start of the program."""
 
-    def found(session: RunSession, blocks: int) -> list[np.ndarray]:
+    def found(session: RunSession, blocks: int) -> np.ndarray:
         session = RunSession(session.built, session.store)
         sums = BlockSums(session.built, COUNTED, (5, 5), ESTIMATION)
-        found: list[np.ndarray] = completed(sums.means(blocks, session))
+        found: np.ndarray = completed(sums.means(blocks, session))
         session.commit()
         return found
 
@@ -84,7 +84,7 @@ def test_a_criterion_of_instants_gets_their_errors_in_groups_that_are_not_weight
         assert evaluation.expected_mse == pytest.approx(errors.max(), rel=1e-12)
 
 
-def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> list[np.ndarray]:
+def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> np.ndarray:
     """Mean errors over some draws, filtered at once, where they count."""
     ends = tuple(COUNTED.ends.tolist())
     work = FilterWork(SETS, ends, (stream,) * len(SETS), stream, draws, ESTIMATION)
@@ -96,10 +96,8 @@ def _draws(handed: list[FilterWork]) -> list[int]:
     return sorted(draw for work in handed for draw in range(*work.draws))
 
 
-def assert_alike(found: list[np.ndarray], errors: list[np.ndarray], rtol: float = 1e-12) -> None:
-    assert len(found) == len(errors)
-    for mean, expected in zip(found, errors, strict=True):
-        np.testing.assert_allclose(mean, expected, rtol=rtol)
+def assert_alike(found: np.ndarray, errors: np.ndarray, rtol: float = 1e-12) -> None:
+    np.testing.assert_allclose(found, errors, rtol=rtol)
 
 
 def test_means_are_those_of_all_draws_and_blocks_that_are_stored_are_not_filtered_again(
@@ -205,17 +203,13 @@ def test_a_set_with_an_infinite_draw_has_no_mean_and_others_have(
     found = means(session, BLOCKS)
     monkeypatch.undo()
     blocks = [_expected(built, (block * BLOCK, (block + 1) * BLOCK)) for block in range(BLOCKS)]
-    whole = [np.mean(each, axis=0) for each in zip(*blocks, strict=True)]
-    assert_alike(found[1:3], whole[1:3])
-    assert np.isnan(found[0]).all()
-    assert np.isnan(found[3]).all()
+    is_infinite = IS_FIRST | IS_LAST
+    assert_alike(found[~is_infinite], np.mean(blocks, axis=0)[~is_infinite])
+    assert np.isnan(found[is_infinite]).all()
 
 
 WHOLE = Candidate((0, 4, 8, 12))
-WINDOWS = [
-    Candidate(times, end, draws=2 * BLOCK, since=since)
-    for times, since, end in zip(SETS, COUNTED.first.tolist(), COUNTED.ends.tolist(), strict=True)
-]
+WINDOWS = Candidate((), HORIZON, 2 * BLOCK, counted=COUNTED)
 
 
 def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
@@ -223,26 +217,23 @@ def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
 ) -> None:
     """So the errors of a set add up to its cost, where they count from the first instant on."""
     settings = replace(built.searches[0].settings, draws=2 * BLOCK, estimation=ESTIMATION)
-    search = asks(WHOLE, *WINDOWS, Candidate(SETS[3]))
+    search = asks(WHOLE, WINDOWS, Candidate(SETS[3]))
     phase = Phase("mine", search, "search", settings, built, MEAN)
     completed(run_phase(phase, session))
-    _, *windows, whole = search.told
-    assert [each.measurement_times for each in windows] == list(SETS)
-    expected = _expected(built, (0, 2 * BLOCK), phase.stream())
-    for window, errors in zip(windows, expected, strict=True):
-        np.testing.assert_allclose(window.errors_of_instants, errors, rtol=1e-12)
-        assert window.expected_mse == pytest.approx(errors.sum() / (HORIZON + 1), rel=1e-12)
+    _, windows, whole = search.told
+    assert_alike(windows.errors_of_instants, _expected(built, (0, 2 * BLOCK), phase.stream()))
     assert whole.errors is None
-    assert windows[3].expected_mse == pytest.approx(whole.expected_mse, rel=1e-9)
+    last = windows.errors_of_instants[IS_LAST].sum() / (HORIZON + 1)
+    assert last == pytest.approx(whole.expected_mse, rel=1e-9)
 
 
 def test_an_exact_engine_tells_errors_without_draws(
     small_job: Job, tmp_path: Path, handed: list[FilterWork], asks: Any, completed: Completed
 ) -> None:
     exact = build(small_job.with_changes(["model.name=random_walk", "filter.engine=kalman"]))
-    search = asks(WHOLE, *WINDOWS)
+    search = asks(WHOLE, WINDOWS)
     phase = Phase("mine", search, "search", exact.searches[0].settings, exact, MEAN)
     completed(run_phase(phase, RunSession(exact, Store(tmp_path / "run"))))
     assert not handed
     errors = COUNTED.of_instants(exact.evaluator.expected_errors(SETS, weighted=True))
-    assert_alike([evaluation.errors_of_instants for evaluation in search.told[1:]], errors)
+    assert_alike(search.told[1].errors_of_instants, errors)

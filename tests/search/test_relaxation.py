@@ -68,10 +68,13 @@ def test_a_window_leads_on_by_the_times_that_the_constraints_allow(case: Case) -
     relaxation, _ = case.make()
     sets = satisfying(relaxation.constraints)
     pairs = {pair for times in sets for pair in pairwise((NOTHING, *times))}
-    leads = {(int(last), time)
-             for last, row in zip(relaxation.last, relaxation.after, strict=True)
-             for time in np.flatnonzero(row >= 0).tolist()}  # fmt: skip
+    leads = {(int(relaxation.last[window]), time)
+             for time in range(relaxation.end + 1)
+             for window in relaxation.after.allowing(time).tolist()}  # fmt: skip
     assert leads == pairs
+    assert relaxation.after.count == sum(
+        relaxation.after.allowing(time).size for time in range(relaxation.end + 1)
+    )
 
 
 @cases
@@ -79,12 +82,14 @@ def test_the_moves_are_those_of_the_automaton(case: Case) -> None:
     relaxation, _ = case.make()
     moves = {
         (before, moves.time, after)
-        for moves in relaxation.moves
+        for moves in map(relaxation.moves, range(relaxation.end))
         for before, after in zip(moves.before.tolist(), moves.to.tolist(), strict=True)
     }
-    windows, times = np.nonzero(relaxation.after >= 0)
-    after = relaxation.after[windows, times]
-    assert moves == {*zip(windows.tolist(), times.tolist(), after.tolist(), strict=True)}
+    assert moves == {
+        (window, time, int(relaxation.after[window, time]))
+        for time in range(relaxation.end + 1)
+        for window in relaxation.after.allowing(time).tolist()
+    }
 
 
 @cases

@@ -210,12 +210,12 @@ def test_with_draws_few_windows_are_left_to_the_programme_with_all_draws(
         return exactly(model, 24, candidates)
 
     *_, state = _states(search, _unknown(tell, DRAWS))
-    draws = [{each.draws for each in some if each.since is not None} for some in asked]
+    draws = [{each.draws for each in some if each.counted is not None} for some in asked]
     assert draws[:3] == [{DRAWS // 16}, {DRAWS // 4}, {None}]
     assert {number for each in draws[3:] for number in each} <= {None}
-    windows = [sum(each.since is not None for each in some) for some in asked]
+    windows = [sum(len(each.counted.sets) for each in some if each.counted) for some in asked]
     assert windows[0] > 2 * max(windows[1:])
-    whole = [sum(each.since is None for each in some) for some in asked]
+    whole = [sum(each.counted is None for each in some) for some in asked]
     assert whole[:3] == [1, 0, 0]  # regular times
     assert max(whole[3:]) <= search.paths
     assert len(asked) <= 3 + search.rounds + 1
@@ -252,16 +252,17 @@ def _degenerate(tell: Tell, is_degenerate: Callable[[Times], bool]) -> Tell:
     """The same, but with a degenerate draw wherever a filter measures at such times."""
 
     def told(asked: list[Candidate]) -> list[Evaluation]:
-        return [
-            replace(
-                evaluation,
-                criterion=MEAN.exactly(np.inf),
-                errors=None if evaluation.errors is None else evaluation.errors + np.nan,
-            )
-            if is_degenerate(evaluation.measurement_times)
-            else evaluation
-            for evaluation in tell(asked)
-        ]
+        evaluations = list[Evaluation]()
+        for candidate, evaluation in zip(asked, tell(asked), strict=True):
+            found = evaluation
+            if candidate.counted is not None:
+                lost = np.array([is_degenerate(times) for times in candidate.counted.sets])
+                errors = np.where(lost[candidate.counted.set_of], np.nan, evaluation.errors)
+                found = replace(evaluation, errors=errors)
+            elif is_degenerate(evaluation.measurement_times):
+                found = replace(evaluation, criterion=MEAN.exactly(np.inf))
+            evaluations.append(found)
+        return evaluations
 
     return told
 
