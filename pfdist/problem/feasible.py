@@ -181,7 +181,7 @@ class Feasible(Constraints):
         if self.counted:
             return exchanged
         exchanged += (*self.additions(times), *self.removals(times)) if self.smaller else ()
-        exchanged += self.visits.moved(self, times, reach) if self.visits else ()
+        exchanged += self._moved_parts(times, reach)
         return [neighbour for neighbour in dict.fromkeys(exchanged) if neighbour != times]
 
     def completed(self, times: Iterable[int]) -> Times:
@@ -208,9 +208,9 @@ class Feasible(Constraints):
         if self.accepts(original):
             return original
         order: list[int] = rng.permutation(original).tolist()
-        if self.visits:  # each visit as a whole, in the order of a random measurement of each
-            order = self.visits.together(original, order)
-        for time in order:
+        parts = {t: part for each in self.shared for part in each.parts(original) for t in part}
+        # Each visit as a whole, in the order of a random measurement of each.
+        for time in dict.fromkeys(chain.from_iterable(parts.get(t, (t,)) for t in order)):
             larger = tuple(sorted({*repaired, time}))
             repaired = larger if self._can_be_completed(larger) else repaired
         while not self.accepts(repaired):
@@ -296,7 +296,7 @@ class Feasible(Constraints):
             required=tuple(sorted(time - start for time in required)),
             points=points.since(first),
             limits=tuple(limits),
-            shared=tuple(filter(None, (e.since(points, start, taken) for e in self.shared))),
+            shared=tuple(each.since(start, taken) for each in self.shared),
         )
         if self.price is not None and self.total_price is not None:
             money = max(self.total_price, self.price_of((*taken, *in_flight)))
@@ -428,9 +428,9 @@ class Feasible(Constraints):
 
     @cached_property
     def _nearest_regular(self) -> Times:
-        if self.visits:
-            times = self.visits.evenly(self)
-            return times or self.repair(self.allowed, np.random.default_rng(0))
+        for each in self.shared:
+            if (times := each.regular(self)) is not None:
+                return times
         if self.points.ways > 1:
             times = self._in_turn((self.cheapest,))
             number = min(self.total, self.horizon + 1)
@@ -450,6 +450,17 @@ class Feasible(Constraints):
         instant = self.points.instant(time)
         first, stop = (self.points.first(instant + far) for far in (-reach, reach + 1))
         return self.allowed[bisect_left(self.allowed, first) : bisect_left(self.allowed, stop)]
+
+    def _moved_parts(self, times: Times, reach: int | None) -> Iterator[Times]:
+        """The feasible sets in which measurements that belong together move together."""
+        points = self.points
+        for part in chain.from_iterable(each.parts(times) for each in self.shared):
+            rest = {*times} - {*part}
+            for first in self.near(part[0], reach):
+                if points.way(first) == points.way(part[0]) and first != part[0]:
+                    moved = tuple(sorted({*rest, *(t + first - part[0] for t in part)}))
+                    if moved[-1] < points.number and self.accepts(moved):
+                        yield moved
 
     def _exchanged(self, others: set[int], new: int) -> Times | None:
         if self.counted:

@@ -46,7 +46,7 @@ from pfdist.problem.sensor_section import (
     SensorSection,
     priced,
 )
-from pfdist.problem.shared import Money, Together, money
+from pfdist.problem.shared import Money, Shared, Together, money
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.visits import Installs
 from pfdist.problem.visits_section import VisitsSection
@@ -319,11 +319,10 @@ class ProblemSection(JobSection):
                 "minimum_spacing must be left out with sensors of different delays, got "
                 f"{spacing:g}: give each sensor its own"
             )
-        points, limits = self.points, self._limits
-        shared = (self.visits.on(points) if self.visits else None, self._installs, self._groups)
-        fees = [name for each in shared if each for name in each.fees]
-        if self.total_price is None and fees:
-            raise MeasurementTimesError(f"{fees[-1]} needs total_price and prices of measurements")
+        points, limits, shared = self.points, self._limits, tuple(self._shared)
+        paid = [each.priced for each in shared if any(setup.price for setup in each.setups)]
+        if self.total_price is None and paid:
+            raise MeasurementTimesError(f"{paid[-1]} needs total_price and prices of measurements")
         prices = [sum(prices or (0,)) for prices in self._prices_of_sensors] or [0]
         return Feasible(
             horizon=clock.horizon,
@@ -335,9 +334,9 @@ class ProblemSection(JobSection):
             total_price=None if self.total_price is None else money(self.total_price),
             points=points,
             # To sets within limits, nothing may be left to buy.
-            smaller=bool((limits and self.total_price is not None) or any(shared)),
+            smaller=bool((limits and self.total_price is not None) or shared),
             limits=limits,
-            shared=tuple(filter(None, shared)),
+            shared=shared,
             cheapest=prices.index(min(prices)),  # the first sensor if none has a price
         )
 
@@ -377,18 +376,18 @@ class ProblemSection(JobSection):
         return tuple(limits) if any(limit != Limit() for limit in limits) else ()
 
     @property
-    def _installs(self) -> Installs | None:
-        """The price of each sensor's installation, and its ways."""
-        each = tuple((money(s.install), ways) for s, ways in self._ways_of_sensors if s.install)
-        return Installs(each) if each else None
-
-    @property
-    def _groups(self) -> Together | None:
-        groups = dict[str, list[Times]]()
-        for each, ways in self._ways_of_sensors:
+    def _shared(self) -> Iterator[Shared]:
+        """The prices and limits that measurements share."""
+        groups, sensors = dict[str, list[Times]](), [*self._ways_of_sensors]
+        if self.visits:
+            yield self.visits.on(self.points)
+        if installs := [(money(each.install), ways) for each, ways in sensors if each.install]:
+            yield Installs.on(self.points, installs)
+        for each, ways in sensors:
             if each.together is not None:
                 groups.setdefault(each.together, []).append(ways)
-        return Together(tuple(map(tuple, groups.values()))) if groups else None
+        if groups:
+            yield Together(tuple(map(tuple, groups.values())))
 
     @property
     def _ways_of_sensors(self) -> Iterator[tuple[SensorSection, Times]]:
@@ -482,11 +481,10 @@ class ProblemSection(JobSection):
         limited = bool(sets.forbidden or sets.required or sets.is_limited)
         return limited or not sets.spacing.is_free
 
-    def by_visit(self, times: Iterable[Time | str]) -> list[str]:
-        """The measurements of each visit in words; empty without visits."""
-        visits, points = self.feasible.visits, self.points
-        parts = visits.parts(points.read(times)) if visits else ()
-        return [points.together(part) for part in parts]
+    def by_parts(self, times: Iterable[Time | str]) -> str:
+        """When a set measures, by what its measurements share; empty if they share nothing."""
+        read = self.points.read(times)
+        return "".join(each.in_words(self.points, read) for each in self.feasible.shared)
 
     def when(self, times: Iterable[Time | str]) -> str:
         """When a set measures, in words: dates have weekdays, and a season a count a month."""
