@@ -39,7 +39,7 @@ from pfdist.problem.sections import (
     Written,
     is_list_of,
 )
-from pfdist.problem.sensing_section import SensingSection
+from pfdist.problem.sensing_section import Sensings, SensingSection
 from pfdist.problem.sensor_section import (
     MeasurementBudget,
     Prices,
@@ -225,10 +225,11 @@ class ProblemSection(JobSection):
             for name, each in own.items()
         }
 
-    @property
-    def each_sensing(self) -> list[tuple[str, Sensing]]:
-        """For each sensor of the model, that of the job, of which it may be a repeat."""
-        return [(name, each) for name, each in self.sensings.items() for _ in range(each.repeats)]
+    @cached_property
+    def sensed(self) -> Sensings:
+        """How each sensor of the model senses, which may be a repeat."""
+        pairs = [(name, each) for name, each in self.sensings.items() for _ in range(each.repeats)]
+        return Sensings(tuple(each for _, each in pairs), tuple(name for name, _ in pairs))
 
     @cached_property
     def each_sensor(self) -> dict[str, SensorSection]:
@@ -246,8 +247,7 @@ class ProblemSection(JobSection):
     @cached_property
     def points(self) -> Points:
         """The table of all possible measurements; raises as `clock`."""
-        delays = tuple(each.delay for _, each in self.each_sensing)
-        names = [name for name, _ in self.each_sensing]
+        names, delays = self.sensed.names, tuple(each.delay for each in self.sensed.each)
         points = Points(
             self.clock,
             tuple(self.each_sensor),
@@ -378,23 +378,17 @@ class ProblemSection(JobSection):
     @property
     def _shared(self) -> Iterator[Shared]:
         """The prices and limits that measurements share."""
-        groups, sensors = dict[str, list[Times]](), [*self._ways_of_sensors]
+        groups, points = dict[str, list[Times]](), self.points
+        sensors = [*zip((self.sensors or {}).values(), points.sensor_ways, strict=False)]
         if self.visits:
-            yield self.visits.on(self.points)
+            yield self.visits.on(points)
         if installs := [(money(each.install), ways) for each, ways in sensors if each.install]:
-            yield Installs.on(self.points, installs)
+            yield Installs.on(points, installs)
         for each, ways in sensors:
             if each.together is not None:
                 groups.setdefault(each.together, []).append(ways)
         if groups:
             yield Together(tuple(map(tuple, groups.values())))
-
-    @property
-    def _ways_of_sensors(self) -> Iterator[tuple[SensorSection, Times]]:
-        """Each sensor with its ways: several if it repeats."""
-        way = 0
-        for name, each in (self.sensors or {}).items():
-            yield each, tuple(range(way, way := way + self.sensings[name].repeats))
 
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:

@@ -220,8 +220,8 @@ class Planner:
 
     def _fail(self, points: Iterable[int]) -> None:
         """Count measurements without a value as made, of sensors that may fail."""
-        fails = [each.fails > 0.0 for _, each in self._built.job.problem.each_sensing] or [False]
-        more = (each for each in points if fails[self._points.way(each)])
+        sensings, way = self._built.job.problem.sensed, self._points.way
+        more = (each for each in points if sensings.by_way(way(each)).fails)
         self._taken = tuple(sorted({*self._taken, *more}))
 
     def missed(self, t: Time | None = None) -> None:

@@ -205,6 +205,30 @@ def test_prices_of_visits_are_exact_in_the_bound(kind: str) -> None:
         assert _proved(feasible, SYSTEMS[name], optimum) == pytest.approx(optimum, rel=1e-9)
 
 
+@pytest.mark.parametrize("taken", [(2,), (0, 4)])
+def test_a_visit_that_has_begun_is_exact_in_the_bound(taken: Times) -> None:
+    """The optimum of the rest is proved: its first measurements may share the visit before."""
+    keys = KINDS["paid within three"][0]
+    rest = _feasible(keys | {"visits": {"price": 4, "within": 4}}).rest(taken, taken[-1] + 1)
+    assert rest is not None
+    assert rest.shared[0].setups[0].open_until
+    every = [*rest.every()]
+    for name in NAMES[::3]:
+        optimum = expected_mse(SYSTEMS[name], rest.horizon, every).min()
+        assert _proved(rest, SYSTEMS[name], optimum) == pytest.approx(optimum, rel=1e-9)
+
+
+def test_prices_of_installations_are_exact_in_the_bound() -> None:
+    keys, _ = OF_SENSORS["installed"]
+    visits = {"visits": {"price": 1, "within": 2}}
+    for more in ({}, visits):
+        feasible = Problem(_three(0), horizon=LAST, **keys, **more).job(seed=1).problem.feasible
+        every = [*feasible.every()]
+        for seed in range(3):
+            optimum = expected_mse(_three(seed), LAST, every).min()
+            assert _proved(feasible, _three(seed), optimum) == pytest.approx(optimum, rel=1e-9)
+
+
 def test_the_curve_of_prices_has_the_optimum_of_each(tmp_path: Path) -> None:
     """The plan for at most so much money is the best of all sets, and is proved to be."""
     keys = KINDS["paid within three"][0]
