@@ -285,7 +285,7 @@ class Feasible(Constraints):
             required=tuple(sorted(time - start for time in required)),
             points=points.since(first),
             limits=tuple(limits),
-            shared=tuple(each.since(start, taken) for each in self.shared),
+            shared=tuple(filter(None, (each.since(start, taken) for each in self.shared))),
         )
         if self.price is not None and self.total_price is not None:
             money = max(self.total_price, self.price_of((*taken, *in_flight)))

@@ -96,8 +96,8 @@ class Shared:
         """The points that break a limit if they follow some sorted times."""
         return chain.from_iterable(each.beyond(times) for each in self.setups)
 
-    def since(self, first: int, taken: Times) -> Self:
-        """The same from a point on, after some measurements."""
+    def since(self, first: int, taken: Times) -> Self | None:
+        """The same from a point on, after some measurements; None if nothing of it is left."""
         return replace(self, setups=tuple(each.since(first, taken) for each in self.setups))
 
     def steps(self, points: Points) -> dict[str, Any]:

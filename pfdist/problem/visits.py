@@ -6,7 +6,7 @@ once.
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar, Self
@@ -35,10 +35,14 @@ class Installs(Shared):
 
     def steps(self, points: Points) -> dict[str, Any]:
         """The price of each sensor's first measurement, beside its own."""
-        unpaid = [each for each in self.setups if not each.open_until]
         ways = range(points.ways)
-        paid = tuple(float(sum(e.price for e in unpaid if e.ends[way])) for way in ways)
-        return {"install": paid}
+        each = (float(sum(own.price for own in self.setups if own.ends[way])) for way in ways)
+        return {"install": tuple(each)}
+
+    def since(self, first: int, taken: Times) -> Self | None:
+        """The installations that were not paid yet."""
+        unpaid = tuple(e.since(first, taken) for e in self.setups if not e.number(taken))
+        return replace(self, setups=unpaid) if unpaid else None
 
 
 class Visits(Shared):
