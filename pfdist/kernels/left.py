@@ -97,7 +97,7 @@ UNLIMITED = StepLimits()
 
 
 class StepSetup(NamedTuple):
-    """What a measurement begins and later ones share; see `pfdist.problem.shared.Setup`."""
+    """A `pfdist.problem.shared.Setup`, such as a visit, as numbers."""
 
     ends: NDArray[np.int64]
     price: float

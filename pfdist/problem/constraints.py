@@ -103,7 +103,7 @@ class Constraints:
 
     @property
     def spaced(self) -> str:
-        """What regular sets space in place of measurements, in words; empty if it is these."""
+        """The name of all that regular sets space; empty if it is measurements."""
         return "".join(each.spaced for each in self.shared)
 
     @property
@@ -165,7 +165,7 @@ class Constraints:
 
     @cached_property
     def _fees(self) -> list[tuple[Setup, int]]:
-        """What has a price beside those of measurements, and its price in units."""
+        """All that has a price beside those of measurements, and this price in units."""
         return [(each, self.in_units(each.price)) for each in self.setups if each.price]
 
     def with_required(self, times: Iterable[int]) -> Times:

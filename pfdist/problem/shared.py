@@ -27,7 +27,7 @@ def money(number: float) -> Money:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a measurement begins and later ones share, as a visit: its price and largest number.
+    """A visit, or another thing that a measurement begins and later ones share.
 
     The next measurement that needs it, and is not before its end, begins another one.
 
@@ -107,7 +107,7 @@ class Shared:
     # --- measurements that belong together --------------------------------------------------------
 
     spaced: ClassVar[str] = ""
-    """What evenly spaced sets space in place of measurements, as sentences call it."""
+    """Sentences call all that evenly spaced sets space so; empty if it is measurements."""
 
     def parts(self, times: Times) -> list[Times]:
         """The sorted times that belong together: searches move and keep them together."""

@@ -65,7 +65,7 @@ class Visits(Shared):
 
     @property
     def setup(self) -> Setup:
-        """What begins a visit."""
+        """The price, the largest number and the ends of visits."""
         return self.setups[0]
 
     @property

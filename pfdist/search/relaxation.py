@@ -103,7 +103,7 @@ class Relaxation:
 
     @cached_property
     def setups(self) -> Setups:
-        """What a state knows beside its window w: state w * size + s has begun s."""
+        """The numbers of states beside windows: state w * size + s has window w and number s."""
         most = _MOST_STATES // (len(self.windows) * (self.total + 1))
         moves = np.zeros(self.end + 1, np.int64)  # the last entry is that of NOTHING
         np.add.at(moves, self.last, (self.after >= 0).sum(axis=1))

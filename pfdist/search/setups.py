@@ -1,4 +1,4 @@
-"""What a set has begun, as a visit, and what still lasts: a number beside each window.
+"""Visits, and all else that a set has begun and that still lasts: a number beside each window.
 
 The end of what was begun may follow from an earlier measurement than the window has. So a state of
 the programme has the window and, for each setup, the place of its end among those that are possible
