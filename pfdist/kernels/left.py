@@ -84,7 +84,8 @@ class StepLimits(NamedTuple):
         way, never = points % sensors, points.size
         alike = np.array(self.alike or range(sensors))[way]
         for sensor, most in enumerate(self.most):
-            yield StepSetup(np.where(way == sensor, points + 1, 0), 0.0, most)
+            if most < never:
+                yield StepSetup(np.where(way == sensor, points + 1, 0), 0.0, most)
         for sensor, price in enumerate(self.install):
             if price and sensor in alike:
                 yield StepSetup(np.where(alike == sensor, never, 0), price, never)

@@ -350,16 +350,14 @@ class ProblemSection(JobSection):
         if self.visits:
             possible = self.visits.instants(clock)
             times.update(t for t in range(points.number) if points.instant(t) not in possible)
-        if points.delays and not points.sensors:
-            times.update(range(points.delay(0)))
+        times.update(point for point in range(points.number) if points.made_at(point) < 0)
         for way, (name, sensor) in enumerate(self.each_sensor.items()):
             barred = {*instants_written(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
             if sensor.allowed is not None:
                 others = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
                 barred.update({*range(clock.horizon + 1)} - {*others})
-            delay = points.delay(way)
-            late = {t + delay for t in barred if t + delay <= clock.horizon}
-            times.update(points.first(t) + way for t in {*range(delay), *late})
+            arrive = (points.arriving(points.first(t) + way) for t in barred)
+            times.update(point for point in arrive if point < points.number)
         return tuple(sorted(times))
 
     @property
