@@ -117,8 +117,8 @@ class Relaxation:
     @cached_property
     def _fees(self) -> Indices:
         """The price of each setup in units."""
-        fees = [self.constraints.in_units(each.price) // self.unit for each in self.setups.setups]
-        return np.array(fees, np.int64)
+        in_units, setups = self.constraints.in_units, self.constraints.setups
+        return np.array([in_units(each.price) // self.unit for each in setups], np.int64)
 
     def priced(self, moves: Moves) -> Indices:
         """The price of each move, with all that it begins, in units, (n,)."""
@@ -128,7 +128,7 @@ class Relaxation:
     def begun(self, times: Times) -> Indices:
         """How often a set begins each setup, at least, (setups,)."""
         number, last = np.zeros(1, np.int64), np.array([NOTHING])
-        begun = np.zeros(len(self.setups.setups), np.int64)
+        begun = np.zeros(len(self.setups.ends), np.int64)
         for time in times:
             number, begins = self.setups.after(last, number, time)
             begun, last = begun + begins[:, 0], np.array([time])

@@ -71,7 +71,6 @@ class Ends(NamedTuple):
 class Setups:
     """The numbers of all setups together, below `size`."""
 
-    setups: Sequence[Setup]
     ends: Sequence[Ends]  # of each setup
     size: int
 
@@ -87,7 +86,7 @@ class Setups:
             if size * own.size > most or possible @ own.possible > _MOST_MOVES:
                 own = ends[place] = own.latest
             size, possible = size * own.size, possible * own.possible
-        return cls(setups, ends, size)
+        return cls(ends, size)
 
     def after(self, last: Indices, number: Indices, time: int) -> tuple[Indices, Flags]:
         """The number after a measurement, (n,), and whether it begins each setup, (setups, n).
