@@ -76,7 +76,7 @@ class StepLimits(NamedTuple):
             ends=np.maximum(ends[:, first:] - first, 0),
             fees=np.array([each.price for each in setups], np.float64),
             most=np.array([each.most for each in setups], np.int64),
-            open_until=np.array([each.open_until for each in setups], np.int64),
+            open_until=np.array([max(0, each.open_until - first) for each in setups], np.int64),
         )
 
     def _setups(self, sensors: int, points: NDArray[np.int64]) -> Iterator["StepSetup"]:
