@@ -90,7 +90,7 @@ class StepLimits(NamedTuple):
             if price and sensor in alike:
                 yield StepSetup(np.where(alike == sensor, never, 0), price, never)
         if self.visit_ends:
-            ends, most = np.array(self.visit_ends), self.most_visits
+            ends, most = np.array(self.visit_ends)[: points.size], self.most_visits
             yield StepSetup(ends, self.visit_price, most, self.open_until)
 
 
