@@ -52,6 +52,7 @@ def ruling_of(
     filled = {"measured": np.zeros((len(draws), *measured.shape[1:]), np.uint8)}
     if flipped is not None:
         filled["deviation"] = np.full(len(draws), np.nan)
+    size = 2 + sensors + 2 * follows.setups
     ruling = Ruling(
         decide.address,
         rule.exponent,
@@ -60,8 +61,8 @@ def ruling_of(
         turns,
         -1 if flipped is None else flipped - instants.start * sensors,
         follows,
-        np.empty((len(draws), 4 + 2 * sensors)),
-        np.empty(4 + 2 * sensors),
+        np.empty((len(draws), size)),
+        np.empty(size),
     )
     return planned._replace(measured=measured), ruling, filled
 
@@ -120,7 +121,7 @@ def _choose(at, t, d, deviation):
     request, rule = at.work.request, at.work.rule
     follows, factor = rule.follows, 1.0
     if rule.limit > 0.0:
-        spent = rule.left[d * (4 + 2 * request.sensors)]
+        spent = rule.left[d * (2 + request.sensors + 2 * follows.setups)]
         if follows.longest_delay > 0:
             _may_follow(at, t, d, -1, False)
             spent = rule.trial[0]
@@ -143,21 +144,23 @@ def _choose(at, t, d, deviation):
 
 
 # The constraints on the measurements that may follow in a draw; `pfdist.kernels.left.Left` is the
-# twin. A record has what is spent, the first instant that may be measured, the first point after
-# the last visit, and the number of visits; then, for each sensor, the number of measurements and
-# the last instant.
+# twin. A record has what is spent, and the first instant that may be measured; then, for each
+# sensor, its last instant; then, for each setup, its end and its number.
 
 
 @compiled
 def _with_arrived(at, t, d):
     """Bring the record of a draw to an instant; what is left to spend, 0 if nothing may follow."""
     request, rule = at.work.request, at.work.rule
-    record = ahead(rule.left, d * (4 + 2 * request.sensors))
+    setups = rule.follows.setups
+    record = ahead(rule.left, d * (2 + request.sensors + 2 * setups))
     if t == 0:
-        for place in range(4 + request.sensors):
-            record[place] = 0.0
+        record[0], record[1] = 0.0, 0.0
         for sensor in range(request.sensors):
-            record[4 + request.sensors + sensor] = -1.0
+            record[2 + sensor] = -1.0
+        for setup in range(setups):
+            record[2 + request.sensors + setup] = rule.follows.open_until[setup]
+            record[2 + request.sensors + setups + setup] = 0.0
     else:
         for sensor in range(request.sensors):
             if _has(at, t - 1, d, sensor):
@@ -174,7 +177,7 @@ def _may_follow(at, t, d, added, requires):
     The trial record then has all that was measured, so that it tells what is spent.
     """
     request, rule = at.work.request, at.work.rule
-    follows, count = rule.follows, 4 + 2 * request.sensors
+    follows, count = rule.follows, 2 + request.sensors + 2 * rule.follows.setups
     copy_numbers(ahead(rule.left, d * count), rule.trial, count)
     last = max(t + follows.longest_delay, follows.last_required if requires else t)
     for at_instant in range(t, min(last + 1, request.instants)):
@@ -192,28 +195,27 @@ def _add(at, record, t, sensor):
     """Add a measurement, the latest so far, to a record; whether it breaks no constraint."""
     request, rule = at.work.request, at.work.rule
     follows, sensors = rule.follows, request.sensors
-    point, number, latest = t * sensors + sensor, ahead(record, 4), ahead(record, 4 + sensors)
-    fits = t >= record[1] and number[sensor] < follows.most[sensor]
+    point, latest, setups = t * sensors + sensor, ahead(record, 2), follows.setups
+    fits = t >= record[1]
     if latest[sensor] >= 0.0:
         fits &= t >= follows.own_apart[sensor * request.instants + np.int64(latest[sensor])]
-    price, before, group = follows.prices[point], 0.0, follows.group[sensor]
+    price, group = follows.prices[point], follows.group[sensor]
     for way in range(sensors):
-        if follows.alike[way] == follows.alike[sensor]:
-            before += number[way]
-        elif group > 0 and follows.group[way] == group:
+        is_excluded = group > 0 and follows.group[way] == group
+        if is_excluded and follows.alike[way] != follows.alike[sensor]:
             fits &= latest[way] != t
-    if before == 0.0:
-        price += follows.install[sensor]
-    if point >= record[2]:
-        fits &= record[3] < follows.most_visits
-        price += follows.visit_price
-        record[2] = follows.visit_ends[point]
-        record[3] += 1.0
+    ends, number = ahead(record, 2 + sensors), ahead(record, 2 + sensors + setups)
+    for setup in range(setups):
+        end = follows.ends[setup * request.instants * sensors + point]
+        if end > 0 and point >= ends[setup]:
+            fits &= number[setup] < follows.most[setup]
+            price += follows.fees[setup]
+            ends[setup] = end
+            number[setup] += 1.0
     if rule.limit > 0.0:
         fits &= price <= rule.limit - record[0] + ROUNDING * rule.limit
     record[0] += price
     record[1] = follows.apart[t]
-    number[sensor] += 1.0
     latest[sensor] = t
     return fits
 

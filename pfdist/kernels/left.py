@@ -57,6 +57,8 @@ class StepLimits(NamedTuple):
             )
 
         here, every = slice(start, None), np.arange(sensors)
+        setups = [*self._setups(sensors, np.arange(possible))]
+        ends = np.array([each.ends for each in setups], np.int64).reshape(-1, possible)
         required = np.isin(range(first, possible), self.required)
         return StepArrays(
             apart=filled(self.apart, np.arange(instants.stop), here, start),
@@ -65,22 +67,43 @@ class StepLimits(NamedTuple):
             longest_delay=max(self.delays, default=0),
             required=required.astype(np.uint8),
             last_required=points.instant(max(self.required, default=-1)) - start,
-            most=filled(self.most, possible + 0 * every),
             own_apart=filled(
                 self.own_apart, np.zeros((sensors, instants.stop), np.int64), here, start
             ),
             alike=filled(self.alike, every),
             group=filled(self.group, 0 * every),
-            install=filled(self.install, np.zeros(sensors)),
-            visit_ends=filled(
-                self.visit_ends, np.zeros(possible, np.int64), slice(first, None), first
-            ),
-            visit_price=self.visit_price,
-            most_visits=self.most_visits if self.visit_ends else possible + 1,
+            setups=len(setups),
+            ends=np.maximum(ends[:, first:] - first, 0),
+            fees=np.array([each.price for each in setups], np.float64),
+            most=np.array([each.most for each in setups], np.int64),
+            open_until=np.array([max(0, each.open_until - first) for each in setups], np.int64),
         )
+
+    def _setups(self, sensors: int, points: NDArray[np.int64]) -> Iterator["StepSetup"]:
+        """All that a measurement begins, with a price or a largest number."""
+        way, never = points % sensors, points.size
+        alike = np.array(self.alike or range(sensors))[way]
+        for sensor, most in enumerate(self.most):
+            if most < never:
+                yield StepSetup(np.where(way == sensor, points + 1, 0), 0.0, most)
+        for sensor, price in enumerate(self.install):
+            if price and sensor in alike:
+                yield StepSetup(np.where(alike == sensor, never, 0), price, never)
+        if self.visit_ends:
+            ends, most = np.array(self.visit_ends)[: points.size], self.most_visits
+            yield StepSetup(ends, self.visit_price, most, self.open_until)
 
 
 UNLIMITED = StepLimits()
+
+
+class StepSetup(NamedTuple):
+    """A `pfdist.problem.shared.Setup`, such as a visit, as numbers."""
+
+    ends: NDArray[np.int64]
+    price: float
+    most: int
+    open_until: int = 0
 
 
 class StepArrays(NamedTuple):
@@ -92,14 +115,14 @@ class StepArrays(NamedTuple):
     longest_delay: int
     required: NDArray[np.uint8]  # (points,): whether each point is
     last_required: int  # instant; below 0: none
-    most: NDArray[np.int64]
     own_apart: NDArray[np.int64]
     alike: NDArray[np.int64]
     group: NDArray[np.int64]
-    install: NDArray[np.float64]
-    visit_ends: NDArray[np.int64]
-    visit_price: float
-    most_visits: int
+    setups: int  # number S of what a measurement may begin, as a visit
+    ends: NDArray[np.int64]  # (S, points)
+    fees: NDArray[np.float64]  # (S,)
+    most: NDArray[np.int64]  # (S,)
+    open_until: NDArray[np.int64]  # (S,)
 
 
 class Left:
@@ -135,10 +158,11 @@ class Left:
         self._points, self._limit, self.instants = PointNumbers(ways), limit, instants
         self._allowed, self._arrays = {*allowed}, limits.arrays(ways, range(instants))
         self._required, self.now = {*limits.required}, 0
-        sizes = [("spent", np.float64), *((n, np.int64) for n in ("following", "open", "visits"))]
-        state: Any = [*sizes, ("number", np.int64, ways), ("last", np.int64, ways)]
+        setups = self._arrays.setups
+        state: Any = [("spent", np.float64), ("following", np.int64), ("last", np.int64, ways)]
+        state += [("open", np.int64, setups), ("number", np.int64, setups)]
         self._state = np.zeros(draws, state)  # after the measurements before `now`
-        self._state["last"], self._state["open"] = -1, limits.open_until
+        self._state["last"], self._state["open"] = -1, self._arrays.open_until
         self._waiting = np.zeros((draws, self._points.first(instants)), np.bool_)  # in flight
 
     @property
@@ -220,20 +244,19 @@ class Left:
         Returns the draws in which it breaks a constraint.
         """
         limits, t, way = self._arrays, self._points.instant(point), self._points.way(point)
-        number, last, alike = state["number"], state["last"], limits.alike == limits.alike[way]
-        begins, is_first = point >= state["open"], number[:, alike].sum(axis=1) == 0
-        paid = limits.prices[point] + limits.visit_price * begins + limits.install[way] * is_first
-        broken = (t < state["following"]) | (number[:, way] >= limits.most[way])
+        last, ends, alike = state["last"], limits.ends[:, point], limits.alike == limits.alike[way]
+        begins = (ends > 0) & (point >= state["open"])
+        paid = limits.prices[point] + begins @ limits.fees
+        broken = (t < state["following"]) | (begins & (state["number"] >= limits.most)).any(axis=1)
         broken |= (last[:, way] >= 0) & (t < limits.own_apart[way, last[:, way]])
         excludes = (limits.group == limits.group[way]) & (limits.group > 0) & ~alike
         broken |= (last[:, excludes] == t).any(axis=1)
-        broken |= begins & (state["visits"] >= limits.most_visits)
         if self._limit:
             broken |= paid > self._limit - state["spent"] + ROUNDING * self._limit
         made = made if wanted is None else made | (wanted & ~broken)
         state["spent"] += paid * made
         state["following"][made], last[made, way] = limits.apart[t], t
-        number[:, way] += made
-        state["visits"] += begins & made
-        state["open"][begins & made] = limits.visit_ends[point]
+        begun = begins & made[:, None]
+        state["number"] += begun
+        state["open"] = np.where(begun, ends, state["open"])
         return broken if wanted is None else broken & wanted

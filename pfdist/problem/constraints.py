@@ -12,18 +12,14 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import chain, pairwise
 from math import gcd, lcm
-from typing import TypeVar
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
-from pfdist.problem.shared import Money, Shared
+from pfdist.problem.shared import Money, Setup, Shared
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.visits import Visits
-
-S = TypeVar("S", bound=Shared)
 
 
 @dataclass(frozen=True)
@@ -82,15 +78,6 @@ class Constraints:
         """Whether sets with allowed times, a spacing and a sum of prices may break a limit."""
         return bool(self.limits or self.shared)
 
-    def shared_of(self, kind: type[S]) -> S | None:
-        """The shared prices and limits of this kind, if there are any."""
-        return next((each for each in self.shared if isinstance(each, kind)), None)
-
-    @cached_property
-    def visits(self) -> Visits | None:
-        """The visits, if there are any."""
-        return self.shared_of(Visits)
-
     @cached_property
     def spacing(self) -> Spacing:
         """The spacing of times; 0 allows several measurements at one instant."""
@@ -99,12 +86,25 @@ class Constraints:
         return Spacing(self.points.successors(self.minimum_spacing))
 
     @cached_property
+    def setups(self) -> tuple[Setup, ...]:
+        """All that has a price beside those of measurements, or a largest number."""
+        every, way = range(self.possible), self.points.way
+        own = (
+            Setup(tuple((point + 1) * (way(point) == sensor) for point in every), most=limit.most)
+            for sensor, limit in enumerate(self.limits)
+            if limit.most is not None
+        )
+        return (*own, *chain.from_iterable(each.setups for each in self.shared))
+
+    @cached_property
     def most(self) -> dict[int, int]:
-        """The largest number of measurements of each sensor, and after these of visits, if any."""
-        most = {s: each.most for s, each in enumerate(self.limits) if each.most is not None}
-        if self.visits and self.visits.most is not None:
-            most[self.points.ways] = self.visits.most
-        return most
+        """The largest numbers, by the place in `setups`."""
+        return {k: each.most for k, each in enumerate(self.setups) if each.most is not None}
+
+    @property
+    def spaced(self) -> str:
+        """The name of all that regular sets space; empty if it is measurements."""
+        return "".join(each.spaced for each in self.shared)
 
     @property
     def relaxed(self) -> tuple[str, ...]:
@@ -160,20 +160,13 @@ class Constraints:
     def spent(self, times: Iterable[int]) -> int:
         """The price of some sorted times, and of what they share, in units."""
         chosen = tuple(times)
-        shared = zip(self._fees_in_units, self._counts(chosen), strict=True)
-        return sum(self.units[time] for time in chosen) + sum(fee * n for fee, n in shared)
-
-    def _counts(self, times: Times) -> Iterable[int]:
-        """How often some sorted times pay each fee."""
-        return chain.from_iterable(each.counts(self.points, times) for each in self.shared)
+        fees = sum(fee * each.number(chosen) for each, fee in self._fees)
+        return sum(self.units[time] for time in chosen) + fees
 
     @cached_property
-    def _fees(self) -> list[Money]:
-        return [fee for each in self.shared for fees in each.fees.values() for fee in fees]
-
-    @cached_property
-    def _fees_in_units(self) -> list[int]:
-        return [*map(self.in_units, self._fees)]
+    def _fees(self) -> list[tuple[Setup, int]]:
+        """All that has a price beside those of measurements, and this price in units."""
+        return [(each, self.in_units(each.price)) for each in self.setups if each.price]
 
     def with_required(self, times: Iterable[int]) -> Times:
         """These times and the required times, sorted."""
@@ -277,8 +270,8 @@ class Constraints:
         """The price of a set, in the unit of `price`; its size if times are counted."""
         chosen, prices = tuple(sorted({*times})), self.price or self.units
         paid: Money = sum(prices[time] for time in chosen)
-        shared = zip(self._fees, self._counts(chosen), strict=True)
-        return paid + sum(fee * number for fee, number in shared if number)
+        numbers = ((each.price, each.number(chosen)) for each, _ in self._fees)
+        return paid + sum(price * number for price, number in numbers if number)
 
     def affordable(self, times: Iterable[int]) -> list[int]:
         """The optional times that could still be added to these and the required times."""
@@ -336,7 +329,8 @@ class Constraints:
     @cached_property
     def unit(self) -> Fraction:
         """The largest unit of money in which all prices are whole."""
-        prices = [Fraction(price) for price in (*(self.price or (1,)), *self._fees)]
+        fees = (each.price for each in self.setups if each.price)
+        prices = [Fraction(price) for price in (*(self.price or (1,)), *fees)]
         parts = lcm(*(price.denominator for price in prices))
         return Fraction(gcd(*(int(price * parts) for price in prices)), parts)
 

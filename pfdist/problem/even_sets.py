@@ -10,7 +10,6 @@ lie within half a step of the clock of the horizon, and no two have the same nea
   spaced over the time that remains when the gaps are cut out of the clock.
 - Required measurements are there anyway; only the others are spaced.
 - With prices, any number of measurements that can be paid counts.
-- Visits are spaced like single measurements, and so are the measurements of each.
 
 On the paper's problem these are 39,627 sets, where there are 861 pairs of a first and a last
 instant; the expected MSE of the best is 3 % lower than that of the best pair.
@@ -20,7 +19,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,6 @@ Array = NDArray[np.float64]
 
 _MOST_SLOPES = 2_000_000  # critical steps that are computed; above, steps are taken equally
 _MOST_LEFT_OUT = 3  # as many targets for each measurement may fall into gaps
-_OF_VISITS = 3000  # lines of visits, which are moved to visits one by one
 
 
 class EvenLine(NamedTuple):
@@ -73,6 +71,7 @@ class EvenSets:
     """
 
     feasible: Feasible
+    most_lines: ClassVar[float] = np.inf  # of a family
 
     def lines(self, most: int) -> list[EvenLine]:
         """One line of each set, or about `most` lines that are spread over all of them."""
@@ -80,7 +79,7 @@ class EvenSets:
         return [
             EvenLine(number, *values)
             for number, family in enumerate(self.families)
-            for values in _lines(family, min(own, _OF_VISITS) if self.feasible.visits else own)
+            for values in _lines(family, min(own, self.most_lines))
         ]
 
     def near(self, line: EvenLine) -> list[EvenLine]:
@@ -125,10 +124,7 @@ class EvenSets:
             rulers = [(every, times)]
             if 0 < made.size < times.size:
                 rulers.append((made, _cut(times, made)))
-            for number in self._numbers:
-                if feasible.visits:
-                    yield EvenFamily(number, turn[:1] * number, every, times)
-                    continue
+            for number in self.numbers:
                 targets, rest = divmod(number, len(turn[0]))
                 if rest:
                     continue
@@ -146,16 +142,14 @@ class EvenSets:
         sensors = self.feasible.points.sensor_ways
         for ways in sensors:
             yield from ((ways[:number],) for number in range(1, len(ways) + 1))
-        if len(sensors) > 1 and not self.feasible.visits:
+        if len(sensors) > 1:
             for phase in range(len(sensors)):
                 yield tuple((ways[0],) for ways in (*sensors[phase:], *sensors[:phase]))
 
-    @property
-    def _numbers(self) -> range:
-        """The numbers of measurements, or of visits, that are spaced."""
+    @cached_property
+    def numbers(self) -> range:
+        """The numbers of measurements that are spaced."""
         feasible = self.feasible
-        if feasible.visits:
-            return feasible.visits.numbers(feasible)
         if feasible.counted:
             number = feasible.total - len(feasible.required)
             return range(number, number + 1)
@@ -174,9 +168,6 @@ class EvenSets:
             np.array([getattr(each, key) for each in lines]) for key in ("first", "step")
         )
         targets = first[:, None] + step[:, None] * np.arange(family.targets)
-        if feasible.visits:
-            way = family.ways[0][0]
-            return [feasible.visits.near(feasible, each, way) for each in targets.tolist()]
         instants = family.instants[np.searchsorted(family.edges[1:-1], targets)]
         ways = np.array(family.ways)  # (targets, repeats)
         arrives = (
@@ -199,6 +190,12 @@ class EvenSets:
         return found
 
 
+def even_sets(feasible: Feasible) -> EvenSets:
+    """The evenly spaced sets of a problem: of measurements, or of what they share."""
+    shared = (each.even_sets(feasible) for each in feasible.shared)
+    return next(filter(None, shared), EvenSets(feasible))
+
+
 def _cut(times: Array, instants: NDArray[np.int64]) -> Array:
     """Positions of instants on a clock from which the time of all other instants is cut out."""
     steps = np.diff(times, prepend=times[0] - (times[1] - times[0] if times.size > 1 else 1.0))
@@ -208,7 +205,7 @@ def _cut(times: Array, instants: NDArray[np.int64]) -> Array:
     return positions
 
 
-def _lines(family: EvenFamily, most: int) -> list[tuple[float, float, float]]:
+def _lines(family: EvenFamily, most: float) -> list[tuple[float, float, float]]:
     """The first target and the step of lines of a family, and their distance from others."""
     edges, targets = family.edges, family.targets
     if targets > family.positions.size:
@@ -234,7 +231,7 @@ def _lines(family: EvenFamily, most: int) -> list[tuple[float, float, float]]:
 
 
 def _spread(
-    family: EvenFamily, most: int, shortest: float, longest: float
+    family: EvenFamily, most: float, shortest: float, longest: float
 ) -> list[tuple[float, float, float]]:
     """About `most` lines whose first and last targets lie at equal distances."""
     low, high = family.edges[[0, -1]].tolist()

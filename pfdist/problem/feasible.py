@@ -4,7 +4,7 @@ With prices, a set is feasible only if no measurement can be added to it. After 
 the feasible sets of what is left are those of a shorter horizon.
 """
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -143,22 +143,11 @@ class Feasible(Constraints):
 
         The prefix has the first times of the set, sorted; it may be empty.
         """
-        if not self.counted:
-            followers = (completions.extensions(times) for completions in self._completions)
-            after = sorted(set().union(*followers))
-            return [t for t in after if self.allows((*times, t))] if self.is_limited else after
-        if self.limits:
+        if self.counted and self.limits:
             return [t for t in self.allowed if self._may_follow(times, t)]
-        left, last = self.total - len(times), times[-1] if times else -1
-        required = self.required[bisect_right(self.required, last) :]
-        if left <= 0 or len(required) > left:
-            return ()
-        start = bisect_left(self.allowed, self.spacing.after(last))
-        stop = bisect_right(self._negative_capacities, -left)
-        if required:
-            index = bisect_left(self.allowed, required[0])
-            start, stop = (index if len(required) == left else start), min(stop, index + 1)
-        return self.allowed[start:stop]
+        followers = (completions.extensions(times) for completions in self._completions)
+        after = sorted(set().union(*followers))
+        return [t for t in after if self.allows((*times, t))] if self.is_limited else after
 
     def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
         """The feasible sets in which one time is exchanged for another.
@@ -181,7 +170,7 @@ class Feasible(Constraints):
         if self.counted:
             return exchanged
         exchanged += (*self.additions(times), *self.removals(times)) if self.smaller else ()
-        exchanged += self.visits.moved(self, times, reach) if self.visits else ()
+        exchanged += self._moved_parts(times, reach)
         return [neighbour for neighbour in dict.fromkeys(exchanged) if neighbour != times]
 
     def completed(self, times: Iterable[int]) -> Times:
@@ -208,9 +197,9 @@ class Feasible(Constraints):
         if self.accepts(original):
             return original
         order: list[int] = rng.permutation(original).tolist()
-        if self.visits:  # each visit as a whole, in the order of a random measurement of each
-            order = self.visits.together(original, order)
-        for time in order:
+        parts = {t: part for each in self.shared for part in each.parts(original) for t in part}
+        # Each visit as a whole, in the order of a random measurement of each.
+        for time in dict.fromkeys(chain.from_iterable(parts.get(t, (t,)) for t in order)):
             larger = tuple(sorted({*repaired, time}))
             repaired = larger if self._can_be_completed(larger) else repaired
         while not self.accepts(repaired):
@@ -296,7 +285,7 @@ class Feasible(Constraints):
             required=tuple(sorted(time - start for time in required)),
             points=points.since(first),
             limits=tuple(limits),
-            shared=tuple(filter(None, (e.since(points, start, taken) for e in self.shared))),
+            shared=tuple(filter(None, (each.since(start, taken) for each in self.shared))),
         )
         if self.price is not None and self.total_price is not None:
             money = max(self.total_price, self.price_of((*taken, *in_flight)))
@@ -324,15 +313,6 @@ class Feasible(Constraints):
     def _free(self) -> bool:
         """Whether all sets of N allowed times that contain the required times are feasible."""
         return self.counted and self.spacing.is_free and not self.limits
-
-    @cached_property
-    def _negative_capacities(self) -> list[int]:
-        """For each allowed time, minus the most times that fit from it on; sorted for bisect."""
-        negated = [0] * (len(self.allowed) + 1)
-        for index in reversed(range(len(self.allowed))):
-            after = bisect_left(self.allowed, self.spacing.after(self.allowed[index]))
-            negated[index] = negated[after] - 1
-        return negated[:-1]
 
     @cached_property
     def _completions(self) -> list[Completions]:
@@ -428,9 +408,9 @@ class Feasible(Constraints):
 
     @cached_property
     def _nearest_regular(self) -> Times:
-        if self.visits:
-            times = self.visits.evenly(self)
-            return times or self.repair(self.allowed, np.random.default_rng(0))
+        for each in self.shared:
+            if (times := each.regular(self)) is not None:
+                return times
         if self.points.ways > 1:
             times = self._in_turn((self.cheapest,))
             number = min(self.total, self.horizon + 1)
@@ -450,6 +430,17 @@ class Feasible(Constraints):
         instant = self.points.instant(time)
         first, stop = (self.points.first(instant + far) for far in (-reach, reach + 1))
         return self.allowed[bisect_left(self.allowed, first) : bisect_left(self.allowed, stop)]
+
+    def _moved_parts(self, times: Times, reach: int | None) -> Iterator[Times]:
+        """The feasible sets in which measurements that belong together move together."""
+        points = self.points
+        for part in chain.from_iterable(each.parts(times) for each in self.shared):
+            rest = {*times} - {*part}
+            for first in self.near(part[0], reach):
+                if points.way(first) == points.way(part[0]) and first != part[0]:
+                    moved = tuple(sorted({*rest, *(t + first - part[0] for t in part)}))
+                    if moved[-1] < points.number and self.accepts(moved):
+                        yield moved
 
     def _exchanged(self, others: set[int], new: int) -> Times | None:
         if self.counted:

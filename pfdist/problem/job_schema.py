@@ -34,11 +34,12 @@ def job_schema() -> dict[str, Any]:
     """The JSON schema of job files and sweep files as they are written, with dates as texts."""
     _, both = models_json_schema([(Job, "validation"), (SweepFile, "validation")], by_alias=True)
     sections: dict[str, Any] = both["$defs"]
-    for each in _below(JobSection):
-        if section := sections.get(each.__name__):
-            section["description"] = (inspect.getdoc(each) or "").partition("\n\nParameters\n")[0]
+    for of_section in _below(JobSection):
+        if section := sections.get(of_section.__name__):
+            text = inspect.getdoc(of_section) or ""
+            section["description"] = text.partition("\n\nParameters\n")[0]
             keys: dict[str, dict[str, Any]] = section.get("properties", {})
-            for key, (_, meaning) in documented(each).items():
+            for key, (_, meaning) in documented(of_section).items():
                 if key in keys:
                     keys[key]["description"] = meaning
     job, sweep = (sections[each.__name__]["properties"] for each in (Job, SweepFile))
@@ -58,8 +59,8 @@ def job_schema() -> dict[str, Any]:
 
 def _below(section: type) -> Iterator[type]:
     """All classes that are made from a class."""
-    for each in section.__subclasses__():
-        yield from (each, *_below(each))
+    for below in section.__subclasses__():
+        yield from (below, *_below(below))
 
 
 def _as_written(schema: Any) -> Any:

@@ -48,9 +48,7 @@ class Reading(NamedTuple):
         Receives lines about what was not read, moved or repeated.
     sensings : Sensings
         For each sensor of the model, its limits, beyond which numbers count as these, its delay,
-        and whether it may fail.
-    sensors : tuple of str
-        For each sensor of the model, that of the job, of which it may be one of the repeats.
+        whether it may fail, and the sensor of the job, of which it may be one of the repeats.
     all_count : bool
         Whether a value that arrives after the horizon is an error.
     given : mapping of str to str
@@ -62,7 +60,6 @@ class Reading(NamedTuple):
     any_time: Callable[[], bool] = lambda: False
     note: Callable[[str], Any] = lambda line: None
     sensings: Sensings = Sensings()
-    sensors: tuple[str, ...] = ()
     all_count: bool = False
     given: Mapping[str, str] = {}
 
@@ -79,12 +76,12 @@ class Reading(NamedTuple):
 
     def named(self, model: StateSpaceModel) -> list[str]:
         """The names in a column sensor: the sensors of the model, and those that repeat."""
-        return [*dict.fromkeys(filter(None, (*model.sensors, *self.sensors)))]
+        return [*dict.fromkeys(filter(None, (*model.sensors, *self.sensings.names)))]
 
     @property
     def is_of_one(self) -> bool:
         """Whether all sensors of the model are repeats of the only one: a row needs no name."""
-        return {*self.sensors} == {""}
+        return {*self.sensings.names} == {""}
 
     @property
     def why_instants(self) -> str:
@@ -236,7 +233,7 @@ def sensors_of_rows(
     """The sensor of each row, an instant and a name: of repeats, the first without a row then."""
     names, count = [*model.sensors] or [""], Counter[tuple[int, str]]()
     for row in rows:
-        alike = [way for way, name in enumerate(reading.sensors) if name == row[1]]
+        alike = [way for way, name in enumerate(reading.sensings.names) if name == row[1]]
         ways = alike or [names.index(row[1])]
         yield ways[count[row] % len(ways)]
         count[row] += 1

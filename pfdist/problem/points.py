@@ -135,23 +135,6 @@ class Points(PointNumbers):
         """Points as users read them, in the same order."""
         return [self.written(point) for point in points]
 
-    def together(self, points: Times) -> str:
-        """The measurements of a visit as users read them: a day is named once.
-
-        >>> Points(Clock.regular(2, 0.5, "h")).together((0, 1, 2))
-        't = 0, 0.5, 1 h'
-        """
-        calendar = self.clock.calendar
-        has_hours = calendar is not None and not calendar.by_days
-        dates = [self.clock.dates[self.instant(point)] for point in points if has_hours]
-        if len({date.date() for date in dates}) != 1:
-            return f"t = {self.clock.listed(self.written_of(points))}"
-        hours = (
-            f"{date:%H:%M} {self.sensor(point)}".rstrip()
-            for date, point in zip(dates, points, strict=True)
-        )
-        return f"{dates[0]:%a} {dates[0].day} {dates[0]:%b}: {', '.join(hours)}"
-
     def read(self, written: Any, name: str = "measurement_times", *, of_all: bool = False) -> Times:
         """The points that a text or several entries list, in the order written.
 

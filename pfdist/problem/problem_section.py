@@ -39,14 +39,14 @@ from pfdist.problem.sections import (
     Written,
     is_list_of,
 )
-from pfdist.problem.sensing_section import SensingSection
+from pfdist.problem.sensing_section import Sensings, SensingSection
 from pfdist.problem.sensor_section import (
     MeasurementBudget,
     Prices,
     SensorSection,
     priced,
 )
-from pfdist.problem.shared import Money, Together, money
+from pfdist.problem.shared import Money, Shared, Together, money
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.visits import Installs
 from pfdist.problem.visits_section import VisitsSection
@@ -225,10 +225,11 @@ class ProblemSection(JobSection):
             for name, each in own.items()
         }
 
-    @property
-    def each_sensing(self) -> list[tuple[str, Sensing]]:
-        """For each sensor of the model, that of the job, of which it may be a repeat."""
-        return [(name, each) for name, each in self.sensings.items() for _ in range(each.repeats)]
+    @cached_property
+    def sensed(self) -> Sensings:
+        """How each sensor of the model senses, which may be a repeat."""
+        pairs = [(name, each) for name, each in self.sensings.items() for _ in range(each.repeats)]
+        return Sensings(tuple(each for _, each in pairs), tuple(name for name, _ in pairs))
 
     @cached_property
     def each_sensor(self) -> dict[str, SensorSection]:
@@ -246,8 +247,7 @@ class ProblemSection(JobSection):
     @cached_property
     def points(self) -> Points:
         """The table of all possible measurements; raises as `clock`."""
-        delays = tuple(each.delay for _, each in self.each_sensing)
-        names = [name for name, _ in self.each_sensing]
+        names, delays = self.sensed.names, tuple(each.delay for each in self.sensed.each)
         points = Points(
             self.clock,
             tuple(self.each_sensor),
@@ -319,11 +319,10 @@ class ProblemSection(JobSection):
                 "minimum_spacing must be left out with sensors of different delays, got "
                 f"{spacing:g}: give each sensor its own"
             )
-        points, limits = self.points, self._limits
-        shared = (self.visits.on(points) if self.visits else None, self._installs, self._groups)
-        fees = [name for each in shared if each for name in each.fees]
-        if self.total_price is None and fees:
-            raise MeasurementTimesError(f"{fees[-1]} needs total_price and prices of measurements")
+        points, limits, shared = self.points, self._limits, tuple(self._shared)
+        paid = [each.priced for each in shared if any(setup.price for setup in each.setups)]
+        if self.total_price is None and paid:
+            raise MeasurementTimesError(f"{paid[-1]} needs total_price and prices of measurements")
         prices = [sum(prices or (0,)) for prices in self._prices_of_sensors] or [0]
         return Feasible(
             horizon=clock.horizon,
@@ -335,9 +334,9 @@ class ProblemSection(JobSection):
             total_price=None if self.total_price is None else money(self.total_price),
             points=points,
             # To sets within limits, nothing may be left to buy.
-            smaller=bool((limits and self.total_price is not None) or any(shared)),
+            smaller=bool((limits and self.total_price is not None) or shared),
             limits=limits,
-            shared=tuple(filter(None, shared)),
+            shared=shared,
             cheapest=prices.index(min(prices)),  # the first sensor if none has a price
         )
 
@@ -351,16 +350,14 @@ class ProblemSection(JobSection):
         if self.visits:
             possible = self.visits.instants(clock)
             times.update(t for t in range(points.number) if points.instant(t) not in possible)
-        if points.delays and not points.sensors:
-            times.update(range(points.delay(0)))
+        times.update(point for point in range(points.number) if points.made_at(point) < 0)
         for way, (name, sensor) in enumerate(self.each_sensor.items()):
             barred = {*instants_written(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
             if sensor.allowed is not None:
                 others = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
                 barred.update({*range(clock.horizon + 1)} - {*others})
-            delay = points.delay(way)
-            late = {t + delay for t in barred if t + delay <= clock.horizon}
-            times.update(points.first(t) + way for t in {*range(delay), *late})
+            arrive = (points.arriving(points.first(t) + way) for t in barred)
+            times.update(point for point in arrive if point < points.number)
         return tuple(sorted(times))
 
     @property
@@ -377,25 +374,19 @@ class ProblemSection(JobSection):
         return tuple(limits) if any(limit != Limit() for limit in limits) else ()
 
     @property
-    def _installs(self) -> Installs | None:
-        """The price of each sensor's installation, and its ways."""
-        each = tuple((money(s.install), ways) for s, ways in self._ways_of_sensors if s.install)
-        return Installs(each) if each else None
-
-    @property
-    def _groups(self) -> Together | None:
-        groups = dict[str, list[Times]]()
-        for each, ways in self._ways_of_sensors:
+    def _shared(self) -> Iterator[Shared]:
+        """The prices and limits that measurements share."""
+        groups, points = dict[str, list[Times]](), self.points
+        sensors = [*zip((self.sensors or {}).values(), points.sensor_ways, strict=False)]
+        if self.visits:
+            yield self.visits.on(points)
+        if installs := [(money(each.install), ways) for each, ways in sensors if each.install]:
+            yield Installs.on(points, installs)
+        for each, ways in sensors:
             if each.together is not None:
                 groups.setdefault(each.together, []).append(ways)
-        return Together(tuple(map(tuple, groups.values()))) if groups else None
-
-    @property
-    def _ways_of_sensors(self) -> Iterator[tuple[SensorSection, Times]]:
-        """Each sensor with its ways: several if it repeats."""
-        way = 0
-        for name, each in (self.sensors or {}).items():
-            yield each, tuple(range(way, way := way + self.sensings[name].repeats))
+        if groups:
+            yield Together(tuple(map(tuple, groups.values())))
 
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:
@@ -482,11 +473,10 @@ class ProblemSection(JobSection):
         limited = bool(sets.forbidden or sets.required or sets.is_limited)
         return limited or not sets.spacing.is_free
 
-    def by_visit(self, times: Iterable[Time | str]) -> list[str]:
-        """The measurements of each visit in words; empty without visits."""
-        visits, points = self.feasible.visits, self.points
-        parts = visits.parts(points.read(times)) if visits else ()
-        return [points.together(part) for part in parts]
+    def by_parts(self, times: Iterable[Time | str]) -> str:
+        """When a set measures, by what its measurements share; empty if they share nothing."""
+        read = self.points.read(times)
+        return "".join(each.in_words(self.points, read) for each in self.feasible.shared)
 
     def when(self, times: Iterable[Time | str]) -> str:
         """When a set measures, in words: dates have weekdays, and a season a count a month."""

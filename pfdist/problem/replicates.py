@@ -29,6 +29,7 @@ from pfdist.problem.measurements import (
     read_measurements,
     series_at,
 )
+from pfdist.problem.points import Points
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
@@ -76,8 +77,8 @@ class Replicate:
         return tuple(np.flatnonzero(np.stack(parts, axis=1).ravel()).tolist())
 
     def nearest(
-        self, wanted: Iterable[tuple[float, int]], model: StateSpaceModel, within: float,
-        delays: Times = (),
+        self, wanted: Iterable[tuple[float, int]], points: Points, model: StateSpaceModel,
+        within: float,
     ) -> Times:  # fmt: skip
         """The measurements that are nearest to wanted times, by the same sensors; sorted.
 
@@ -87,29 +88,27 @@ class Replicate:
         ----------
         wanted : iterable of (float, int)
             Times with the number of a sensor.
+        points : Points
+            The possible measurements on the clock of the replicate.
         model : StateSpaceModel
         within : float
             The largest distance in time.
-        delays : tuple of int, optional
-            The number of instants after which a value arrives, of each sensor.
 
         Raises
         ------
         MeasurementsError
             There is no measurement within this distance.
         """
-        points, measured, chosen = model.points, self.measured(model), list[int]()
+        measured, chosen = self.measured(model), list[int]()
+        made = {each: points.clock.times[points.made_at(each)] for each in measured}
         for time, way in wanted:
             free = [each for each in measured if points.way(each) == way and each not in chosen]
-            late = delays[way] if delays else 0
-            away = [abs(self.clock.times[points.instant(each) - late] - time) for each in free]
+            away = [abs(made[each] - time) for each in free]
             if not away or min(away) > within + self.clock.slack:
                 name = f" by {model.parts[way].name}" if model.sensors else ""
                 at = self.clock.text(time) if self.clock.has_dates else f"{time:.4g}"
-                used = [each for each in chosen if points.way(each) == way and (
-                    abs(self.clock.times[points.instant(each) - late] - time) <= within
-                )]  # fmt: skip
-                but = f", but one that {USED}" * bool(used)
+                used = (e for e in chosen if points.way(e) == way and abs(made[e] - time) <= within)
+                but = f", but one that {USED}" * any(True for _ in used)
                 raise MeasurementsError(
                     f"no measurement{name} within {self.clock.duration(within)} of t = {at}{but}"
                 )

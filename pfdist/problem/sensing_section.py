@@ -69,9 +69,10 @@ class SensingSection(JobSection):
 
 
 class Sensings(NamedTuple):
-    """How the sensors of a model sense, and the cells of their tables."""
+    """How the sensors of a model sense, of which several may be repeats of one of the job."""
 
-    each: tuple[Sensing, ...] = ()  # none: all are plain
+    each: tuple[Sensing, ...] = ()  # of each sensor of the model; none: all are plain
+    names: tuple[str, ...] = ()  # of the job's sensors
 
     def by_way(self, way: int) -> Sensing:
         """How a sensor senses."""

@@ -1,17 +1,20 @@
-"""Prices and limits that several measurements of a set share; visits and installations are others.
+"""Prices and limits that several measurements of a set share: visits, installations, groups.
 
-`Constraints` adds up the prices and asks for the limits of all that a job has, and knows none of
-them by name.
+`Constraints`, searches and the bound loop over all that a job has, and know none of them by name.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from itertools import chain, pairwise
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from pfdist.common.measurement_times import Times
 from pfdist.problem.points import Points
+
+if TYPE_CHECKING:
+    from pfdist.problem.even_sets import EvenSets
+    from pfdist.problem.feasible import Feasible
 
 Money = int | Decimal
 """A price, exactly as the user has written it."""
@@ -23,22 +26,67 @@ def money(number: float) -> Money:
 
 
 @dataclass(frozen=True)
+class Setup:
+    """A visit, or another thing that a measurement begins and later ones share.
+
+    The next measurement that needs it, and is not before its end, begins another one.
+
+    >>> Setup((3, 4, 5, 6, 7, 8)).firsts((0, 2, 4))
+    (0, 4)
+    """
+
+    # (points,): the first point after what begins at each point; these never decrease. 0 at points
+    # that do not need it
+    ends: tuple[int, ...]
+    price: Money = 0
+    most: int | None = None
+    open_until: int = 0  # points before this one share what has begun
+
+    def firsts(self, times: Iterable[int]) -> Times:
+        """The sorted times that begin it."""
+        firsts, end = list[int](), self.open_until
+        for time in times:
+            if self.ends[time] and time >= end:
+                firsts.append(time)
+                end = self.ends[time]
+        return tuple(firsts)
+
+    def number(self, times: Iterable[int]) -> int:
+        """How often some sorted times begin it."""
+        return len(self.firsts(times))
+
+    def end(self, times: Iterable[int]) -> int:
+        """The first point after what the last of some sorted times share."""
+        firsts = self.firsts(times)
+        return self.ends[firsts[-1]] if firsts else self.open_until
+
+    def beyond(self, times: Times) -> Iterator[int]:
+        """The points that would begin it once too often after some sorted times."""
+        if self.most is not None and self.number(times) >= self.most:
+            yield from (p for p in range(self.end(times), len(self.ends)) if self.ends[p])
+
+    def since(self, first: int, taken: Times) -> Self:
+        """The same from a point on, after some measurements; points count from there."""
+        most = None if self.most is None else max(0, self.most - self.number(taken))
+        ends = tuple(end and end - first for end in self.ends[first:])
+        return replace(self, ends=ends, most=most, open_until=max(0, self.end(taken) - first))
+
+
+@dataclass(frozen=True)
 class Shared:
     """Prices and limits that measurements share; forms of it overwrite what they have."""
 
-    @property
-    def fees(self) -> dict[str, tuple[Money, ...]]:
-        """The prices, by the key of the job that gives them; none if nothing is paid."""
-        return {}
+    setups: tuple[Setup, ...] = field(default=(), kw_only=True)
 
     @property
     def relaxed(self) -> str:
         """The limit that the bound relaxes, as a sentence calls it; empty: none."""
         return ""
 
-    def counts(self, points: Points, times: Times) -> Iterable[int]:
-        """How often some sorted times pay each of the prices."""
-        return ()
+    @property
+    def priced(self) -> str:
+        """The key of the job that gives prices of setups."""
+        return ""
 
     def broken(self, points: Points, times: Times) -> Iterator[str]:
         """A sentence for each limit that some sorted times break."""
@@ -46,15 +94,36 @@ class Shared:
 
     def beyond(self, points: Points, times: Times) -> Iterable[int]:
         """The points that break a limit if they follow some sorted times."""
-        return ()
+        return chain.from_iterable(each.beyond(times) for each in self.setups)
 
-    def since(self, points: Points, first: int, taken: Times) -> Self | None:
+    def since(self, first: int, taken: Times) -> Self | None:
         """The same from a point on, after some measurements; None if nothing of it is left."""
-        return self
+        return replace(self, setups=tuple(each.since(first, taken) for each in self.setups))
 
     def steps(self, points: Points) -> dict[str, Any]:
         """Its fields of `StepLimits`."""
         return {}
+
+    # --- measurements that belong together --------------------------------------------------------
+
+    spaced: ClassVar[str] = ""
+    """Sentences call all that evenly spaced sets space so; empty if it is measurements."""
+
+    def parts(self, times: Times) -> list[Times]:
+        """The sorted times that belong together: searches move and keep them together."""
+        return []
+
+    def in_words(self, points: Points, times: Times) -> str:
+        """When a set measures, by its parts; empty without them."""
+        return ""
+
+    def regular(self, feasible: "Feasible") -> Times | None:
+        """The regular set, if parts are spaced."""
+        return None
+
+    def even_sets(self, feasible: "Feasible") -> "EvenSets | None":
+        """The evenly spaced sets, if parts are spaced."""
+        return None
 
 
 @dataclass(frozen=True)

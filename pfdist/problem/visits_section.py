@@ -75,7 +75,7 @@ class VisitsSection(JobSection):
         else:
             stops = self._stops_of_ranges(clock)
         ends = tuple(points.first(stop) for stop in stops for _ in range(points.ways))
-        return Visits(ends, money(self.price or 0), self.most)
+        return Visits.on(ends, money(self.price or 0), self.most)
 
     def instants(self, clock: Clock) -> set[int]:
         """The instants at which a visit is possible."""

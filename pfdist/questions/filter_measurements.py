@@ -270,8 +270,8 @@ def filter_measurements(
     places = [clock.instant(t) for t in of_job.clock.times]
     wanted = [points.first(places[of_job.instant(t)]) + of_job.way(t) for t in plan.times]
     wanted = [t for t in wanted if t >= points.first(filtering.now.t)]
-    if reading.sensors:  # which of its repeats measures does not matter
-        at = [(points.instant(t), reading.sensors[points.way(t)]) for t in wanted]
+    if names := reading.sensings.names:  # which of its repeats measures does not matter
+        at = [(points.instant(t), names[points.way(t)]) for t in wanted]
         both = zip(at, sensors_of_rows(at, believed, reading), strict=True)
         wanted = [points.first(t) + way for (t, _), way in both]
     nearest = of_job.clock.nearest(clock.times[points.instant(t)] for t in made)

@@ -24,7 +24,6 @@ from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.sensing_section import Sensings
 from pfdist.questions.run_of_job import path_of_run, run_and_job
 from pfdist.results import Run
 from pfdist.results.sets import best_first, rows_of_sets
@@ -172,16 +171,8 @@ def reading_of(built: Built, columns: Columns | None, within: float | None, say:
     """How tables of a user are read: names of columns, and times that the job's clock lacks."""
     any_time = cache(partial(follows_clock, built))
     problem, note = built.job.problem, partial(heard, say)
-    sensors, sensings = zip(*problem.each_sensing, strict=True) if problem.sensings else ((), ())
-    return Reading(
-        columns_argument(columns),
-        within,
-        any_time,
-        note,
-        sensings=Sensings(sensings),
-        sensors=sensors,
-        given=problem.given or {},
-    )
+    given = problem.given or {}
+    return Reading(columns_argument(columns), within, any_time, note, problem.sensed, given=given)
 
 
 def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:

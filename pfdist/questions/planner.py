@@ -374,9 +374,9 @@ class Planner:
 
     def _again(self, now: Now, taken: Iterable[int], failed: Iterable[int] = ()) -> None:
         """Plan again what is left from now on; sensors that may fail are spent without a value."""
-        fails = [each.fails > 0.0 for _, each in self._built.job.problem.each_sensing] or [False]
+        sensings, way = self._built.job.problem.sensed, self._points.way
         passed = (e for e in self.rest.in_flight if e < self._points.first(now.first))
-        spent = (each for each in chain(failed, passed) if fails[self._points.way(each)])
+        spent = (each for each in chain(failed, passed) if sensings.by_way(way(each)).fails)
         self.rest.again(now, chain(taken, spent))
 
 

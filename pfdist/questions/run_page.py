@@ -176,10 +176,7 @@ def answer(subject: Subject) -> Section | None:
 def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     times = row.measurement_times
     problem = problem_of(subject.run)
-    at = f"{problem.when(times)}."
-    if visits := problem.by_visit(times):
-        each = " ".join(f"Visit {number}, {text}." for number, text in enumerate(visits, start=1))
-        at = f"in {len(visits)} visit{'s' * (len(visits) != 1)}. {each}"
+    at = problem.by_parts(times) or f"{problem.when(times)}."
     most = problem.measurement_budget or 0
     if problem.feasible.has_fewer and len(times) < most:
         at += f" This uses {len(times)} of {most} measurements."

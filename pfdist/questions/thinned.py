@@ -114,7 +114,8 @@ def matched_of(
     matched, left_out = list[Matched](), dict[str, str]()
     for each in replicates:
         plan = plans.get(each.name) if isinstance(plans, Mapping) else plans
-        on = replace(points, clock=each.clock) if isinstance(plans, Mapping) else points
+        here = replace(points, clock=each.clock)
+        on = here if isinstance(plans, Mapping) else points
         if each.is_training or plan is None:
             why = "the model was fitted to it", "it has too few measurements for a plan"
             left_out[each.name] = why[plan is None and not each.is_training]
@@ -124,14 +125,14 @@ def matched_of(
         sets = dict[str, Times]()
         try:
             for name, times in zip((PLAN, FROM_START, CENTRED, *own), wanted, strict=True):
-                sets[name] = each.nearest(times, model, within, points.delays)
+                sets[name] = each.nearest(times, here, model, within)
         except MeasurementsError as error:
             left_out[each.name] = f"{error}, for the set {name}"
             continue
         judged = each.z
         if judged is None:
             judged = when_made(each.y[:, : model.components[1]], model, points.delays)
-        used = replace(points, clock=each.clock).made(chain(*sets.values()))
+        used = here.made(chain(*sets.values()))
         judged = np.where(np.isin(np.arange(len(judged)), used)[:, None], np.nan, judged)
         if np.isnan(judged).all():
             left_out[each.name] = "no value is left to judge"

@@ -190,8 +190,8 @@ def described(
         phrase = f"the set that comparison.reference names ({number})"
     elif feasible.is_regular(instants):
         phrase = f"regular times ({number})"
-    elif feasible.visits:
-        phrase = f"evenly spaced visits, as many as possible ({number})"
+    elif feasible.spaced:
+        phrase = f"evenly spaced {feasible.spaced}, as many as possible ({number})"
     elif feasible.counted:
         phrase = f"the feasible set nearest to regular times ({number})"
     else:

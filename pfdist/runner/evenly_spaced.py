@@ -12,7 +12,7 @@ from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import FilterWork, Result
-from pfdist.problem.even_sets import EvenSets
+from pfdist.problem.even_sets import even_sets
 from pfdist.results import Run
 from pfdist.results.evenly_spaced import AS_WELL, sign_of
 from pfdist.results.moments import controlled_mse
@@ -177,7 +177,7 @@ class _Scan:
         feasible = self.built.job.feasible(number)
         if not self.built.job.comparison.is_even:
             return [feasible.regular()]
-        even = EvenSets(feasible)
+        even = even_sets(feasible)
         return [*even.sets_of(even.lines(lines))]
 
     def _best_of(self, number: int) -> list[Times]:

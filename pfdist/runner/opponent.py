@@ -22,7 +22,7 @@ from pfdist.errors import JobError
 from pfdist.filters.work import BLOCK
 from pfdist.kernels.estimators import FILTER_VARIANCE, TWO_CLOUDS
 from pfdist.models.batched import BatchedModel
-from pfdist.problem.even_sets import EvenSets
+from pfdist.problem.even_sets import EvenSets, even_sets
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.search_section import CommonNoiseSettings
 from pfdist.runner.build import Built
@@ -72,7 +72,7 @@ class EvenSearch:
     @cached_property
     def even(self) -> EvenSets:
         """All candidates."""
-        return EvenSets(self.feasible)
+        return even_sets(self.feasible)
 
     @property
     def steps(self) -> float:

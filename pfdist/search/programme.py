@@ -8,8 +8,7 @@ that the set does not contain. So each of its windows grows by a measurement, an
 error is closer to the set's own error. If all windows of a set are whole beginnings, its relaxed
 error is its own error. If it is still the best, it is proved to be optimal.
 
-Largest numbers of measurements and of visits are relaxed by Lagrange multipliers. The price of an
-installation is paid once; there is a programme for each set of installed sensors.
+Largest numbers, as those of visits, are relaxed by Lagrange multipliers.
 
 Sources: Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
 procedures for the computation of bounds to routing problems", Networks 11, 1981.
@@ -41,36 +40,26 @@ class Programme:
 
     If measurements are counted, a set makes exactly the number of the sum. Money may be left over.
 
-    Each measurement adds the multiplier of its limit to the sum of errors, and multipliers times
-    the largest numbers of measurements are subtracted at the end. With multipliers of at least 0,
-    the relaxed error of a set that keeps these numbers is at most its own error, so the minimum is
-    still a lower bound.
+    A measurement adds the multipliers of all that it begins to the sum of errors, and multipliers
+    times the largest numbers are subtracted at the end. With multipliers of at least 0, the relaxed
+    error of a set that keeps these numbers is at most its own error, so the minimum is still a
+    lower bound.
     """
 
     relaxation: Relaxation
     errors: Array
     most: int
-    # of each way to measure, and of visits: 0 without a largest number; or empty
-    multipliers: tuple[float, ...] = ()
-    # The price of the installed sensors in units, and the ways of the others; by default each
-    # choice is tried.
-    installed: tuple[int, frozenset[int]] | None = None
+    multipliers: tuple[float, ...] = ()  # of each setup, 0 without a largest number; or empty
 
     @property
     def mse(self) -> Array:
         """The least relaxed expected MSE of each sum, (most+1,)."""
-        least = np.full(self.most + 1, np.inf)
-        for each in self._choices:
-            rest = each._from[self._start, : max(0, self.most + 1 - each._paid)]
-            least[each._paid :] = np.minimum(least[each._paid :], rest)
-        return self._mean(least)
+        return self._mean(self._from[self._start])
 
     def path(self, spent: int) -> Times:
         """The times with the least error for a sum; empty if no set has this price."""
-        best = min(self._choices, key=lambda each: each.mse[spent])
-        left = spent - best._paid
-        is_known = left >= 0 and np.isfinite(best._from[self._start, left])
-        return best._path_from(self._start, left) if is_known else ()
+        is_known = np.isfinite(self._from[self._start, spent])
+        return self._path_from(self._start, spent) if is_known else ()
 
     def of_set(self, times: Times) -> float:
         """The relaxed expected MSE of a set, without multipliers."""
@@ -99,49 +88,31 @@ class Programme:
 
     def through(self, spent: int) -> Array:
         """The least relaxed expected MSE of all sets of a sum through each window, (W,)."""
-        sums = [
-            (each._to[:, : spent + 1] + each._from[:, spent::-1]).min(axis=1)
-            for each in self._choices
-        ]
-        least: Array = np.min(sums, axis=0)
-        return self._mean(least.reshape(-1, self.relaxation.ages).min(axis=1))
+        least = (self._to[:, : spent + 1] + self._from[:, spent::-1]).min(axis=1)
+        return self._mean(least.reshape(-1, self.relaxation.states).min(axis=1))
 
     def path_through(self, window: int, spent: int) -> Times:
         """The times with the least error among the sets of a sum that pass through a window."""
-        states = window * self.relaxation.ages + np.arange(self.relaxation.ages)
-        sums = [
-            each._to[states, : spent + 1] + each._from[states, spent::-1] for each in self._choices
-        ]
-        which, age, before = np.unravel_index(int(np.argmin(sums)), np.shape(sums))
-        best, state = self._choices[which], int(states[age])
-        return (*best._path_to(state, int(before)), *best._path_from(state, spent - int(before)))
-
-    @cached_property
-    def _choices(self) -> tuple["Programme", ...]:
-        """The programme of each choice of installed sensors."""
-        if self.installed is not None:
-            return (self,)
-        return tuple(replace(self, installed=each) for each in self.relaxation.installations)
-
-    @property
-    def _paid(self) -> int:
-        return self.installed[0] if self.installed else 0
+        states = window * self.relaxation.states + np.arange(self.relaxation.states)
+        sums = self._to[states, : spent + 1] + self._from[states, spent::-1]
+        state, before = divmod(int(np.argmin(sums)), spent + 1)
+        state += int(states[0])
+        return (*self._path_to(state, before), *self._path_from(state, spent - before))
 
     @property
     def _start(self) -> int:
         """The state before the first measurement."""
-        return self.relaxation.index[START] * self.relaxation.ages
+        return self.relaxation.index[START] * self.relaxation.states
 
     @property
     def _states(self) -> int:
-        return len(self.relaxation.windows) * self.relaxation.ages
+        return len(self.relaxation.windows) * self.relaxation.states
 
     @cached_property
     def _to(self) -> Array:
         """The least sum of errors before the last measurement of each state, (S, most+1)."""
         error = np.full((self._states, self.most + 1), np.inf)
-        if self._paid <= self.most:
-            error[self._start, self._paid] = 0.0
+        error[self._start, 0] = 0.0
         for moves in self._moves(self.relaxation.constraints.allowed):
             check()
             between = self._until(moves)
@@ -163,7 +134,7 @@ class Programme:
         error = np.full((self._states, self.most + 1), np.inf)
         following = np.full(error.shape, NOTHING)
         left_over = 0 if self.relaxation.constraints.counted else self.most
-        error[:, : left_over + 1] = np.repeat(self._at_the_end, self.relaxation.ages)[:, None]
+        error[:, : left_over + 1] = np.repeat(self._at_the_end, self.relaxation.states)[:, None]
         for moves in self._moves(reversed(self.relaxation.constraints.allowed)):
             check()
             between = self._until(moves)
@@ -178,11 +149,8 @@ class Programme:
         return error, following
 
     def _moves(self, times: Iterable[int]) -> Iterator[Moves]:
-        """The moves by these times, if any, unless their sensor is not installed."""
-        way = self.relaxation.constraints.points.way
-        others = self.installed[1] if self.installed else frozenset()
-        every = (self.relaxation.moves(time) for time in times if way(time) not in others)
-        return (moves for moves in every if moves.before.size)
+        """The moves by these times, if any."""
+        return (moves for moves in map(self.relaxation.moves, times) if moves.before.size)
 
     def _priced(self, moves: Moves) -> Iterator[tuple[int, NDArray[np.bool_]]]:
         """Each price of some moves that can be paid, and the moves that have it."""
@@ -201,17 +169,14 @@ class Programme:
 
     def _until(self, moves: Moves) -> Array:
         """Sums of errors from the last measurement of each state up to and with a measurement."""
-        windows = (moves.before // self.relaxation.ages).astype(np.int64)
+        windows = (moves.before // self.relaxation.states).astype(np.int64)
         between = self._between(windows, moves.time)
-        if self.multipliers:
-            way = self.relaxation.constraints.points.way(moves.time)
-            between = between + self.multipliers[way] + self.multipliers[-1] * moves.begun
-        return between
+        return between + np.array(self.multipliers) @ moves.begun if self.multipliers else between
 
     def _mean(self, sums: Array) -> Array:
         """Expected MSEs, or their bounds, from sums of errors and multipliers."""
         most = self.relaxation.constraints.most if self.multipliers else {}
-        left: Array = sums - sum(self.multipliers[way] * most[way] for way in most)
+        left: Array = sums - sum(self.multipliers[place] * most[place] for place in most)
         return left / (self.relaxation.horizon + 1)
 
     def _between(self, windows: Indices, time: Indices | int) -> Array:
@@ -226,7 +191,7 @@ class Programme:
         """The times before and up to a state's last, by following the programme back."""
         relaxation, times = self.relaxation, list[int]()
         while state != self._start:
-            time = int(relaxation.last[state // relaxation.ages])
+            time = int(relaxation.last[state // relaxation.states])
             moves = relaxation.moves(time)
             left = spent - relaxation.priced(moves)
             is_possible = (moves.to == state) & (left >= 0)
@@ -256,22 +221,20 @@ def with_multipliers(
     Any multipliers give a lower bound. Each is limited to the sum of errors of a feasible set of
     this sum, whose expected MSE is `known_mse`.
     """
-    constraints = relaxation.constraints
-    most, ways = constraints.most, constraints.points.ways
+    most, setups = relaxation.constraints.most, range(len(relaxation.constraints.setups))
     unlimited = Programme(relaxation, errors, spent)
     if not (most and 0 < known_mse < np.inf):
         return unlimited
     largest = known_mse * (relaxation.horizon + 1)
 
     def programme(shares: Array) -> Programme:
-        of_way = dict(zip(most, (largest * shares).tolist(), strict=True))
-        every = tuple(of_way.get(way, 0.0) for way in range(ways + 1))
-        return replace(unlimited, multipliers=every)
+        limited = dict(zip(most, (largest * shares).tolist(), strict=True))
+        return replace(unlimited, multipliers=tuple(limited.get(each, 0.0) for each in setups))
 
     def lowest(shares: Array) -> tuple[float, Array]:
         path = programme(shares).path(spent)
-        own = [relaxation.number(way, path) for way in most]
-        return unlimited.of_set(path) / known_mse, np.array(own) - [*most.values()]
+        own = relaxation.begun(path)[[*most]]
+        return unlimited.of_set(path) / known_mse, own - [*most.values()]
 
     return programme(highest(lowest, np.zeros(len(most))))
 

@@ -30,17 +30,13 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import ManySets, Times
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
-from pfdist.problem.visits import Installs
 from pfdist.search.base import Counted
+from pfdist.search.setups import Setups
 
 NOTHING = -1
 """First entry of a window before which nothing is measured: the window is a whole beginning."""
 
-_MOST_INSTALLATIONS = 6  # whose choices have programmes, two for each more
-_MOST_CHOICES = 100_000_000  # times states and sums
-# With visits of which the first measurement counts:
-_MOST_STATES = 10_000_000  # times sums
-_MOST_MOVES = 30_000_000
+_MOST_STATES = 30_000_000  # times sums, with what was begun before the window
 _TOGETHER = 4096  # windows whose times are laid out
 _MOST_KEPT = 4_000_000  # moves; more are computed whenever they are needed
 
@@ -55,12 +51,12 @@ States = NDArray[np.int32]
 
 
 class Moves(NamedTuple):
-    """All moves from one state to the next by a measurement at one time; see `Relaxation.ages`."""
+    """All moves from one state to the next by a measurement at one time; see `Setups`."""
 
     time: int
     before: States  # (n,): the state before the measurement, sorted by the state after it
     to: States  # (n,): the state after it
-    begun: NDArray[np.bool_]  # (n,): whether it begins a visit
+    begun: NDArray[np.bool_]  # (setups, n): whether it begins each, as a visit
     after: Indices  # (m,): the states after it; all differ
     starts: Indices  # (m,): the first place in `before` of each state after it
 
@@ -84,9 +80,10 @@ class After:
         return np.flatnonzero((self.rows[:, time] >= 0)[self.row_of])
 
     @property
-    def count(self) -> int:
-        """The number of windows and times that are allowed after them."""
-        return int(np.count_nonzero(self.rows >= 0, axis=1)[self.row_of].sum())
+    def counts(self) -> Indices:
+        """How many times are allowed after each window, (W,)."""
+        counts: Indices = np.count_nonzero(self.rows >= 0, axis=1)[self.row_of]
+        return counts
 
 
 @dataclass(frozen=True)
@@ -131,44 +128,37 @@ class Relaxation:
         return tuple(price // self.unit for price in self.constraints.units)
 
     @cached_property
-    def ages(self) -> int:
-        """The number of states of each window: window w in state w * ages + a.
-
-        The age a is the number of instants since the first measurement of the visit, if the end of
-        a visit depends on it and memory allows that; otherwise it is 0, and a visit begins only if
-        the last measurement says so.
-        """
-        visits = self.constraints.visits
-        longest = 1 if visits is None else visits.longest(self.constraints.points)
-        if longest == 1 or len(self.windows) * longest * (self.total + 1) > _MOST_STATES:
-            return 1
-        return longest if self.after.count * longest <= _MOST_MOVES else 1
-
-    def priced(self, moves: Moves) -> Indices:
-        """The price of each move, with a visit that it begins, in units, (n,)."""
-        visits = self.constraints.visits
-        fee = self.constraints.in_units(visits.price) if visits else 0
-        return self.prices[moves.time] + fee // self.unit * moves.begun
-
-    def number(self, limited: int, times: Times) -> int:
-        """How often a set does what a key of `Constraints.most` limits; of visits, at least."""
-        visits = self.constraints.visits
-        if visits is None or limited < self.constraints.points.ways:
-            return len(self.constraints.points.of_way(limited, times))
-        return visits.number(times) if self.ages > 1 else visits.at_least(times)
+    def setups(self) -> Setups:
+        """The numbers of states beside windows: state w * size + s has window w and number s."""
+        most = _MOST_STATES // (len(self.windows) * (self.total + 1))
+        moves = np.zeros(self.end + 1, np.int64)  # the last entry is that of NOTHING
+        np.add.at(moves, self.last, self.after.counts)
+        return Setups.within(self.constraints.setups, most, moves)
 
     @cached_property
-    def installations(self) -> tuple[tuple[int, frozenset[int]], ...]:
-        """For each choice of installed sensors, the price in units, and the ways of the others.
+    def states(self) -> int:
+        """The number of states of each window."""
+        return self.setups.size
 
-        With many prices of installations, or many states, only the highest count.
-        """
-        size = len(self.windows) * self.ages * (self.total + 1)
-        most = min(_MOST_INSTALLATIONS, (_MOST_CHOICES // size).bit_length() - 1)  # powers of 2
-        installs = self.constraints.shared_of(Installs) or Installs(())
-        choices = installs.choices(self.constraints.in_units, max(0, most))
-        paid_for = (each for each in choices if each[0] <= self.constraints.total)
-        return tuple((paid // self.unit, others) for paid, others in paid_for)
+    @cached_property
+    def _fees(self) -> Indices:
+        """The price of each setup in units."""
+        in_units, setups = self.constraints.in_units, self.constraints.setups
+        return np.array([in_units(each.price) // self.unit for each in setups], np.int64)
+
+    def priced(self, moves: Moves) -> Indices:
+        """The price of each move, with all that it begins, in units, (n,)."""
+        prices: Indices = self.prices[moves.time] + self._fees @ moves.begun
+        return prices
+
+    def begun(self, times: Times) -> Indices:
+        """How often a set begins each setup, at least, (setups,)."""
+        number, last = np.zeros(1, np.int64), np.array([NOTHING])
+        begun = np.zeros(len(self.setups.ends), np.int64)
+        for time in times:
+            number, begins = self.setups.after(last, number, time)
+            begun, last = begun + begins[:, 0], np.array([time])
+        return begun
 
     @property
     def total(self) -> int:
@@ -292,27 +282,21 @@ class Relaxation:
     @cached_property
     def _moves(self) -> dict[int, Moves]:
         """The moves by each time, unless they are many."""
-        if self.after.count * self.ages > _MOST_KEPT:
+        if self.after.counts.sum() * self.states > _MOST_KEPT:
             return {}
         return {time: self._moves_at(time) for time in self.constraints.allowed}
 
     def _moves_at(self, time: int) -> Moves:
         windows = self.after.allowing(time)
-        before = (windows[:, None] * self.ages + np.arange(self.ages)).ravel().astype(np.int32)
-        begun, age = self._visit(before, time)
-        to = (self.after[before // self.ages, time] * self.ages + age).astype(np.int32)
-        order = np.flatnonzero(age < self.ages)
+        before = (windows[:, None] * self.states + np.arange(self.states)).ravel()
+        window, number = np.divmod(before, self.states)
+        number, begun = self.setups.after(self.last[window], number, time)
+        to = (self.after[window, time] * self.states + number).astype(np.int32)
+        order = np.flatnonzero(number < self.states)
         order = order[np.argsort(to[order], kind="stable")]
-        starts = np.flatnonzero(np.diff(to[order], prepend=-1))
-        return Moves(time, before[order], to[order], begun[order], to[order][starts], starts)
-
-    def _visit(self, before: States, time: int) -> tuple[NDArray[np.bool_], Indices]:
-        """Whether a measurement begins a visit after each state, and the age after it."""
-        visits, points = self.constraints.visits, self.constraints.points
-        if visits is None:
-            return np.zeros(before.size, np.bool_), np.zeros(before.size, np.int64)
-        window, age = np.divmod(before.astype(np.int64), self.ages)
-        return visits.after(points, self.last[window], age, self.ages, time)
+        before, to = before[order].astype(np.int32), to[order]
+        starts = np.flatnonzero(np.diff(to, prepend=-1))
+        return Moves(time, before, to, begun[:, order], to[starts], starts)
 
     def spent(self, times: Times) -> int:
         """The sum, in units, of the bound for a set: its size, or all of the money."""

@@ -20,8 +20,8 @@ LAST = 6
 TWO = Points(Clock.counting(3), ("cheap", "sharp"))
 THREE = Points(Clock.counting(2), ("a", "b_a", "b_b"), repeats=(0, 1, 1))
 LATE = Points(Clock.counting(3), ("meter", "lab"), (0, 2))
-WITHIN = Visits(tuple(range(3, LAST + 4)), price=2, most=2)
-SLOTS = Visits((2, 2, 4, 4, 7, 7, 7), most=2)
+WITHIN = Visits.on(tuple(range(3, LAST + 4)), price=2, most=2)
+SLOTS = Visits.on((2, 2, 4, 4, 7, 7, 7), most=2)
 EACH = {
     "budget": Feasible(LAST, 3),
     "spacing, forbidden, required": Feasible(LAST, 3, (1,), (4,), 2),
@@ -37,7 +37,7 @@ EACH = {
     ),
     "install": Feasible(
         2, points=THREE, minimum_spacing=0, price=(1, 2, 1) * 3, total_price=6,
-        shared=(Installs(((2, (0,)), (1, (1, 2)))),), required=(7,),
+        shared=(Installs.on(THREE, [(2, (0,)), (1, (1, 2))]),), required=(7,),
     ),
     "visits within": Feasible(
         LAST, price=(1,) * 7, total_price=7, shared=(WITHIN,), required=(4,), minimum_spacing=2

@@ -16,6 +16,7 @@ from oracles.two_platforms import two_platforms
 from pfdist.errors import MeasurementsError
 from pfdist.problem.clock import Clock
 from pfdist.problem.measurements import Reading
+from pfdist.problem.points import Points
 from pfdist.problem.replicates import Replicate, read_replicates
 from pfdist.store import user_tables
 
@@ -116,18 +117,21 @@ def test_sensors_have_a_row_each(tmp_path: Path) -> None:
 
 def test_the_nearest_measurement_is_used_once_and_by_its_sensor(tmp_path: Path) -> None:
     (found,) = read("day,t,y0\n" + "".join(f"a,{t},1\n" for t in (1, 7, 13, 23)), tmp_path, HOURS)
-    assert found.nearest([(0.0, 0), (12.0, 0)], MODEL, 1.0) == (1, 3)
-    assert found.nearest([(6.9, 0), (7.1, 0)], MODEL, 6.0) == (2, 3)  # the next nearest
-    assert found.nearest([(7.0, 0)], MODEL, 0.5, (1,)) == (3,)  # arrives at 13, made at 7
+    points = Points(found.clock)
+    assert found.nearest([(0.0, 0), (12.0, 0)], points, MODEL, 1.0) == (1, 3)
+    assert found.nearest([(6.9, 0), (7.1, 0)], points, MODEL, 6.0) == (2, 3)  # the next nearest
+    late = Points(found.clock, delays=(1,))
+    assert found.nearest([(7.0, 0)], late, MODEL, 0.5) == (3,)  # arrives at 13, made at 7
     with pytest.raises(MeasurementsError, match=r"no measurement within 30 min of t = 12"):
-        found.nearest([(1.0, 0), (12.0, 0)], MODEL, 0.5)
+        found.nearest([(1.0, 0), (12.0, 0)], points, MODEL, 0.5)
     with pytest.raises(MeasurementsError, match=r"of t = 2, but one that an earlier time uses$"):
-        found.nearest([(2.0, 0)] * 5, MODEL, 100.0)
+        found.nearest([(2.0, 0)] * 5, points, MODEL, 100.0)
     text = "day,t,sensor,y0\na,0,still,1\na,6,moving,2\n"
     (seen,) = read(text, tmp_path, HOURS, two_platforms())
-    assert seen.nearest([(5.0, 1)], two_platforms(), 5.0) == (1,)
+    points = Points(seen.clock, ("moving", "still"))
+    assert seen.nearest([(5.0, 1)], points, two_platforms(), 5.0) == (1,)
     with pytest.raises(MeasurementsError, match="no measurement by still within 3 h of t = 5"):
-        seen.nearest([(5.0, 1)], two_platforms(), 3.0)
+        seen.nearest([(5.0, 1)], points, two_platforms(), 3.0)
 
 
 HEAD = "day,t,y0"

@@ -129,7 +129,7 @@ def test_multipliers_give_the_least_error_with_them_and_a_lower_bound(
     limited, instants = np.array([limit.most is not None for limit in LIMITS[name]]), HORIZON + 1
     for scale in (0.1, 1.0, 10.0):
         multipliers = np.where(limited, rng.exponential(scale, size=3), 0.0)
-        programme = Programme(relaxation, errors, spent, (*multipliers.tolist(), 0.0))
+        programme = Programme(relaxation, errors, spent, tuple(multipliers[limited].tolist()))
         lagrangian = own + counts @ multipliers - multipliers @ _most(name)
         found = programme.mse[spent]
         assert found == pytest.approx(lagrangian.min() / instants, rel=1e-9)

@@ -23,7 +23,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.clock import Clock
-from pfdist.problem.even_sets import EvenSets
+from pfdist.problem.even_sets import even_sets
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.visits import Installs
@@ -205,6 +205,30 @@ def test_prices_of_visits_are_exact_in_the_bound(kind: str) -> None:
         assert _proved(feasible, SYSTEMS[name], optimum) == pytest.approx(optimum, rel=1e-9)
 
 
+@pytest.mark.parametrize("taken", [(2,), (0, 4)])
+def test_a_visit_that_has_begun_is_exact_in_the_bound(taken: Times) -> None:
+    """The optimum of the rest is proved: its first measurements may share the visit before."""
+    keys = KINDS["paid within three"][0]
+    rest = _feasible(keys | {"visits": {"price": 4, "within": 4}}).rest(taken, taken[-1] + 1)
+    assert rest is not None
+    assert rest.shared[0].setups[0].open_until
+    every = [*rest.every()]
+    for name in NAMES[::3]:
+        optimum = expected_mse(SYSTEMS[name], rest.horizon, every).min()
+        assert _proved(rest, SYSTEMS[name], optimum) == pytest.approx(optimum, rel=1e-9)
+
+
+def test_prices_of_installations_are_exact_in_the_bound() -> None:
+    keys, _ = OF_SENSORS["installed"]
+    visits = {"visits": {"price": 1, "within": 2}}
+    for more in ({}, visits):
+        feasible = Problem(_three(0), horizon=LAST, **keys, **more).job(seed=1).problem.feasible
+        every = [*feasible.every()]
+        for seed in range(3):
+            optimum = expected_mse(_three(seed), LAST, every).min()
+            assert _proved(feasible, _three(seed), optimum) == pytest.approx(optimum, rel=1e-9)
+
+
 def test_the_curve_of_prices_has_the_optimum_of_each(tmp_path: Path) -> None:
     """The plan for at most so much money is the best of all sets, and is proved to be."""
     keys = KINDS["paid within three"][0]
@@ -378,25 +402,25 @@ def test_a_long_horizon_leaves_out_the_first_measurements_of_visits() -> None:
     keys = {"horizon": 1999, "measurement_budget": 4, "visits": visits}
     feasible = Problem("linear_gaussian", **keys).job(seed=1).problem.feasible
     relaxation = relaxation_with(feasible, 1, 10)
-    assert relaxation.ages == 1
-    assert relaxation_with(_feasible(KINDS["at most two within three"][0]), 2, 10).ages == 3
+    assert relaxation.states == 1
+    assert relaxation_with(_feasible(KINDS["at most two within three"][0]), 2, 10).states == 3
 
 
 def test_with_many_states_only_the_highest_prices_of_installations_count() -> None:
-    """Programmes for all choices of six would need gigabytes."""
-    points = Points(Clock.counting(1499), tuple("abcdef"))
+    """States for all choices of six would need gigabytes."""
+    points = Points(Clock.counting(499), tuple("abcdef"))
     feasible = Feasible(
-        horizon=1499, price=(1,) * points.number, total_price=200, points=points, smaller=True,
-        shared=(Installs(tuple((10 + way, (way,)) for way in range(6))),),
+        horizon=499, price=(1,) * points.number, total_price=200, points=points, smaller=True,
+        shared=(Installs.on(points, [(10 + way, (way,)) for way in range(6)]),),
     )  # fmt: skip
-    choices = relaxation_with(feasible, 1, 10).installations
-    assert len(choices) == 2**5
-    assert max(price for price, _ in choices) == 11 + 12 + 13 + 14 + 15
+    setups = relaxation_with(feasible, 1, 10).setups
+    assert setups.size == 2**3
+    assert [each.size for each in setups.ends] == [1, 1, 1, 2, 2, 2]
 
 
 def test_many_visits_have_few_grids() -> None:
     keys = {"horizon": 299, "measurement_budget": 100, "visits": {"most": 50, "within": 3}}
-    even = EvenSets(Problem("linear_gaussian", **keys).job(seed=1).problem.feasible)
+    even = even_sets(Problem("linear_gaussian", **keys).job(seed=1).problem.feasible)
     assert len(even.lines(700)) < 1500
 
 
@@ -463,14 +487,12 @@ def test_answers_and_refusals_name_visits() -> None:
     """A day is named once; with sensors, each measurement has its own."""
     keys, _ = KINDS["a day"]
     problem = Problem("linear_gaussian", horizon=72, **keys).job(seed=1).problem
-    assert problem.by_visit(["2026-05-04T08:00", "2026-05-04T16:00", "2026-05-06T00:00"]) == [
-        "Mon 4 May: 08:00, 16:00",
-        "Wed 6 May: 00:00",
-    ]
+    words = problem.by_parts(["2026-05-04T08:00", "2026-05-04T16:00", "2026-05-06T00:00"])
+    assert words == "in 2 visits. Visit 1, Mon 4 May: 08:00, 16:00. Visit 2, Wed 6 May: 00:00."
     by_days = {"start": "2026-05-04", "step": "1 d"}
     weeks = {"measurement_budget": 4, "clock": by_days, "visits": {"most": 2, "per": "week"}}
     days = Problem("linear_gaussian", horizon=20, **weeks).job(seed=1).problem
-    assert days.by_visit(["2026-05-06"]) == ["t = 2026-05-06"]
+    assert days.by_parts(["2026-05-06"]) == "in 1 visit. Visit 1, t = 2026-05-06."
     too_many = problem.broken([f"2026-05-0{day}T08:00" for day in (4, 5, 6)])
     assert too_many == ["problem.visits.most is 2, got 3 visits"]
     paid = Problem("linear_gaussian", horizon=HORIZON, **KINDS["paid within three"][0])
