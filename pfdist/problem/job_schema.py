@@ -59,8 +59,9 @@ def job_schema() -> dict[str, Any]:
 
 def _below(section: type) -> Iterator[type]:
     """All classes that are made from a class."""
-    for below in section.__subclasses__():
-        yield from (below, *_below(below))
+    classes: list[type] = section.__subclasses__()
+    for each in classes:
+        yield from (each, *_below(each))
 
 
 def _as_written(schema: Any) -> Any:
