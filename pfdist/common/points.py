@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 
+ALONE = "y"
+"""The name of the only way to measure, of a model without sensors."""
+
 Numbers = TypeVar("Numbers", int, NDArray[np.int64])
 
 

@@ -6,9 +6,6 @@ from typing import Any, Protocol
 
 from pfdist.filters.one_filter import Followed
 
-ALONE = "y"
-"""The name of the only sensor of a model without sensors."""
-
 
 class Strategy(Protocol):
     """Decides when one system is measured: `pfdist.Rule`, `pfdist.Planner`, or a class of yours.

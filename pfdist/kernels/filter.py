@@ -322,6 +322,8 @@ def _tell(instant):
         (1, batch.row),
     )
     for d in range(at.draws):
+        if not is_measured(at, t, d):
+            continue
         origin = d * batch.width
         highest = -np.inf
         for i in range(origin, origin + request.particles):
@@ -458,6 +460,8 @@ def _rank_truth(instant):
     half = request.draws * request.instants * request.quantities
     of_particles(at, QUANTITY, t, present(at), batch.quantity)
     for d in range(at.draws):
+        if not is_measured(at, t, d):
+            continue
         origin, total = d * batch.width, batch.total[d]
         first = ((at.first + d) * request.instants + t) * request.quantities
         for c in range(request.quantities):

@@ -14,9 +14,8 @@ from typing import Any
 from pfdist.common.arguments import listed_argument
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parsing import as_text
-from pfdist.common.points import PointNumbers
+from pfdist.common.points import ALONE, PointNumbers
 from pfdist.errors import MeasurementTimesError, shown
-from pfdist.filters.strategy import ALONE
 from pfdist.problem.calendar import groups
 from pfdist.problem.clock import Clock, Time, joined_times
 from pfdist.problem.written import SEPARATOR, instants_written

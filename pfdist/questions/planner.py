@@ -167,8 +167,8 @@ class Planner:
     def decide(self, belief: Filter, t: int) -> list[str]:
         """Decide whether to measure at an instant; what is chosen counts as made.
 
-        So a planner is used in a loop as `pfdist.Rule` is. What has arrived in the filter since the
-        last call, or was not measured as it was decided, changes the plan of the rest.
+        So a planner is used in a loop as `pfdist.Rule` is. Values that have arrived in the filter
+        since the last call, and measurements that were not made, change the plan of the rest.
 
         Parameters
         ----------

@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from pfdist.common.parsing import parse_json
+from pfdist.common.points import ALONE
 from pfdist.common.section import JobSection
 from pfdist.errors import ArgumentError, StoreError, shown
 from pfdist.filters.filter import Filter
-from pfdist.filters.strategy import ALONE
 from pfdist.kernels.left import Left, StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible

@@ -156,7 +156,7 @@ class Replanning:
     ----------
     replanner : Replanner
     plan : tuple of int
-        The first plan. What is measured before `now.first` counts as measured.
+        The first plan. Its times before `now.first` count as measured.
     now : Now
     draw : int
         Index of the system, which is part of the key of the noise.
@@ -167,7 +167,7 @@ class Replanning:
         first = points.first(now.first)
         self.replanner, self.now, self.draw, self._points = replanner, now, draw, points
         self.plan = tuple(point for point in plan if point >= first)
-        """What is left to arrive, with what is in flight."""
+        """The points whose values are to arrive; those in flight are among them."""
         self.taken = tuple(point for point in plan if point < first)
         self.in_flight = tuple(each for each in self.plan if points.made_at(each) < now.first)
 

@@ -42,7 +42,7 @@ UNITS = {
     "questions/fit.py _evidence": "replicate of a group: part.first",
     "questions/fit.py _Fitting.fitted": "starts of one fit: starts",
     "questions/fit.py _Fitting._likelihood": "repetition: repeat",
-    "questions/next_time.py next_time": "nothing, it is one system:",
+    "questions/next_time.py _next_by_plan": "nothing, it is one system:",
     "questions/planned_run.py system_of_table": "nothing, it is one system:",
     "questions/planned_run.py filter_of": "system: draw",
     "questions/planner.py Planner.__init__": "system: draw",  # `plan` gives it to the Replanner
