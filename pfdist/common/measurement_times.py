@@ -56,8 +56,8 @@ class ManySets(Sequence[Times]):
         return len(self.bits)
 
     def __getitem__(self, number: Any) -> Any:
-        """A set, or those of a slice."""
-        if isinstance(number, slice):
+        """A set, or those of a slice or of an array of numbers."""
+        if isinstance(number, slice | np.ndarray):
             return ManySets(self.bits[number], self.sensors)
         return tuple(np.flatnonzero(self.points(number)).tolist())
 
