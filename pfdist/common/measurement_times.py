@@ -1,7 +1,9 @@
 """A set of measurement times: its check, and regular and random sets."""
 
+import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, Final
 
@@ -38,7 +40,8 @@ class ManySets(Sequence[Times]):
     def of(cls, sets: Sequence[Times], instants: int, sensors: int) -> "ManySets":
         """Sets of points of the first instants."""
         if isinstance(sets, ManySets):
-            return cls(sets.bits[:, :instants], sensors)
+            has_all = sets.bits.shape[1] == instants
+            return sets if has_all else cls(sets.bits[:, :instants], sensors)
         rows = np.zeros((len(sets), instants * sensors), np.bool_)
         for row, times in zip(rows, sets, strict=True):
             row[list(times)] = True
@@ -47,17 +50,20 @@ class ManySets(Sequence[Times]):
     @classmethod
     def measured(cls, points: NDArray[np.bool_], sensors: int) -> "ManySets":
         """Sets of points, from whether each has each point, (S, points)."""
-        instants = points.shape[1] // sensors
-        by_instant = points.reshape(len(points), instants, sensors)
-        return cls(np.packbits(by_instant, axis=2, bitorder="little"), sensors)
+        by_instant = points.reshape(len(points), points.shape[1] // sensors, sensors)
+        if sensors == 1:
+            return cls(by_instant.view(np.uint8), sensors)
+        whole = np.pad(by_instant, ((0, 0), (0, 0), (0, -sensors % 8))).reshape(len(points), -1)
+        bits = np.packbits(whole, axis=1, bitorder="little")
+        return cls(bits.reshape(*by_instant.shape[:2], -1), sensors)
 
     def __len__(self) -> int:
         """S."""
         return len(self.bits)
 
     def __getitem__(self, number: Any) -> Any:
-        """A set, or those of a slice."""
-        if isinstance(number, slice):
+        """A set, or those of a slice or of an array of numbers."""
+        if isinstance(number, slice | np.ndarray):
             return ManySets(self.bits[number], self.sensors)
         return tuple(np.flatnonzero(self.points(number)).tolist())
 
@@ -82,16 +88,24 @@ class ManySets(Sequence[Times]):
 
     def written(self) -> Iterator[str]:
         """The JSON text of each set."""
-        texts = [f",{point}".encode() for point in range(self.bits.shape[1] * self.sensors)]
-        letters = np.frombuffer(b"".join(texts), np.uint8)
-        sizes = [len(text) for text in texts]
-        for number in range(len(self)):
-            own = letters[np.repeat(self.points(number), sizes)]
-            yield f"[{own[1:].tobytes().decode()}]"
+        _, instants, size = self.bits.shape
+        texts = dict[tuple[int, bytes], str]()  # of the points of an instant, each after a comma
+        for row in self.bits:
+            word, text = row.tobytes(), list[str]()
+            for t in range(instants):
+                key = t, word[t * size : (t + 1) * size]
+                if key not in texts:
+                    own = np.unpackbits(row[t], count=self.sensors, bitorder="little")
+                    points = t * self.sensors + np.flatnonzero(own)
+                    texts[key] = "".join(f",{point}" for point in points.tolist())
+                text.append(texts[key])
+            yield f"[{''.join(text)[1:]}]"
 
-    @property
-    def _content(self) -> tuple[bytes, tuple[int, ...], int]:
-        return self.bits.tobytes(), self.bits.shape, self.sensors
+    @cached_property
+    def _content(self) -> bytes:
+        digest = hashlib.blake2b(self.bits.tobytes(), digest_size=32)
+        digest.update(repr((self.bits.shape, self.sensors)).encode())
+        return digest.digest()
 
 
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:

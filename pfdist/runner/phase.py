@@ -8,7 +8,7 @@ their draws are found by the ids of the evaluations.
 import math
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -49,7 +49,9 @@ def evaluation_rows(
     A column has the value of the first record of the row that has its name.
     """
     table, copies = schema("evaluations"), Counter(candidates)
-    individuals = {candidate: place for place, candidate in reversed([*enumerate(candidates)])}
+    sizes = [1 if each.counted is None else len(each.counted.sets) for each in candidates]
+    places = (np.cumsum(sizes) - sizes).tolist()
+    individuals = dict(zip(reversed(candidates), reversed(places), strict=True))
     records = [
         (
             SimpleNamespace(
@@ -246,11 +248,13 @@ def run_phase(
         )
         if windows:  # the errors of each instant, on the same blocks of draws
             blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
+            asked, places = zip(*map(_once, windows), strict=True)
             by_errors, _ = yield from evaluated_by_errors(
-                windows, session, phase.sums, blocks, phase.purpose, criterion
+                asked, session, phase.sums, blocks, phase.purpose, criterion
             )
-            for candidate, evaluation in zip(windows, by_errors, strict=True):
-                record(candidate, evaluation)
+            for candidate, own, evaluation in zip(windows, places, by_errors, strict=True):
+                errors = None if evaluation.errors is None else evaluation.errors[own]
+                record(candidate, replace(evaluation, errors=errors))
             record.show()
         if not (by_instant or _exactly(phase, requests, session, record)):
             yield from _per_draw(phase, requests, session, record)
@@ -267,6 +271,14 @@ def run_phase(
     # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)
+
+
+def _once(candidate: Candidate) -> tuple[Candidate, Any]:
+    """The candidate with each different filter once, and where the errors of all are."""
+    if candidate.counted is None:
+        return candidate, slice(None)
+    counted, places = candidate.counted.once()
+    return candidate._replace(counted=counted), places
 
 
 def _whole_errors(evaluations: Iterable[Evaluation]) -> list[float]:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.measurement_times import Times
+from pfdist.common.measurement_times import ManySets, Times
 from pfdist.filters.estimate import Evaluation
 
 
@@ -36,6 +36,18 @@ class Counted:
             (self.first[:, None] <= t) & (t <= self.ends[:, None])
         ]
         return counted
+
+    def once(self) -> tuple["Counted", NDArray[np.int64]]:
+        """Each different set once, and the index, (E,), of each error among theirs."""
+        words = map(bytes, self.sets.bits) if isinstance(self.sets, ManySets) else self.sets
+        place_of, places = dict[Any, int](), list[int]()
+        for key in zip(words, self.first.tolist(), self.ends.tolist(), strict=True):
+            places.append(place_of.setdefault(key, len(place_of)))
+        own = np.unique(places, return_index=True)[1]
+        sets = self.sets[own] if isinstance(self.sets, ManySets) else [self.sets[k] for k in own]
+        different = Counted(sets, self.first[own], self.ends[own])
+        moved = different.starts[places] - self.starts
+        return different, np.repeat(moved, self._sizes) + np.arange(self._sizes.sum())
 
     def __add__(self, other: "Counted") -> "Counted":
         """These sets, followed by others."""

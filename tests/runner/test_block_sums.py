@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pfdist import Job
+from pfdist.common.measurement_times import ManySets
 from pfdist.filters.criteria.worst_instant import WorstInstant
 from pfdist.filters.criterion import MEAN
 from pfdist.filters.evaluator import Evaluator
@@ -237,3 +238,27 @@ def test_an_exact_engine_tells_errors_without_draws(
     assert not handed
     errors = COUNTED.of_instants(exact.evaluator.expected_errors(SETS, weighted=True))
     assert_alike(search.told[1].errors_of_instants, errors)
+
+
+def test_filters_that_a_search_asks_for_twice_are_filtered_once(
+    built: Built, session: RunSession, asks: Any, completed: Completed, handed: list[FilterWork]
+) -> None:
+    """Their sums, whose id is part of a run, are those of the different filters in their order."""
+    settings = replace(built.searches[0].settings, draws=2 * BLOCK, estimation=ESTIMATION)
+    twice = Counted(
+        ManySets.of((*SETS[2:], *SETS, SETS[2]), HORIZON + 1, 1),
+        np.concatenate([COUNTED.first[2:], COUNTED.first, [1]]),
+        np.concatenate([COUNTED.ends[2:], COUNTED.ends, [12]]),
+    )
+    search = asks(Candidate((), HORIZON, 2 * BLOCK, counted=twice), WHOLE)
+    phase = Phase("mine", search, "search", settings, built, MEAN)
+    completed(run_phase(phase, session))
+    (once,) = {work.measurement_times for work in handed if work.summed}
+    assert [*once] == [SETS[2], SETS[3], SETS[0], SETS[1], SETS[2]]
+    expected = _expected(built, (0, 2 * BLOCK), phase.stream())
+    third = COUNTED.set_of >= 2
+    errors = [expected[third], expected, expected[COUNTED.set_of == 2][1:]]
+    assert_alike(search.told[0].errors_of_instants, np.concatenate(errors))
+    session.commit()
+    (row,) = session.store.read("evaluations", phase="mine").to_dict("records")
+    assert row["individual"] == 7  # the place of the set among all that were asked for

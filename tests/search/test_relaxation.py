@@ -92,6 +92,12 @@ def test_the_moves_are_those_of_the_automaton(case: Case) -> None:
     }
 
 
+def test_windows_that_none_continues_share_the_moves_of_their_last_time() -> None:
+    relaxation = relaxation_with(Constraints(60, 12), window=2, longest_gap=20)
+    assert len(relaxation.windows) > 1000
+    assert len(relaxation.after.rows) == 62  # a row for each time, and one for the beginning
+
+
 @cases
 def test_the_filter_of_a_window_measures_whatever_a_set_in_it_has_measured(case: Case) -> None:
     relaxation, _ = case.make()
