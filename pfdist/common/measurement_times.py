@@ -28,7 +28,7 @@ DATES: Final = ("day_of_year", "hour", "weekday")
 class ManySets(Sequence[Times]):
     """Sets of points as bits: for hundreds of thousands of sets, with hundreds of points each.
 
-    >>> sets = ManySets.of([(0, 3), (2,)], instants=2, sensors=2)
+    >>> sets = ManySets.packed([(0, 3), (2,)], instants=2, sensors=2)
     >>> sets[0], [*sets], sets.bits[..., 0].tolist(), [*sets.written()]
     ((0, 3), [(0, 3), (2,)], [[1, 2], [0, 1]], ['[0,3]', '[2]'])
     """
@@ -37,7 +37,7 @@ class ManySets(Sequence[Times]):
     sensors: int
 
     @classmethod
-    def of(cls, sets: Sequence[Times], instants: int, sensors: int) -> "ManySets":
+    def packed(cls, sets: Sequence[Times], instants: int, sensors: int) -> "ManySets":
         """Sets of points of the first instants."""
         if isinstance(sets, ManySets):
             has_all = sets.bits.shape[1] == instants
@@ -45,10 +45,10 @@ class ManySets(Sequence[Times]):
         rows = np.zeros((len(sets), instants * sensors), np.bool_)
         for row, times in zip(rows, sets, strict=True):
             row[list(times)] = True
-        return cls.measured(rows, sensors)
+        return cls.from_points(rows, sensors)
 
     @classmethod
-    def measured(cls, points: NDArray[np.bool_], sensors: int) -> "ManySets":
+    def from_points(cls, points: NDArray[np.bool_], sensors: int) -> "ManySets":
         """Sets of points, from whether each has each point, (S, points)."""
         by_instant = points.reshape(len(points), points.shape[1] // sensors, sensors)
         if sensors == 1:
@@ -69,7 +69,7 @@ class ManySets(Sequence[Times]):
 
     def __add__(self, sets: Sequence[Times]) -> "ManySets":
         """These sets, followed by others."""
-        others = ManySets.of(sets, self.bits.shape[1], self.sensors)
+        others = ManySets.packed(sets, self.bits.shape[1], self.sensors)
         return ManySets(np.concatenate([self.bits, others.bits]), self.sensors)
 
     def __eq__(self, other: object) -> bool:

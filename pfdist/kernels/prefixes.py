@@ -66,7 +66,7 @@ def plan_prefixes(
     1
     """
     wanted = (instants,) * len(sets) if ends is None else ends
-    return _plan(ManySets.of(sets, instants, sensors), wanted)
+    return _plan(ManySets.packed(sets, instants, sensors), wanted)
 
 
 @lru_cache(maxsize=16)

@@ -215,7 +215,7 @@ class Relaxation:
         ways, bits = self.constraints.points.ways, list[NDArray[np.uint8]]()
         for first in range(0, max(1, numbers.size), _TOGETHER):
             measured = self._measured(numbers[first : first + _TOGETHER])
-            bits.append(ManySets.measured(measured[:, : self.end], ways).bits)
+            bits.append(ManySets.from_points(measured[:, : self.end], ways).bits)
         return ManySets(np.concatenate(bits), ways)
 
     def _measured(self, numbers: Indices) -> NDArray[np.bool_]:

@@ -13,10 +13,10 @@ def test_bits_are_the_sets_and_give_the_same_keys_and_plans(instants: int, senso
     rng = np.random.default_rng(sensors)
     masks = rng.random((40, instants * sensors)) < rng.random((40, 1))
     sets = [(), *(tuple(np.flatnonzero(mask).tolist()) for mask in masks), (0,)]
-    many = ManySets.of(sets, instants, sensors)
+    many = ManySets.packed(sets, instants, sensors)
     assert [*many] == sets
     assert [*(many + sets[:2])] == [*sets, *sets[:2]]
-    assert many == ManySets.of(sets, instants, sensors) != many[1:]
+    assert many == ManySets.packed(sets, instants, sensors) != many[1:]
     np.testing.assert_array_equal(many.points()[1:-1], masks)
     assert stream_key("a", many, {"b": 1}) == stream_key("a", sets, {"b": 1})
     assert stream_key(many[:0]) == stream_key([])

@@ -246,7 +246,7 @@ def test_filters_that_a_search_asks_for_twice_are_filtered_once(
     """Their sums, whose id is part of a run, are those of the different filters in their order."""
     settings = replace(built.searches[0].settings, draws=2 * BLOCK, estimation=ESTIMATION)
     twice = Counted(
-        ManySets.of((*SETS[2:], *SETS, SETS[2]), HORIZON + 1, 1),
+        ManySets.packed((*SETS[2:], *SETS, SETS[2]), HORIZON + 1, 1),
         np.concatenate([COUNTED.first[2:], COUNTED.first, [1]]),
         np.concatenate([COUNTED.ends[2:], COUNTED.ends, [12]]),
     )
