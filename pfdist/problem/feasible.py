@@ -4,7 +4,7 @@ With prices, a set is feasible only if no measurement can be added to it. After 
 the feasible sets of what is left are those of a shorter horizon.
 """
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -143,11 +143,22 @@ class Feasible(Constraints):
 
         The prefix has the first times of the set, sorted; it may be empty.
         """
-        if self.counted and self.limits:
+        if not self.counted:
+            followers = (completions.extensions(times) for completions in self._completions)
+            after = sorted(set().union(*followers))
+            return [t for t in after if self.allows((*times, t))] if self.is_limited else after
+        if self.limits:
             return [t for t in self.allowed if self._may_follow(times, t)]
-        followers = (completions.extensions(times) for completions in self._completions)
-        after = sorted(set().union(*followers))
-        return [t for t in after if self.allows((*times, t))] if self.is_limited else after
+        left, last = self.total - len(times), times[-1] if times else -1
+        required = self.required[bisect_right(self.required, last) :]
+        if left <= 0 or len(required) > left:
+            return ()
+        start = bisect_left(self.allowed, self.spacing.after(last))
+        stop = bisect_right(self._negative_capacities, -left)
+        if required:
+            index = bisect_left(self.allowed, required[0])
+            start, stop = (index if len(required) == left else start), min(stop, index + 1)
+        return self.allowed[start:stop]
 
     def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
         """The feasible sets in which one time is exchanged for another.
@@ -313,6 +324,15 @@ class Feasible(Constraints):
     def _free(self) -> bool:
         """Whether all sets of N allowed times that contain the required times are feasible."""
         return self.counted and self.spacing.is_free and not self.limits
+
+    @cached_property
+    def _negative_capacities(self) -> list[int]:
+        """For each allowed time, minus the most times that fit from it on; sorted for bisect."""
+        negated = [0] * (len(self.allowed) + 1)
+        for index in reversed(range(len(self.allowed))):
+            after = bisect_left(self.allowed, self.spacing.after(self.allowed[index]))
+            negated[index] = negated[after] - 1
+        return negated[:-1]
 
     @cached_property
     def _completions(self) -> list[Completions]:
