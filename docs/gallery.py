@@ -13,14 +13,14 @@ import pfdist
 
 FOLDER = Path(__file__).parent
 JOBS = {  # labels with units: some models leave them to their docstrings
-    "plan": ("expected error of x", "instant"),
-    "tumour": ("expected error\nof the position", "time [0.25 s]"),
-    "xray_tumour": ("expected error [mm²]", "time [0.25 s]"),
-    "lorenz63": ("expected error\nof (x, y, z)", "time [0.1]"),
-    "lotka_volterra": ("expected error\nof logarithms", "time"),
-    "constant_velocity": ("expected error [km²]", "time [min]"),
-    "pharmacokinetics": ("expected error\nof the logarithm", "time [h]"),
-    "epidemic": ("expected error\nof prevalence [%²]", "time [d]"),
+    "plan": ("expected MSE of x", "instant"),
+    "tumour": ("expected MSE\nof the position", "time in steps of 0.25 s"),
+    "xray_tumour": ("expected MSE [mm²]", "time in steps of 0.25 s"),
+    "lorenz63": ("expected MSE\nof (x, y, z)", "time in steps of 0.1"),
+    "lotka_volterra": ("expected MSE\nof logarithms", "time"),
+    "constant_velocity": ("expected MSE [km²]", "time [min]"),
+    "pharmacokinetics": ("expected MSE\nof the logarithm", "time [h]"),
+    "epidemic": ("expected MSE\nof prevalence [%²]", "time [d]"),
 }
 DRAWS = 4000
 
