@@ -50,12 +50,14 @@ class ManySets(Sequence[Times]):
     @classmethod
     def from_points(cls, points: NDArray[np.bool_], sensors: int) -> "ManySets":
         """Sets of points, from whether each has each point, (S, points)."""
-        by_instant = points.reshape(len(points), points.shape[1] // sensors, sensors)
+        instants, size = points.shape[1] // sensors, -(-sensors // 8)
+        by_instant = points.reshape(len(points), instants, sensors)
         if sensors == 1:
             return cls(by_instant.view(np.uint8), sensors)
-        whole = np.pad(by_instant, ((0, 0), (0, 0), (0, -sensors % 8))).reshape(len(points), -1)
-        bits = np.packbits(whole, axis=1, bitorder="little")
-        return cls(bits.reshape(*by_instant.shape[:2], -1), sensors)
+        whole = np.pad(by_instant, ((0, 0), (0, 0), (0, 8 * size - sensors)))
+        flat = whole.reshape(len(points), 8 * size * instants)
+        bits = np.packbits(flat, axis=1, bitorder="little")
+        return cls(bits.reshape(len(points), instants, size), sensors)
 
     def __len__(self) -> int:
         """S."""
@@ -84,7 +86,8 @@ class ManySets(Sequence[Times]):
         """Whether a set has each point, (points,); of all sets, (S, points)."""
         bits = self.bits[number]
         chosen = np.unpackbits(bits, axis=-1, count=self.sensors, bitorder="little")
-        return chosen.reshape(*bits.shape[:-2], -1).view(np.bool_)
+        points = bits.shape[-2] * self.sensors
+        return chosen.reshape(*bits.shape[:-2], points).view(np.bool_)
 
     def written(self) -> Iterator[str]:
         """The JSON text of each set."""

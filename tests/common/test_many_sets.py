@@ -20,6 +20,8 @@ def test_bits_are_the_sets_and_give_the_same_keys_and_plans(instants: int, senso
     np.testing.assert_array_equal(many.points()[1:-1], masks)
     assert stream_key("a", many, {"b": 1}) == stream_key("a", sets, {"b": 1})
     assert stream_key(many[:0]) == stream_key([])
+    assert many[:0].points().shape == (0, instants * sensors)
+    assert many[:0] == ManySets.packed([], instants, sensors)
     plan, places, givers = plan_prefixes(many, instants, None, sensors)
     expected = plan_prefixes(tuple(sets), instants, None, sensors)
     for found, own in zip((*plan, places, givers), (*expected.plan, *expected[1:]), strict=True):
