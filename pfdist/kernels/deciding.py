@@ -68,7 +68,7 @@ def ruling_of(
 
 
 def with_points(results: FilterArrays, sensors: int) -> FilterArrays:
-    """The results with the points of each draw in the place of bits, if a rule decided."""
+    """The results with the points of each draw instead of bits, if a rule decided."""
     if not results.measured.size:
         return results
     bits = np.unpackbits(results.measured, axis=2, count=sensors, bitorder="little")

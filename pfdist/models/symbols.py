@@ -40,7 +40,6 @@ _NUMBER = (
     "pfdist.densities.lgamma and not math.lgamma, and np.array([a, b]) and not an assignment into "
     "an array of numbers"
 )
-_AS_KEY = "a value of particles as a key: write take(table, value.astype(int)) or pfdist.where"
 _SPECIAL = {
     **dict.fromkeys(("gammaln", "loggamma"), "write pfdist.densities.lgamma"),
     **{name: f"write pfdist.densities.{name}" for name in ("erf", "erfc", "logsumexp")},
@@ -89,8 +88,19 @@ class Recording:
 
     def known(self, number: int) -> float | None:
         """The value of an operation as a number; None if it is not known."""
-        self._was_asked = True
-        return self._value_of(pruned(self._program((number,))))
+        self._was_asked, needed, waiting = True, set[int](), [number]
+        while waiting:
+            each = waiting.pop()
+            if each not in needed:
+                needed.add(each)
+                waiting += self.operations[each].arguments
+        place = {each: k for k, each in enumerate(sorted(needed))}
+        operations = tuple(
+            Operation(name, tuple(place[each] for each in arguments), which)
+            for name, arguments, which in (self.operations[each] for each in place)
+        )
+        program = self._program((place[number],))
+        return self._value_of(replace(program, operations=operations))
 
     # --- loops ------------------------------------------------------------------------------------
 
@@ -222,7 +232,9 @@ class Symbol:
         raise RefusedError("round of a value of particles: write np.round")
 
     def __hash__(self) -> int:
-        return hash(self._known(_AS_KEY))
+        raise RefusedError(
+            "a value of particles as a key: write take(table, value.astype(int)) or pfdist.where"
+        )
 
     def __iter__(self) -> Any:
         raise RefusedError("a loop over, or the parts of, a value of particles: it is one number")

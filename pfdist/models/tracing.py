@@ -2,8 +2,8 @@
 
 The time t and the parameters are also symbols, the same for all particles. A formula that needs t
 as a number, for a dictionary or a branch, is traced again for each instant; its parameters are then
-symbols with known values, for a branch or a key. If it needs more, as an array of them, it gets
-numbers. Programs of single instants with the same operations become
+symbols whose values a branch may ask for. A formula that needs them as keys or arrays gets numbers.
+Programs of single instants with the same operations become
 one, whose constants are rows of a table.
 """
 

@@ -74,7 +74,7 @@ def _as_written(schema: Any) -> Any:
     written = {
         keywords.get(key, key): _as_written(value)
         for key, value in schema.items()
-        if (key, value) != ("default", None)
+        if value is not None
     }
     ways = written.get("anyOf", ())
     if len(ways) == 1:

@@ -139,6 +139,8 @@ class Model(JobSection):
     parameters : dict of str to float, the model's unit
         Values that replace those of the model: a number, a number for each instant, or a column of
         a table, as ``{file = "weather.csv", column = "rain"}``.
+    filter : section
+        The model of the filter, if it differs from the truth.
     events : dict of str to list
         Tables of doses and other jumps: rows ``[time, amount, state]``, or ``{file = "doses.csv"}``
         with these columns.

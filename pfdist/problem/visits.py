@@ -99,7 +99,7 @@ class Visits(Shared):
         """The measurements of each visit in words."""
         visits = [written(points, part) for part in self.parts(times)]
         each = " ".join(f"Visit {number}, {text}." for number, text in enumerate(visits, start=1))
-        return f"in {len(visits)} visit{'s' * (len(visits) != 1)}. {each}"
+        return f"in {len(visits)} visit{'s' * (len(visits) != 1)}. {each}" if visits else ""
 
     def regular(self, feasible: Feasible) -> Times:
         """The set with the most visits at regular times, or another one if there is none."""

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import chain
+from numbers import Integral
 from operator import itemgetter
 from typing import Any
 
@@ -95,6 +96,7 @@ class Planner:
         replanner, now = Replanner(built.evaluator, feasible, planning, stream), Now(start)
         self._filter, self._built, self._heard = filter_of(built, start, draw), built, 0
         self._times = self.clock  # of the filter's instants
+        self._asked = -1  # the last instant of `decide`
         if planned is None:
             first = replace(replanner, planning=first_planning(planning))
             planned = first.plan(now, (), (), int(draw))
@@ -112,7 +114,7 @@ class Planner:
 
     @property
     def clock(self) -> Clock:
-        """The clock of the job. All times of a planner are times on this clock."""
+        """The clock of the job. All times of a planner but those of `decide` are on this clock."""
         return self._built.job.problem.clock
 
     @property
@@ -173,7 +175,8 @@ class Planner:
         Parameters
         ----------
         belief : Filter
-            The filter of the system, with all measurements that have arrived before t.
+            The filter of the system, with all measurements that have arrived before t. If a
+            measurement was not made, the filter moves to t - 1.
         t : int
             An instant after the last one that was asked about.
 
@@ -185,10 +188,18 @@ class Planner:
         Raises
         ------
         ArgumentError
-            `belief` is no filter.
+            `belief` is no filter of such a system, or t has passed or lies after T.
         """
         if not isinstance(belief, Filter):
             raise ArgumentError(f"belief must be a Filter, got {shown(belief)}")
+        if belief.model.components != self._filter.model.components:
+            raise ArgumentError(
+                f"belief must be a filter of the planner's model, got one of {belief.model.name}"
+            )
+        first, last = max(self._asked + 1, self.rest.now.first), self.clock.horizon
+        if not (isinstance(t, Integral) and first <= t <= last):
+            raise ArgumentError(f"t must be an instant in {first}..{last}, got {shown(t)}")
+        self._asked = t
         if belief is not self._filter:
             self._filter, self._heard = belief, 0
         first = self._points.first(t)
@@ -247,8 +258,9 @@ class Planner:
         MeasurementsError
             The time is wrong.
         """
-        left = {*self.rest.plan} - {*self.rest.in_flight}
-        due = [self._points.made_at(point) for point in left if t is None]
+        made_at, instant = self._points.made_at, self._points.instant
+        late = {point for point in self.rest.in_flight if made_at(point) < instant(point)}
+        due = [made_at(point) for point in self.rest.plan if t is None and point not in late]
         self._hear(min(due) if due else self._time(t))
 
     def estimate(self, t: Time | None = None) -> FilterEstimate:

@@ -94,7 +94,7 @@ def test_a_name_without_its_model_is_an_error(plug, folder, name, words):
 def test_a_file_alone_names_no_model():
     with pytest.raises(ModelError, match=r"must be FILE:NAME, as mine\.py:model, got 'mine\.py'"):
         load_model("mine.py")
-    with pytest.raises(ModelError, match=r"got the job file 'mine\.toml': give the model that"):
+    with pytest.raises(ModelError, match=r"got the job file .mine\.toml.: give the name"):
         load_model("mine.toml")
 
 

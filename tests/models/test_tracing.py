@@ -1,6 +1,7 @@
 """Tracing: what a formula computes becomes a program; what cannot be traced has a clear error."""
 
 import dataclasses
+import functools
 import math
 import random
 import types
@@ -230,7 +231,23 @@ def test_programs_of_instants_with_the_same_operations_are_one():
 
 def at_meals(x, t, w, p):
     meal = np.exp(-p.sd) if p.rate[t] in (RATE[2], RATE[5]) else 0.0
-    return (x[0] * np.exp(-p.rate[t]) + meal * {2.0: 1.5}[p.sd],)
+    return (x[0] * np.exp(-p.rate[t]) + meal * sum(0.5 for _ in range(1, int(2 * p.sd))),)
+
+
+@functools.cache
+def of_a_number(rate):
+    return math.exp(-rate)
+
+
+def by_cache(x, t, w, p):
+    return (x[0] * of_a_number(p.sd) + (1.0 if t in (3, 7) else 0.0),)
+
+
+def test_a_cache_of_the_user_gets_numbers():
+    for _ in range(2):  # the cache has kept no symbol
+        of_instants, _ = traced(by_cache)
+        (found,) = of_instants.values({"x": (1.0, 0.0), "w": (0.0,)}, 3, {"sd": 2.0, "rate": RATE})
+        np.testing.assert_allclose(found, math.exp(-2.0) + 1.0)
 
 
 def test_a_branch_on_parameters_leaves_their_functions_to_the_program():

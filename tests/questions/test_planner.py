@@ -175,6 +175,19 @@ def test_a_planner_decides_in_the_loop_of_any_strategy(job: Job) -> None:
     by_hand = Planner(job, PLAN)
     by_hand.missed(1)
     assert {*planner.plan(), *planner.in_flight} == {*by_hand.plan()}
+    for t in (2, -3, 1.5, 99):
+        with pytest.raises(ArgumentError, match=r"t must be an instant in 3\.\.14, got"):
+            planner.decide(belief, t)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match=r"a filter of the planner's model, got one of robot"):
+        planner.decide(pfdist.Filter("robot"), 3)
+
+
+def test_what_was_decided_can_be_missed(job: Job) -> None:
+    decided, by_hand = Planner(job, PLAN), Planner(job, PLAN)
+    assert decided.decide(filter_of(build(job)), 0) == ["y"]
+    decided.missed()
+    by_hand.missed(0)
+    assert (decided.plan(), decided.in_flight) == (by_hand.plan(), ())
 
 
 def test_planned_times_that_are_passed_over_count_as_missed(job: Job) -> None:
