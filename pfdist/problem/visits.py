@@ -118,6 +118,7 @@ class Visits(Shared):
 def written(points: Points, visit: Times) -> str:
     """The measurements of a visit as users read them: a day is named once.
 
+    >>> from pfdist.problem.clock import Clock
     >>> written(Points(Clock.regular(2, 0.5, "h")), (0, 1, 2))
     't = 0, 0.5, 1 h'
     """

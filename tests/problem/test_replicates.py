@@ -135,7 +135,7 @@ def test_the_nearest_measurement_is_used_once_and_by_its_sensor(tmp_path: Path) 
 
 
 HEAD = "day,t,y0"
-COLUMNS = r"day, t, y0, y_turbidity, z0, z_turbidity, train, a, sd, noise"
+COLUMNS = r"day, t, y0, y_turbidity, y, z0, z_turbidity, z, train, a, sd, noise"
 
 
 @in_turn(

@@ -143,7 +143,7 @@ def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
     whole = pfdist.budget(few, (2, 3), tmp_path / "whole", draws=60, figures=False)
 
     def stop(progress: Progress) -> None:
-        if progress.phase == DEFAULT_METHOD and progress.evaluations > 20:
+        if progress.phase == DEFAULT_METHOD and progress.evaluations > 5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

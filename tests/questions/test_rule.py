@@ -401,7 +401,8 @@ def test_the_loop_in_the_manual_measures_as_the_filter_of_the_run(
         y = built.evaluator.draws(range(draw, draw + 1), work.draws_stream).y[0]
         measured = list[int]()
 
-        def look(t: int, y: Any = y, measured: list[int] = measured) -> Any:
+        def look(t: int, names: Any, y: Any = y, measured: list[int] = measured) -> Any:
+            assert names == ["y"]
             measured.append(t)
             return y[t]
 
