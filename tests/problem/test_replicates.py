@@ -150,8 +150,8 @@ COLUMNS = r"day, t, y0, y_turbidity, y, z0, z_turbidity, z, train, a, sd, noise"
         (f"{HEAD},y1\na,0,1,1", f"unknown column 'y1'. Columns: {COLUMNS}"),
         ("t,y0\n0,1", "replicate must be a column with names of systems: the table has none, got "
                       "'t'"),
-        (f"{HEAD},z0,z_turbidity\na,0,1,1,1", "columns of z must be z0 or z_turbidity, got z0, "
-                                              "z_turbidity"),
+        (f"{HEAD},z0,z_turbidity\na,0,1,1,1", "columns of z must be z0 or z_turbidity or z, got "
+                                              "z0, z_turbidity"),
         (f"{HEAD},z0\na,0,1,inf", "replicate 'a': z0 must have one finite value at each time, got "
                                   "inf at t = 0"),
         (f"{HEAD}\na,0,1" + 9 * "\nb,1,1", "replicate 'b': each time must have at most 8 rows, got "
