@@ -272,7 +272,7 @@ class Relaxation:
         row, last, mask = kinds
         after = np.array(rows)[row]
         after[~(self._follows[last + 1] & masks[mask] & self.passable[after])] = -1
-        return After(after, kind_of)
+        return After(after, kind_of.ravel())  # NumPy 2.0.0 gives a row
 
     def moves(self, time: int) -> Moves:
         """The moves by a measurement at a time from all states that allow it."""
