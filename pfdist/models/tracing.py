@@ -3,8 +3,7 @@
 The time t and the parameters are also symbols, the same for all particles. A formula that needs t
 as a number, for a dictionary or a branch, is traced again for each instant; its parameters are then
 symbols whose values a branch may ask for. A formula that needs them as keys or arrays gets numbers.
-Programs of single instants with the same operations become
-one, whose constants are rows of a table.
+Programs of single instants with the same operations become one, with constants in rows of a table.
 """
 
 import hashlib
@@ -184,8 +183,7 @@ class Formula:
 
     def recorded(self, mode: str, t: int) -> Program:
         """The program of one call at the instant t."""
-        known = partial(self._value, t) if mode == MODES[1] else lambda _: None
-        recording = Recording(known)
+        recording = Recording(partial(self._value, t)) if mode == MODES[1] else Recording()
         given = [
             self._given(name, count, recording, mode, t) for name, count in self.arguments.items()
         ]
