@@ -1,4 +1,4 @@
-"""A set of measurement times: its check, and regular and random sets."""
+"""Measurement times of a set: their check, regular and random sets; and many sets as bits."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
