@@ -126,7 +126,6 @@ class ExplorerSession:
         budget = f"{'At most ' * sets.smaller}{sets.total} measurements"
         if sets.total_price is not None:
             budget = f"Measurements for a total price of {sets.total_price}"
-        spaced = [None if each.spacing is None else each.spacing.successors for each in sets.limits]
         return {
             "model": self.job.model.name,
             "run": str(self._source or self.run.path) if self.run else "",
@@ -137,7 +136,7 @@ class ExplorerSession:
             "forbidden": [made for made, point in enumerate(arrive) if point in barred],
             "required": self._shown(sets.required),
             "after": None if sets.spacing.is_free else sets.spacing.successors,
-            "sensors_after": spaced,
+            "sensors_after": sets.step_limits.own_apart,
             "prices": sets.price and [float(sets.price[min(p, sets.possible - 1)]) for p in arrive],
             "budget": budget,
             "components": [

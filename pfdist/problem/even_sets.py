@@ -181,7 +181,7 @@ class EvenSets:
         whole = differ & kept[:, 0] & kept[:, -1]
         if feasible.counted:
             whole &= kept.sum(axis=1) == feasible.total - len(feasible.required)
-        is_free = feasible.counted and feasible.spacing.is_free and not feasible.is_limited
+        is_free = feasible.counted and feasible.spacing.is_free and not feasible.shared
         found: list[Times | None] = [None] * len(lines)
         for place in np.flatnonzero(whole).tolist():
             times = feasible.with_required(chosen[place, kept[place]].tolist())

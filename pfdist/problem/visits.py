@@ -61,7 +61,7 @@ class Visits(Shared):
     @classmethod
     def on(cls, ends: Times, price: Money = 0, most: int | None = None) -> Self:
         """Visits from the first point after the visit that begins at each point."""
-        return cls(setups=(Setup(ends, price, most),))
+        return cls(setups=(Setup(ends, price, most, key="visits.most", things="visits"),))
 
     @property
     def setup(self) -> Setup:
@@ -72,12 +72,6 @@ class Visits(Shared):
     def relaxed(self) -> str:
         """The limit that the bound relaxes."""
         return "most of visits" * (self.setup.most is not None)
-
-    def broken(self, points: Points, times: Times) -> Iterator[str]:
-        """A sentence if some sorted times begin too many visits."""
-        most = self.setup.most
-        if most is not None and (number := self.setup.number(times)) > most:
-            yield f"visits.most is {most}, got {number} visits"
 
     def steps(self, points: Points) -> dict[str, Any]:
         """The end of the visit that begins at each point, its price, and the largest number."""
