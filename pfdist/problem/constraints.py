@@ -88,7 +88,7 @@ class Constraints:
     @property
     def relaxed(self) -> tuple[str, ...]:
         """The constraints that the bound relaxes, so that it may be lower than necessary."""
-        return tuple(filter(None, (each.relaxed for each in self.shared)))
+        return tuple(chain.from_iterable(each.relaxed for each in self.shared))
 
     @property
     def possible(self) -> int:

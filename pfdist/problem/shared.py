@@ -82,9 +82,9 @@ class Shared:
     setups: tuple[Setup, ...] = field(default=(), kw_only=True)
 
     @property
-    def relaxed(self) -> str:
-        """The limit that the bound relaxes, as a sentence calls it; empty: none."""
-        return ""
+    def relaxed(self) -> tuple[str, ...]:
+        """The limits that the bound relaxes, as a sentence calls them."""
+        return ()
 
     @property
     def priced(self) -> str:
@@ -168,10 +168,10 @@ class OfSensors(Shared):
         return cls(tuple(limit.spacing for limit in limits), setups=setups)
 
     @property
-    def relaxed(self) -> str:
+    def relaxed(self) -> tuple[str, ...]:
         """The limits that the bound relaxes."""
-        spaced = ["minimum_spacing of single sensors"] * any(self.spacings)
-        return ", and ".join([*spaced, *["most of single sensors"] * bool(self.setups)])
+        spaced = ("minimum_spacing of single sensors",) * any(self.spacings)
+        return (*spaced, *("most of single sensors",) * bool(self.setups))
 
     def broken(self, points: Points, times: Times) -> Iterator[str]:
         """A sentence for each limit that some sorted times break."""
@@ -231,9 +231,9 @@ class Together(Shared):
     groups: tuple[tuple[Times, ...], ...]  # each with its sensors, and these with their ways
 
     @property
-    def relaxed(self) -> str:
+    def relaxed(self) -> tuple[str, ...]:
         """The limit that the bound relaxes."""
-        return "together"
+        return ("together",)
 
     def broken(self, points: Points, times: Times) -> Iterator[str]:
         """A sentence for each two sensors of a group that measure at an instant."""

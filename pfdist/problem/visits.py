@@ -69,9 +69,9 @@ class Visits(Shared):
         return self.setups[0]
 
     @property
-    def relaxed(self) -> str:
+    def relaxed(self) -> tuple[str, ...]:
         """The limit that the bound relaxes."""
-        return "most of visits" * (self.setup.most is not None)
+        return ("most of visits",) * (self.setup.most is not None)
 
     def steps(self, points: Points) -> dict[str, Any]:
         """The end of the visit that begins at each point, its price, and the largest number."""
