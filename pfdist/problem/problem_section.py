@@ -354,7 +354,7 @@ class ProblemSection(JobSection):
             if sensor.allowed is not None:
                 others = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
                 barred.update({*range(clock.horizon + 1)} - {*others})
-            arrive = (points.arriving(points.first(t) + way) for t in barred)
+            arrive = (points.first(t + points.delay(way)) + way for t in barred)
             times.update(point for point in arrive if point < points.number)
         return tuple(sorted(times))
 

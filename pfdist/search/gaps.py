@@ -34,13 +34,13 @@ from pfdist.search.relaxation import (
     NOTHING,
     START,
     Array,
-    Indices,
     Relaxation,
     Window,
     followers,
     in_order,
     keeps_limits,
 )
+from pfdist.search.setups import Indices
 
 LOOKAHEAD = 6
 """Instants after a gap that a search filters. A bound that leaves measurements out is none."""
@@ -142,7 +142,9 @@ class GapSums:
         """
         relaxation, end = self.relaxation, self.relaxation.end
         instants = relaxation.constraints.points.instant(np.arange(end + 1))
-        measured = np.concatenate([[0.0], np.cumsum(self._of_start)])[instants]
+        start = relaxation.index[START]
+        if_all = np.split(self.errors, relaxation.offsets[start : start + 2])[1]  # is measured
+        measured = np.concatenate([[0.0], np.cumsum(if_all)])[instants]
         known = np.full((end + 2, end + 1), -np.inf)
         for number, window in enumerate(relaxation.windows):
             if len(window) == 2 and relaxation.passable[number]:
@@ -157,12 +159,6 @@ class GapSums:
             parts = sums[:, last] + known[last + 1, time]
             sums[:, time] = np.maximum(sums[:, time], parts.max(axis=1, initial=-np.inf))
         return sums
-
-    @property
-    def _of_start(self) -> Array:
-        """The error of each instant if everything is measured, (T+1,)."""
-        start = self.relaxation.index[START]
-        return np.split(self.errors, self.relaxation.offsets[start : start + 2])[1]
 
 
 def gaps_with(

@@ -31,7 +31,7 @@ from pfdist.common.measurement_times import ManySets, Times
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
 from pfdist.search.base import Counted
-from pfdist.search.setups import Setups
+from pfdist.search.setups import Indices, Setups
 
 NOTHING = -1
 """First entry of a window before which nothing is measured: the window is a whole beginning."""
@@ -46,7 +46,6 @@ Window = tuple[int, ...]
 START: Window = (NOTHING,)
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 States = NDArray[np.int32]
 
 
