@@ -257,7 +257,7 @@ def filter_measurements(
     of_job, believed = plan.built.job.problem.points, plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
-    check_files(files, time_columns(of_job).schema(schema), filtered.TITLE)
+    check_files(files, time_columns(of_job).table(schema.empty_table()).schema, filtered.TITLE)
     filtering = filter_of(plan.built, plan.prior)
     reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, of_job.clock, filtering.now.t, reading)

@@ -82,7 +82,7 @@ class Store:
 
     def own_schema(self, schema: pa.Schema) -> pa.Schema:
         """Schema that a table has in this store, with times in place of instants."""
-        return schema if self._columns is None else self._columns.schema(schema)
+        return self.timed(schema.empty_table()).schema
 
     def recover(self) -> None:
         """Remove leftovers of killed processes, and mark a run that has lost a file as unfinished.
