@@ -6,7 +6,6 @@ and instants become times when they are shown.
 
 import contextlib
 import math
-import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from pfdist.common.measurement_times import CLOCK, DATES, Times
 from pfdist.common.parsing import MOST_NUMBERS, as_text
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError, shown
-from pfdist.problem.calendar import OWN_DATES, SECONDS, Calendar, groups
+from pfdist.problem.calendar import NUMBER, OWN_DATES, SECONDS, Calendar, groups
 
 Time = int | float
 T = TypeVar("T")
@@ -33,7 +32,6 @@ _ROUNDING = 1e-11
 _FLOAT_ROUNDING = 1e-15
 """A sum of floats differs from the true sum by about this part of it."""
 _LONG_RUN = 8  # instants in a row that answers show as a range
-_NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")  # in a text
 _EXACT = 2**53
 """Whole floats below this are exact."""
 
@@ -368,7 +366,7 @@ class Clock:
         """The readings of a column in which the same days of the year of the start are all here."""
         found = dict[str, list[float]]()
         for name, times in read.items():
-            if name == OWN_DATES and all(map(_NUMBER.fullmatch, texts)):  # elapsed time has no year
+            if name == OWN_DATES and all(map(NUMBER.fullmatch, texts)):  # elapsed time has no year
                 continue
             with contextlib.suppress(ValueError, OverflowError):
                 own = cast("Calendar", self.calendar).in_year_of_start(times)

@@ -187,7 +187,7 @@ def read_measurements(
         }
         of_sensors = columns.get("sensor", np.zeros(len(times))).astype(int)
         names = [sensors[k] if "sensor" in columns else "" for k in of_sensors]
-        ways = [*sensors_of_rows(zip(instants, names, strict=True), model, reading)]
+        ways = [*_sensors_of_rows(zip(instants, names, strict=True), model, reading)]
         arrivals = [
             t + reading.sensings.by_way(way).delay for t, way in zip(instants, ways, strict=True)
         ]
@@ -227,7 +227,7 @@ def read_measurements(
     )
 
 
-def sensors_of_rows(
+def _sensors_of_rows(
     rows: Iterable[tuple[int, str]], model: StateSpaceModel, reading: Reading
 ) -> Iterable[int]:
     """The sensor of each row, an instant and a name: of repeats, the first without a row then."""

@@ -457,7 +457,7 @@ class _Search:
         """
         evaluator, feasible = self._built.evaluator, self._built.feasible
         points, window = feasible.points, evaluator.horizon + 1
-        if not (rule.limit or evaluator.lag or feasible.shared or feasible.step_limits.most):
+        if not (rule.limit or evaluator.lag or feasible.setups or feasible.step_limits.group):
             window = math.ceil(_GAPS * (window - evaluator.start) / self._number)
         return [min(evaluator.horizon, points.instant(p) + window - 1) for p in self._every]
 

@@ -34,13 +34,13 @@ from pfdist.search.relaxation import (
     NOTHING,
     START,
     Array,
-    Indices,
     Relaxation,
     Window,
     followers,
     in_order,
     keeps_limits,
 )
+from pfdist.search.setups import Indices
 
 LOOKAHEAD = 6
 """Instants after a gap that a search filters. A bound that leaves measurements out is none."""
