@@ -160,7 +160,7 @@ class GapSums:
 class _Parts:
     """The errors of known gaps that are not too long, of which unknown gaps consist.
 
-    Of these gaps, none grow: so an unknown gap keeps its sum.
+    These gaps do not grow, so an unknown gap keeps its sum.
     """
 
     def __init__(self, relaxation: GapRelaxation, errors: Array) -> None:
