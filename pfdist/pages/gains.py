@@ -148,7 +148,7 @@ def _mark_beyond(ax: Axes, relative: Gain, first: int, last: int) -> None:
         if draws:
             at = 100 * EDGES[index]
             ax.plot(at, 0.0, arrow, color=GREY, ms=marker(1.3), clip_on=False, zorder=5)
-            text = minus(f"{draws:,} draws\n{where} {at:.0f} %")
+            text = minus(f"{draws:,} draw{'s' * (draws > 1)}\n{where} {at:.0f} %")
             x, side = (0.01, "left") if where == "below" else (0.99, "right")
             ax.text(x, 0.98, text, ha=side, va="top", c=GREY, size="small", transform=ax.transAxes)
 
