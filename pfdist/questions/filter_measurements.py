@@ -27,7 +27,6 @@ from pfdist.common.rounding import rounded
 from pfdist.common.shown import Shown
 from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
-from pfdist.filters.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.filters.filter_estimate import FEW, FilterEstimate, few_particles
 from pfdist.models.base import within_half_turn
 from pfdist.problem.clock import Clock, Time
@@ -47,6 +46,7 @@ from pfdist.questions.planned_run import (
 from pfdist.questions.report import write_page
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
+from pfdist.runner.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.runner.identity import time_columns
 from pfdist.runner.progress import Say, silent
 from pfdist.store import FILTERED_PERCENTS, SMOOTHED_START, filtered_schema, frame_of

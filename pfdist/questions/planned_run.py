@@ -24,12 +24,10 @@ from pfdist.errors import (
     shown,
 )
 from pfdist.filters.cloud import Prior
-from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading
-from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.run_of_job import path_of_run, run_and_job
 from pfdist.results import Run, open_run
@@ -37,6 +35,7 @@ from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import job_of, measured_of
 from pfdist.runner.backtesting import evaluator_on, follows_clock
 from pfdist.runner.build import Built, build, say_model_files
+from pfdist.runner.filter import Filter, settings_of_job
 from pfdist.runner.progress import Say, heard
 from pfdist.store.folder import check_page_replaceable
 from pfdist.store.user_tables import check_table_replaceable, is_parquet
@@ -236,19 +235,9 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
     PriorError
         The prior does not fit the model.
     """
-    job = built.job
-    REAL_DATA.check("a real system", job)
-    return Filter(
-        repeated(built.evaluator.believed, repeats),
-        job.filter.particles,
-        job.seed,
-        resampling=job.filter.resampling,
-        resample=job.filter.resample or "always",
-        engine=built.evaluator.engine,
-        prior=prior,
-        draw=draw,
-        horizon=built.evaluator.horizon,
-    )
+    settings = settings_of_job(built)
+    settings["model"] = repeated(built.evaluator.believed, repeats)
+    return Filter(**settings, prior=prior, draw=draw)
 
 
 def system_of_table(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times, tuple[Any, ...]]:

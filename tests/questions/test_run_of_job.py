@@ -126,8 +126,11 @@ def test_another_job_than_that_of_the_run_is_refused(
 
 
 @in_turn("ask", [pfdist.filter_measurements, pfdist.next_time])
-def test_measurements_need_no_run(ask: Callable[..., Any], there: Path) -> None:
+@pytest.mark.usefixtures("there")
+def test_measurements_need_no_run(ask: Callable[..., Any], finished: Callable[..., Path]) -> None:
     """Issue 108: a job and a table are enough; a run is used if it is a finished one of the job."""
+    shutil.rmtree("results")
+    shutil.copytree(finished(*QUICK), "results/small")
     lines, report = list[str](), {"report": False} if ask is pfdist.filter_measurements else {}
     options = {"changes": QUICK, "say": lines.append} | report
 
