@@ -26,6 +26,7 @@ from pfdist.errors import (
 from pfdist.filters.cloud import Prior
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
+from pfdist.problem.calendar import names_dates
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.problem import JobSource, as_job
@@ -257,7 +258,13 @@ def system_of_table(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times
 def instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
     """The instant of the last time that has passed, after checking it."""
     number: Any = now
-    is_number = isinstance(now, Real) and not isinstance(now, bool)
+    if clock.has_dates and not isinstance(now, datetime) and not names_dates(f"{now}"):
+        try:  # as the column t of a table
+            (number,) = clock.of_table([number])
+        except ValueError as error:
+            text = str(error).removeprefix("t ").replace(" (row 1)", "")
+            raise MeasurementsError(f"now {text}", argument="now") from error
+    is_number = isinstance(number, Real) and not isinstance(number, bool)
     if clock.counts and not (is_number and float(number).is_integer()):
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
     first = clock.times[last]
