@@ -228,7 +228,12 @@ class Filter(Followed):
         )
 
     def update(
-        self, t: int, y: float | Sequence[float] | Array, *, warn: bool = True, **given: float
+        self,
+        t: int,
+        y: float | Sequence[float] | Array,
+        *,
+        warn: bool = True,
+        **given: float | None,
     ) -> FilterEstimate:
         """Move the filter to t and give it the measurement there.
 
@@ -244,7 +249,7 @@ class Filter(Followed):
             estimate says so, too.
         given
             Values of parameters at this instant that come with the reading, such as its standard
-            error: ``sd=0.2``. The model reads them as ``p.sd[t]``.
+            error: ``sd=0.2``. The model reads them as ``p.sd[t]``. None leaves the model's value.
 
         Returns
         -------
@@ -293,7 +298,7 @@ class Filter(Followed):
         self._now, self._collapsed = now, now.collapsed
         return now
 
-    def _with(self, t: int, given: Mapping[str, float]) -> StateSpaceModel:
+    def _with(self, t: int, given: Mapping[str, float | None]) -> StateSpaceModel:
         """The model with values of parameters at an instant."""
         values = dict[str, Any]()
         for name, value in given.items():
@@ -303,7 +308,7 @@ class Filter(Followed):
                     f"{name} must be a parameter of the model with a value for each instant, to be "
                     f"given with a measurement {at}"
                 )
-            number = value if isinstance(value, Real) else math.nan
+            number = own[t] if value is None else value if isinstance(value, Real) else math.nan
             if not math.isfinite(number):
                 raise MeasurementsError(f"{name} must be a finite number, got {shown(value)} {at}")
             values[name] = (*own[:t], float(number), *own[t + 1 :])
