@@ -211,8 +211,8 @@ def filter_measurements(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A job file, or the folder of a run. A run of the job need not exist; its plan is compared
-        with the times of the measurements.
+        A job file, or the folder of a run. If a finished run of the job exists, its plan is
+        compared with the times of the measurements.
     measurements : str, Path or DataFrame
         Table in CSV or Parquet, or a DataFrame, with the columns t, y0, y1, ... (or ``y_NAME``),
         and sensor if the model has sensors; any times, or no rows. An empty cell is a missing
@@ -249,7 +249,7 @@ def filter_measurements(
     Raises
     ------
     StoreError
-        The run is not finished, or it is of another job or of other models, or a file cannot be
+        The folder that is named has a run of another job or of other models, or a file cannot be
         written.
     JobError
         The run has no set of this name.

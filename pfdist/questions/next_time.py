@@ -224,7 +224,8 @@ def next_time(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A job file, or the folder of a run. Without a run of the job, the measurements alone plan.
+        A job file, or the folder of a run. Without a finished run of the job, the measurements
+        alone plan.
     measurements : str, Path or DataFrame
         Table in CSV or Parquet, or a DataFrame, with the columns t, y0, y1, ... (or ``y_NAME``),
         and sensor if the model has sensors; any times, or no rows. An empty cell is a missing
@@ -262,7 +263,8 @@ def next_time(
     Raises
     ------
     StoreError
-        The run is not finished, it has no rule, or it is of another job or of other models.
+        The folder that is named has a run of another job or of other models; or with `rule`, there
+        is no finished run with a rule.
     JobError
         The run has no set of this name.
     MeasurementsError, PriorError
