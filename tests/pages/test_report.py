@@ -139,7 +139,7 @@ def test_a_name_in_a_runs_files_cannot_become_markup(make: Make, see: See) -> No
 def test_it_names_the_run_from_where_the_user_is(
     make: Make, see: See, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What it says to type works there; elsewhere the folder's own name tells nothing of others."""
+    """The commands work there; from elsewhere, the name of the folder tells nothing of others."""
     run = make(name="results/lake")
     monkeypatch.chdir(tmp_path)
     text = see(run).text
