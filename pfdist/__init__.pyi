@@ -5,7 +5,6 @@ from .errors import PfdistError as PfdistError
 from .explorer.widget import explore as explore
 from .filters.cloud import Cloud as Cloud
 from .filters.estimate import Evaluation as Evaluation
-from .filters.filter import Filter as Filter
 from .models import Sensor as Sensor
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
@@ -44,6 +43,7 @@ from .questions.table import table as table
 from .questions.why import why as why
 from .results import Run as Run
 from .results import open_run as open_run
+from .runner.filter import Filter as Filter
 
 __all__: list[str]
 __version__: str

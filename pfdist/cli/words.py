@@ -19,7 +19,6 @@ from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import finite_number, whole_number, whole_numbers
 from pfdist.errors import shown
 from pfdist.pools.kinds import AUTO, POOLS
-from pfdist.problem.calendar import names_dates
 from pfdist.problem.sweep_points import values_by_key
 
 T = TypeVar("T")
@@ -97,10 +96,11 @@ def _paths(texts: list[str]) -> list[str]:
 
 
 def _decimal(text: str) -> int | float | str:
-    """A number, or a date; a whole number without a point is an int."""
-    if names_dates(text):
+    """A number, or a text that may be a date; a whole number without a point is an int."""
+    try:
+        return whole_number(text) if text.lstrip("+-").isdigit() else finite_number(text)
+    except ValueError:
         return text
-    return whole_number(text) if text.lstrip("+-").isdigit() else finite_number(text)
 
 
 def _part(text: str) -> tuple[int, int]:

@@ -117,7 +117,7 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
     if name.endswith(".toml"):
         raise ModelError(
             f"a model must be a name or FILE.py:NAME, got the job file {shown(name)}: give the "
-            "name of its model; pfdist.Planner takes a job"
+            "name of its model; pfdist.Filter and pfdist.Planner take a job"
         )
     installed = installed_models()
     if name not in installed:

@@ -1,7 +1,8 @@
 """A filter's estimate of z over time, from real measurements, with 50 and 90 % bands."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -30,13 +31,17 @@ TITLE = "pfdist: filtered measurements"
 _BANDS = ((5, 95, 0.22), (25, 75, 0.38))  # percentiles and opacity
 _LEVEL, _ROW = 0.035, 0.07  # first row of markers, and distance of two, as shares of the height
 
-
 _Times = tuple[Sequence[float | str], ...]
 """Measured times, planned times that were not measured, measured times that were not planned, and
 planned times after the last measurement. With sensors each is written with its sensor."""
 
+Readings = Mapping[str, Sequence[tuple[float, float]]]
+_NONE: Readings = MappingProxyType({})
 
-def filtered_plot(table: pd.DataFrame, times: _Times, smoothed: bool = False) -> Plot:
+
+def filtered_plot(
+    table: pd.DataFrame, times: _Times, smoothed: bool = False, readings: Readings = _NONE
+) -> Plot:
     """The plot of each component of z: mean, bands, and the times of measurements.
 
     Parameters
@@ -47,6 +52,7 @@ def filtered_plot(table: pd.DataFrame, times: _Times, smoothed: bool = False) ->
         Measured times, planned times that were not measured, measured times that were not planned,
         and planned times after the last measurement.
     smoothed : bool
+    readings : mapping
         As for `belief`.
     """
     quantities = components_in(table, "mean_")
@@ -57,7 +63,9 @@ def filtered_plot(table: pd.DataFrame, times: _Times, smoothed: bool = False) ->
 
     def draw(panels: Sequence[Axes]) -> None:
         for component, ax in enumerate(panels):
-            belief(table, component=component, times=times, smoothed=smoothed, ax=ax)
+            belief(
+                table, component=component, times=times, smoothed=smoothed, readings=readings, ax=ax
+            )
         stack(panels, len(quantities))
 
     title = f"The last estimate of {first.name or 'z'} is {mean}{unit} (90 % band {low} to {high})."
@@ -87,6 +95,7 @@ def belief(
     component: int = 0,
     times: _Times | None = None,
     smoothed: bool | None = None,
+    readings: Readings | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw the mean of a component of z with its 50 and 90 % bands, and the measurement times.
@@ -105,6 +114,9 @@ def belief(
     smoothed : bool, optional
         Whether the smoothed mean and its 90 % band are drawn, too; by default the object's
         ``is_smoothed``.
+    readings : mapping of str to list of (float, float), optional
+        Measured times and values of components of z, by their suffixes; by default the object's
+        ``readings``.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -134,14 +146,19 @@ def belief(
         )
         ax.fill_between(t, below, above, color=GREEN, alpha=0.3, lw=0)
         ax.plot(t, mean, "--", color=GREEN, label="smoothed; band: 90 %")
+    shown = getattr(source, "readings", _NONE) if readings is None else readings
+    if points := shown.get(suffix):
+        at, values = zip(*points, strict=True)
+        ax.plot(at, values, ".", ms=marker(1.2), color="black", label="measured values")
     label_quantity(ax, quantities, component)
     clock = clock_of_table(table)
     sensors = [*clock.by_sensor([*measured, *missing, *to_come])]
     bottom, top = ax.get_ylim()
     ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers
+    as_planned = " as planned" * bool(missing or extra or to_come)
     levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}
     for each, shape, colour, label in (
-        ([at for at in measured if at not in extra], "|", "black", "measured as planned"),
+        ([at for at in measured if at not in extra], "|", "black", f"measured{as_planned}"),
         (extra, "D", OCHRE, "measured, not planned"),
         (missing, "x", RED, "planned, not measured"),
         (to_come, "o", GREY, "planned, to come"),

@@ -429,6 +429,21 @@ class Clock:
             return text
         return f"{text} (t in {self.unit})" if isinstance(listed[0], str) else f"{text} {self.unit}"
 
+    def in_words(self, measurements: Iterable[Time | str]) -> list[str]:
+        """Each measurement as text; a date has its weekday, and a year that stays is said once."""
+        words, day = list[str](), ""
+        for each in measurements:
+            if self.calendar is None:
+                words.append(self.text(each))
+                continue
+            time, sensor = self.time_and_sensor(each)
+            moment = self.calendar.date(time)
+            before, day = day, f"{moment:%a} {moment.day} {moment:%b %Y}"
+            hour = self.calendar.shown(moment).partition("T")[2]
+            said = "" if hour and day == before else day.removesuffix(before[-5:] or "-")
+            words.append(" ".join(filter(None, [said, hour, sensor])))
+        return words
+
     def ranges(self, times: Sequence[Time | str]) -> dict[Time | str, str]:
         """The range of each measurement that is one of many instants in a row, by one sensor.
 

@@ -224,7 +224,8 @@ LEARNING = Capability(
 ON_THE_WAY = Capability(
     "`[online]`, `pfdist online`, `next`, `Planner`",
     {
-        FILTERED: "particles of now have no past; docs/afterwards.md says what to do",
+        FILTERED: "particles of now have no past: make measured times problem.required, allow only "
+        "them and later ones, and plan again (docs/afterwards.md)",
         LEARNED: "the filter learns nothing about the scenario of a draw",
         EXPECTED_MSE: "", SAME_STATES: "systems are simulated from the filter's particles",
     },

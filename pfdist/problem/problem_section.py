@@ -479,21 +479,15 @@ class ProblemSection(JobSection):
 
     def when(self, times: Iterable[Time | str]) -> str:
         """When a set measures, in words: dates have weekdays, and a season a count a month."""
-        listed, calendar, points = [*times], self.clock.calendar, self.points
+        listed = [*times]
         text = self.clock.listed(listed)
-        if calendar is None or not listed or " to " in text:
+        if not self.clock.has_dates or not listed or " to " in text:
             return f"at {'t = ' if listed else 'no time'}{text}"
-        words, day, months = list[str](), "", Counter[str]()
-        for point in points.read(listed):
-            moment = self.clock.dates[max(0, points.made_at(point))]
-            before, day = day, f"{moment:%a} {moment.day} {moment:%b %Y}"
-            hour = calendar.shown(moment).partition("T")[2]
-            said = "" if hour and day == before else day.removesuffix(before[-5:] or "-")
-            words.append(" ".join(filter(None, [said, hour, points.sensor(point)])))
-            months[f"{moment:%b %Y}"] += 1
+        made_at, dates = self.points.made_at, self.clock.dates
+        months = Counter(f"{dates[max(0, made_at(e))]:%b %Y}" for e in self.points.read(listed))
         counts = ", ".join(f"{month[:3]} {count}" for month, count in months.items())
         is_season = _SEASON < len(months) <= _YEAR
-        return f"on {', '.join(words)}" + f" (by month: {counts})" * is_season
+        return f"on {', '.join(self.clock.in_words(listed))}" + f" (by month: {counts})" * is_season
 
     def broken(self, times: Iterable[Time | str]) -> list[str]:
         """The constraints that a set of times breaks, one sentence each.

@@ -3,10 +3,12 @@
 import json
 from collections.abc import Iterator
 from datetime import datetime
+from pathlib import Path
 from shlex import quote
 from typing import Any
 
 from pfdist.common.parts import Block, Code, Facts, Section, Text
+from pfdist.errors import relative
 from pfdist.filters.engines import is_exact
 from pfdist.problem.job import job_toml
 from pfdist.questions.subject import Subject, number_of, without_folder
@@ -114,7 +116,8 @@ def computed(subject: Subject) -> Section:
 
 def using(subject: Subject) -> Section:
     """How to move the times by hand, to load the tables, and to cite."""
-    name = subject.run.path.name
+    path = Path(relative(str(subject.run.path.absolute())))
+    name = subject.run.path.name if path.is_absolute() else str(path)  # the report may be sent
     quoted = {"name": _quoted(name), "table": _quoted(f"{name}/tables/comparison")}
     explored = "On this page you drag the measurements and see the error at once:"
     by_hand: list[Block] = [Text(explored), Code(f"pfdist explore {quote(name)}")]

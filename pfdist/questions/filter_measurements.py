@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -27,9 +27,8 @@ from pfdist.common.rounding import rounded
 from pfdist.common.shown import Shown
 from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
-from pfdist.filters.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.filters.filter_estimate import FEW, FilterEstimate, few_particles
-from pfdist.models.base import within_half_turn
+from pfdist.models.base import StateSpaceModel, within_half_turn
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, read_measurements
 from pfdist.problem.problem import JobSource
@@ -47,6 +46,7 @@ from pfdist.questions.planned_run import (
 from pfdist.questions.report import write_page
 from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
+from pfdist.runner.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.runner.identity import time_columns
 from pfdist.runner.progress import Say, silent
 from pfdist.store import FILTERED_PERCENTS, SMOOTHED_START, filtered_schema, frame_of
@@ -55,6 +55,8 @@ from pfdist.store.user_tables import write_user_table
 
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
 _P_DIGITS = 2
+_FEW_ANCESTORS = 20
+_SMOOTHED_SIZE = f"{SMOOTHED_START}effective_sample_size"
 _TIMES = ("measured", "missing", "extra", "to_come")
 _FACTS = ("surprise_of_all", "is_improbable", "collapsed", "log_evidence", "why_no_evidence")
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
@@ -98,6 +100,11 @@ class FilteredMeasurements(Shown):
         estimate is that of a few particles, not the model's.
     is_smoothed : bool
         Whether the estimate of the job uses later measurements: `problem.estimate`, `problem.lag`.
+    failed : tuple of int or float
+        Times of measurements that were made without a value, by sensors with `fails`.
+    readings : mapping of str to list of (float, float)
+        For each component of z whose name and unit a component of y has, by its suffix: the times
+        and the values of that component.
     """
 
     run: Path | None
@@ -115,6 +122,8 @@ class FilteredMeasurements(Shown):
     clock: Clock
     collapsed: Time | None = None
     is_smoothed: bool = False
+    failed: tuple[Time, ...] = ()
+    readings: Mapping[str, list[tuple[float, float]]] = field(default_factory=dict)
 
     @property
     def time_unit(self) -> str:
@@ -155,6 +164,7 @@ class FilteredMeasurements(Shown):
             "measurements": str(self.measurements),
             "planned": self.name or None,
             **{name: getattr(self, name) for name in _TIMES},
+            **({"failed": self.failed} if self.failed else {}),
             "most_surprising": most and {"t": most[0], "surprise": most[1]},
             **{name: getattr(self, name) for name in _FACTS},
             **({"time_unit": self.time_unit} if self.time_unit else {}),
@@ -201,8 +211,8 @@ def filter_measurements(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A job file, or the folder of a run. A run of the job need not exist; its plan is compared
-        with the times of the measurements.
+        A job file, or the folder of a run. If a finished run of the job exists, its plan is
+        compared with the times of the measurements.
     measurements : str, Path or DataFrame
         Table in CSV or Parquet, or a DataFrame, with the columns t, y0, y1, ... (or ``y_NAME``),
         and sensor if the model has sensors; any times, or no rows. An empty cell is a missing
@@ -239,7 +249,7 @@ def filter_measurements(
     Raises
     ------
     StoreError
-        The run is not finished, or it is of another job or of other models, or a file cannot be
+        The folder that is named has a run of another job or of other models, or a file cannot be
         written.
     JobError
         The run has no set of this name.
@@ -281,6 +291,7 @@ def filter_measurements(
     estimates = time_columns(points).table(estimates)
     collapsed = filtering.now.collapsed
     after = points.first(max((*rows.t, *rows.missed), default=-1) + 1)
+    spent = {*meant, *rows.failed}
     extra = [t for t, m in zip(made, meant, strict=True) if plan.run and m not in wanted]
     result = FilteredMeasurements(
         plan.path,
@@ -288,7 +299,7 @@ def filter_measurements(
         Path("measurements") if isinstance(table, pd.DataFrame) else table,
         plan.name,
         tuple(points.written_of(made)),
-        tuple(points.written_of(t for t in wanted if t < after and t not in meant)),
+        tuple(points.written_of(t for t in wanted if t < after and t not in spent)),
         tuple(points.written_of(extra)),
         tuple(points.written_of(t for t in wanted if t >= after and t not in meant)),
         frame_of(estimates),
@@ -298,17 +309,38 @@ def filter_measurements(
         clock,
         None if collapsed is None else clock.time(collapsed),
         lag != 0,
+        tuple(points.written_of(rows.failed)),
+        {} if of_job.delays else _readings(rows, believed),
     )
     if files:
         write_user_table(files[0], estimates)
         filtered.draw_filtered(
-            files[1], filtered.filtered_plot(result.table, result.marked, result.is_smoothed)
+            files[1],
+            filtered.filtered_plot(
+                result.table, result.marked, result.is_smoothed, result.readings
+            ),
         )
     for file in files[2:]:
         write_page(_report_of(result), file)
     for line in _alarms(result) if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
+
+
+def _readings(rows: Measurements, model: StateSpaceModel) -> dict[str, list[tuple[float, float]]]:
+    """The times and values of components of y with the name and unit of one of z, by its suffix."""
+    suffixes = {each.label: each.suffix for each in model.named("z") if each.label}
+    y = rows.y.reshape(len(rows.t), rows.repeats, model.components[1])
+    times = rows.clock.times_of(rows.t)
+    return {
+        suffixes[each.label]: [
+            (t, float(value))
+            for t, values in zip(times, y[:, :, k], strict=True)
+            for value in values[np.isfinite(values)]
+        ]
+        for k, each in enumerate(model.named("y"))
+        if each.label in suffixes
+    }
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[FilterEstimate]:
@@ -378,7 +410,24 @@ def _facts(answer: FilteredMeasurements) -> list[tuple[str, str]]:
             "planned, to come": answer.to_come,
             "measured, not planned": answer.extra,
         }
-    return [(name, answer.clock.listed(each) or "none") for name, each in times.items()]
+    facts = [(name, answer.clock.listed(each) or "none") for name, each in times.items()]
+    if answer.failed:
+        made = len(answer.failed) + len(answer.measured)
+        failed = f"{len(answer.failed)} of {made}, t = {answer.clock.listed(answer.failed)}"
+        facts.insert(1, ("failed", failed))
+    few = _few_ancestors(answer)
+    return [*facts, *[("smoothed estimates", few)] * bool(few)]
+
+
+def _few_ancestors(answer: FilteredMeasurements) -> str:
+    """The remedy for smoothed estimates of few particles; empty if there are enough."""
+    rows = answer.table[answer.table[_SMOOTHED_SIZE] < _FEW_ANCESTORS]
+    if not len(rows):
+        return ""
+    least, last = rows[_SMOOTHED_SIZE].min(), answer.clock.listed([rows["t"].iloc[-1]])
+    return (
+        f"few ancestors until t = {last}, at least {least:.0f}: more particles help, or problem.lag"
+    )
 
 
 def _surprise(answer: FilteredMeasurements) -> tuple[str, str, str] | None:
@@ -429,9 +478,9 @@ def _alarms(answer: FilteredMeasurements) -> list[str]:
     at, p, among = _surprise(answer) or ("", "", "")
     what = f"The measurement at t = {at} is improbable, p {p} ({among} among all)"
     improbable = f"{what}: the model may be wrong about this system."
-    few, sizes = few_at(answer.collapsed, answer.clock), f"{SMOOTHED_START}effective_sample_size"
-    if answer.is_smoothed and answer.table[sizes].min() < FEW:
-        least = answer.clock.listed([answer.table["t"][answer.table[sizes].argmin()]])
+    few, sizes = few_at(answer.collapsed, answer.clock), answer.table[_SMOOTHED_SIZE]
+    if answer.is_smoothed and sizes.min() < FEW:
+        least = answer.clock.listed([answer.table["t"][sizes.argmin()]])
         few.append(few_particles(f"for the smoothed estimate at t = {least}"))
     return [*few, *[improbable] * answer.is_improbable]
 
@@ -441,7 +490,7 @@ def _belief(answer: FilteredMeasurements) -> Section:
     from pfdist.pages.filtered import filtered_plot  # noqa: PLC0415
     from pfdist.questions.pictures import picture  # noqa: PLC0415
 
-    plot = filtered_plot(answer.table, answer.marked, answer.is_smoothed)
+    plot = filtered_plot(answer.table, answer.marked, answer.is_smoothed, answer.readings)
     said = Text(_estimate(answer), prominent=True)
     return Section("The estimate", [said, picture(plot, "belief", _BELIEF), Facts(_facts(answer))])
 

@@ -12,7 +12,7 @@ from pfdist.common.parts import Facts, Page, Section, Text
 from pfdist.common.rounding import rounded
 from pfdist.common.shown import Shown
 from pfdist.kernels.rules import Thresholds
-from pfdist.problem.clock import Time
+from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Reading, read_measurements
 from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
@@ -66,13 +66,18 @@ class NextByRule(Shown):
         level = level_text(self.rule, self.feasible)
         facts = [("rule", f"standard deviation of z above {level}")]
         if self.next is not None:
-            is_written = isinstance(self.next, str)
-            when = self.next if is_written else self.feasible.points.clock.listed([self.next])
-            said = f"Measure next at t = {when}"
+            said = f"Measure next {next_in_words(self.feasible.points.clock, self.next)}"
             spread = f"{rounded(self.standard_deviation)}, above {rounded(self.level)}"
             facts.append(("predicted standard deviation", spread))
         blocks = Text(f"{said}.", prominent=True), Facts(facts)
         return Page("", "", [Section("", blocks)], alarms=self.doubts)
+
+
+def next_in_words(clock: Clock, time: Time | str) -> str:
+    """When to measure next; dates have weekdays, as those of a plan."""
+    if clock.has_dates:
+        return f"on {', '.join(clock.in_words(str(time).split(', ')))}"
+    return f"at t = {time if isinstance(time, str) else clock.listed([time])}"
 
 
 def next_by_rule(

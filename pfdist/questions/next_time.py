@@ -24,7 +24,7 @@ from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
-from pfdist.questions.next_by_rule import NextByRule, next_by_rule
+from pfdist.questions.next_by_rule import NextByRule, next_by_rule, next_in_words
 from pfdist.questions.planned_run import (
     Columns,
     PlannedRun,
@@ -155,14 +155,16 @@ class NextTime(Shown):
 
     def _page(self) -> Page:
         number, clock = number_of(len(self.measured), "measurement"), self.clock
-        facts = [("expected MSE", self._expected(self.expected))]
+        facts, every = [("expected MSE", self._expected(self.expected))], list[tuple[str, str]]()
         if self.plan:
             following, *later = self._chosen
-            is_written = later and isinstance(following, str)
-            said = f"Measure next at t = {following if is_written else clock.listed([following])}"
+            said = f"Measure next {next_in_words(clock, following)}"
             if later:
-                shown = clock.listed(later[:_SHOWN])
-                said += f"; then at about {shown}{', ...' if len(later) > _SHOWN else ''}"
+                at = "on about" if clock.has_dates else "at about"
+                said += f"; then {at} {self._listed(later[:_SHOWN])}"
+            if more := len(later[_SHOWN:]):
+                said += f", and {more} more"
+                every.append(("all times", self._listed(self._chosen)))
             measured = clock.listed(self.measured)
             where = f"{number}{', at t = ' * bool(measured)}{measured}"
             to_come = f"of t = {clock.listed(self.in_flight)}"
@@ -173,9 +175,14 @@ class NextTime(Shown):
             said = f"The budget is spent: {number}"
         else:
             said = f"No further measurement is possible after {number}"
-        section = Section("", [Text(f"{said}.", prominent=True), Facts(facts)])
+        blocks = Text(f"{said}.", prominent=True), Facts(every, detail=True), Facts(facts)
+        section = Section("", blocks)
         alarms = [*few_at(self.collapsed, clock), *[SEE_SURPRISE] * self.is_improbable]
         return Page("", "", [section], alarms=alarms)
+
+    def _listed(self, times: Iterable[Time]) -> str:
+        is_dated = self.clock.has_dates
+        return ", ".join(self.clock.in_words(times)) if is_dated else self.clock.listed(times)
 
     def _before(self) -> list[tuple[str, str]]:
         """The plan that was made before these measurements, if it differs."""
@@ -217,7 +224,8 @@ def next_time(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A job file, or the folder of a run. Without a run of the job, the measurements alone plan.
+        A job file, or the folder of a run. Without a finished run of the job, the measurements
+        alone plan.
     measurements : str, Path or DataFrame
         Table in CSV or Parquet, or a DataFrame, with the columns t, y0, y1, ... (or ``y_NAME``),
         and sensor if the model has sensors; any times, or no rows. An empty cell is a missing
@@ -255,7 +263,8 @@ def next_time(
     Raises
     ------
     StoreError
-        The run is not finished, it has no rule, or it is of another job or of other models.
+        The folder that is named has a run of another job or of other models; or with `rule`, there
+        is no finished run with a rule.
     JobError
         The run has no set of this name.
     MeasurementsError, PriorError

@@ -15,21 +15,28 @@ from numpy.typing import ArrayLike
 from pfdist.common.arguments import columns_argument, path_argument
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import must_be
-from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError, shown
+from pfdist.errors import (
+    JobError,
+    MeasurementsError,
+    MeasurementTimesError,
+    RunMismatchError,
+    relative,
+    shown,
+)
 from pfdist.filters.cloud import Prior
-from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
+from pfdist.problem.calendar import names_dates
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading
-from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.run_of_job import path_of_run, run_and_job
-from pfdist.results import Run
+from pfdist.results import Run, open_run
 from pfdist.results.sets import best_first, rows_of_sets
-from pfdist.results.stored_run import measured_of
+from pfdist.results.stored_run import job_of, measured_of
 from pfdist.runner.backtesting import evaluator_on, follows_clock
 from pfdist.runner.build import Built, build, say_model_files
+from pfdist.runner.filter import Filter, settings_of_job
 from pfdist.runner.progress import Say, heard
 from pfdist.store.folder import check_page_replaceable
 from pfdist.store.user_tables import check_table_replaceable, is_parquet
@@ -117,25 +124,47 @@ def planned_run(
 ) -> PlannedRun:
     """The finished run of a job, the set that was planned, and what filters need.
 
-    Without a run of the job there is no plan, if the user names neither a folder nor a set; with
-    `must_be`, this is an error. The other arguments are those of `pfdist.next_time`, and the errors
-    those of `run_and_job`, of `_planned_set` and of `as_prior`.
+    If the job has no such run, the answer has no plan; with `must_be`, or a named set, this is an
+    error. The other arguments are those of `pfdist.next_time`, and the errors those of
+    `run_and_job`, of `_planned_set` and of `as_prior`.
     """
     table: Any = prior
     if isinstance(prior, str | Path):  # a model may change the working folder
         table = path_argument("prior", prior) if str(prior) else None
-    run, name, times = None, "", Times()
-    if isinstance(job, Run) or must_be or results or planned or path_of_run(as_job(job)):
-        run, built = run_and_job(job, results, changes, say)
-        name = _planned_set(run, planned)
-        times = measured_of(run)[name]
-    else:
-        alone = as_job(job, changes)
-        say_model_files([alone], say)
-        built = build(alone)
+    if isinstance(job, Run):
+        results, job = results or job.path, job_of(job) or job.path
+    finished = run_and_job if must_be or planned else _run_if_any
+    run, built = finished(job, results, changes, say)
+    name = "" if run is None else _planned_set(run, planned)
+    times = Times() if run is None else measured_of(run)[name]
     model, clock = built.evaluator.believed, built.job.problem.clock
     start = as_prior(table, model, clock.readers(), clock.instant_of_t)
     return PlannedRun(run, name, times, built, start)
+
+
+def _run_if_any(
+    job: JobSource, results: str | Path | None, changes: Iterable[str], say: Say
+) -> tuple[Run | None, Built]:
+    """The finished run of a job if it has one, and the job with its models; `say` hears why not.
+
+    Raises a `StoreError` if the user names the folder of a different run.
+    """
+    folder = path_of_run(as_job(job), results)
+    why = f"{results} holds no run" if results else ""
+    if folder and (state := open_run(folder).state) != "finished":
+        why = f"{folder} is not finished ({state})"
+    elif folder:
+        try:
+            return run_and_job(job, results, changes, say)
+        except RunMismatchError as error:
+            if results:
+                raise
+            why = f"{folder} holds a different run ({error.differences[0]})"
+    if why:
+        heard(say, f"{relative(why)}: the answer uses no plan")
+    alone = as_job(job, changes)
+    say_model_files([alone], say)
+    return None, build(alone)
 
 
 def _planned_set(run: Run, name: str) -> str:
@@ -207,19 +236,9 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
     PriorError
         The prior does not fit the model.
     """
-    job = built.job
-    REAL_DATA.check("a real system", job)
-    return Filter(
-        repeated(built.evaluator.believed, repeats),
-        job.filter.particles,
-        job.seed,
-        resampling=job.filter.resampling,
-        resample=job.filter.resample or "always",
-        engine=built.evaluator.engine,
-        prior=prior,
-        draw=draw,
-        horizon=built.evaluator.horizon,
-    )
+    settings = settings_of_job(built)
+    settings["model"] = repeated(built.evaluator.believed, repeats)
+    return Filter(**settings, prior=prior, draw=draw)
 
 
 def system_of_table(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times, tuple[Any, ...]]:
@@ -239,7 +258,13 @@ def system_of_table(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times
 def instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
     """The instant of the last time that has passed, after checking it."""
     number: Any = now
-    is_number = isinstance(now, Real) and not isinstance(now, bool)
+    if clock.has_dates and not isinstance(now, datetime) and not names_dates(f"{now}"):
+        try:  # as the column t of a table
+            (number,) = clock.of_table([number])
+        except ValueError as error:
+            text = str(error).removeprefix("t ").replace(" (row 1)", "")
+            raise MeasurementsError(f"now {text}", argument="now") from error
+    is_number = isinstance(number, Real) and not isinstance(number, bool)
     if clock.counts and not (is_number and float(number).is_integer()):
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
     first = clock.times[last]

@@ -17,7 +17,6 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Cloud, Prior
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.one_filter import made
 from pfdist.filters.user_prior import as_prior
@@ -30,6 +29,7 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
+from pfdist.runner.filter import Filter
 from pfdist.runner.planning import Now, Planning, Replanner, Replanning
 from pfdist.runner.searches import planning_of
 

@@ -14,11 +14,11 @@ from pfdist.common.parsing import parse_json
 from pfdist.common.points import ALONE
 from pfdist.common.section import JobSection
 from pfdist.errors import ArgumentError, StoreError, shown
-from pfdist.filters.filter import Filter
 from pfdist.kernels.left import Left, StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.results import finite
+from pfdist.runner.filter import Filter
 from pfdist.store import RULE as FILE
 from pfdist.store import read_listed, run_key, write_about
 from pfdist.store.files import reading

@@ -15,7 +15,6 @@ from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError, TaskError
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.predicted import circular_measurements, predicted
 from pfdist.filters.scenarios import stretches
@@ -33,6 +32,7 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import parameters_at
 from pfdist.problem.replicates import Replicate
 from pfdist.runner.build import Built, both, evaluator_of, models_of_job
+from pfdist.runner.filter import Filter
 from pfdist.runner.online_work import seen
 from pfdist.runner.planning import Now, Planning, Replanner
 

@@ -24,7 +24,7 @@ UNITS = {
     "filters/evidence.py log_evidence": "replicate: draws t",
     "filters/evidence.py _ancestors": "replicate: draws key",
     "filters/evidence.py exact_log_evidence": "nothing, it is exact:",
-    "filters/filter.py Filter.__init__": "system: seed draw",
+    "runner/filter.py Filter._start": "system: seed draw",
     "filters/filter_estimate.py surprise_of_particles": "system, instant: draw cloud.t component",
     "filters/one_filter.py Followed.__init__": "system, whose number stays: unmeasured.stream",
     "filters/one_filter.py Followed.again": "cloud: again number",

@@ -15,11 +15,11 @@ from pfdist.errors import ArgumentError, MeasurementsError, ModelError, PfdistWa
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
-from pfdist.filters.filter import SUSPICIOUS
 from pfdist.filters.filter_estimate import FEW, PREDICTIVE, Particles
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
+from pfdist.runner.filter import SUSPICIOUS
 
 # Few particles are wanted here: they are quick, and right or wrong as many are.
 pytestmark = pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")
@@ -473,7 +473,7 @@ def test_a_formula_that_gives_nan_is_named_with_the_instant() -> None:
         ({"particles": 0}, ValueError, "particles must be at least 1, got 0"),
         ({"engine": "gpu"}, ValueError, "engine must be 'auto', 'compiled', .* got 'gpu'"),
         ({"engine": "kalman"}, ModelError, "linear_gaussian=True, got ungm"),
-        ({"model": 3}, ModelError, "a model must be a StateSpaceModel or a name, got 3"),
+        ({"model": 3}, ModelError, "a model must be a StateSpaceModel, a name, or a job, got 3"),
         ({"prior": np.ones((2, 5))}, PriorError, "as many components of x .* ungm, 1, got 2"),
         ({"prior": "mine"}, PriorError, "a Cloud, a DataFrame or an array .*, got 'mine'"),
         ({"prior": Cloud(7, np.ones((1, 5))), "horizon": 6}, PriorError, r"in 0\.\.6, got 7"),

@@ -135,6 +135,22 @@ def test_a_name_in_a_runs_files_cannot_become_markup(make: Make, see: See) -> No
     assert hostile in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_it_names_the_run_from_where_the_user_is(
+    make: Make, see: See, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The commands work there; from elsewhere, the name of the folder tells nothing of others."""
+    run = make(name="results/lake")
+    monkeypatch.chdir(tmp_path)
+    text = see(run).text
+    assert "pfdist explore results/lake" in text
+    assert 'open_run("results/lake")' in text
+    assert 'read_parquet("results/lake/tables/comparison")' in text
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    assert 'open_run("lake")' in see(run).text
+
+
 def _stop_at(phase: str) -> Callable[[Any], None]:
     def stop(progress: Any) -> None:
         if progress.phase == phase:

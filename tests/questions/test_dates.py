@@ -168,6 +168,9 @@ def test_measurements_have_dates_or_numbers(folder: Path, tmp_path: Path) -> Non
         (30.0, ON_SUNDAY),
         ("2026-03-29T13:00Z", ON_SUNDAY),
         ("2026-03-31T09:00", "2026-03-31T09:00"),
+        ("29.03.2026 15:00", ON_SUNDAY),
+        ("3/29/2026 15:00", ON_SUNDAY),
+        ("30", ON_SUNDAY),
     ],
 )
 def test_now_may_be_a_date(folder: Path, now: Any, shown: str) -> None:
@@ -175,7 +178,24 @@ def test_now_may_be_a_date(folder: Path, now: Any, shown: str) -> None:
     found = pfdist.next_time(folder / "dated", table, now=now)
     assert found.now == shown
     assert all(str(at) > shown for at in found.plan)
-    assert f"from t = {shown} on" in "\n".join(lines_of(found._page()))
+    text = " ".join(lines_of(found._page()))
+    assert f"from t = {shown} on" in text
+    if shown == ON_SUNDAY:
+        when = "on Sun 29 Mar 2026 21:00; then on about Mon 30 Mar 2026 15:00."
+        assert text.strip().startswith(f"Measure next {when}")
+
+
+def test_all_times_of_a_long_plan_are_there_if_details_are(tmp_path: Path) -> None:
+    (tmp_path / "long.toml").write_text(DATED.replace("budget = 3", "budget = 7"))
+    found = pfdist.next_time(tmp_path / "long.toml", pd.DataFrame({"t": [], "y0": []}))
+    assert len(found.plan) == 7
+    short, long = (" ".join(lines_of(found._page(), verbose=each)) for each in (False, True))
+    listed = ", ".join(found.clock.in_words(found.plan))
+    first, *then = listed.split(", ")
+    assert short.startswith(f" Measure next on {first}; then on about")
+    assert ", and 2 more." in short
+    assert then[-1] not in short
+    assert listed in " ".join(long.split())
 
 
 def test_the_command_line_reads_dates(folder: Path, call: Call, tmp_path: Path) -> None:
@@ -189,6 +209,7 @@ def test_the_command_line_reads_dates(folder: Path, call: Call, tmp_path: Path) 
     assert (code, json.loads(text)["expected_mse"]) == (0, asked.expected_mse)
     for option, text, message in (
         ("--now", "2026-03-28", "must name one instant, got 2026-03-28 with 3: 2026-03-28T08:00"),
+        ("--now", "hello", "--now must be a date, as 2026-04-01 or 2026-04-01T08:00, got 'hello'"),
         ("--now", "2026-03-28T08:00", "must lie in 2026-03-28T14:00..2026-03-31T09:00, got 2026-0"),
     ):
         code, _, error = call("next", job, rows, option, text)

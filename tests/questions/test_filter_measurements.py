@@ -344,6 +344,44 @@ def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
     assert pfdist.filter_measurements(curve, path, planned=name, report=False).name == name
 
 
+def test_values_are_drawn_if_y_has_the_name_and_the_unit_of_z() -> None:
+    model = replace(
+        pfdist.load_model("random_walk"), y_names=("level [m]",), z_names=("level [m]",)
+    )
+    table = pd.DataFrame({"t": [1, 4, 4], "y0": [0.5, 1.5, 1.25]})
+
+    def drawn(model: pfdist.StateSpaceModel) -> dict[str, list[list[float]]]:
+        problem = pfdist.Problem(model, horizon=6, measurement_budget=2, engine="kalman")
+        axes = pfdist.pages.plots.belief(
+            pfdist.filter_measurements(problem, table, say=lambda line: None)
+        )
+        return {str(e.get_label()): [*map(list, e.get_data())] for e in axes.get_lines()}
+
+    values = drawn(model)
+    assert values["measured values"] == [[1, 4, 4], [0.5, 1.5, 1.25]]
+    assert values["measured"][0] == [1, 4]
+    assert not any("planned" in label for label in values)
+    assert "measured values" not in drawn(replace(model, y_names=("level [cm]",)))
+
+
+def test_failed_measurements_and_few_ancestors_are_counted() -> None:
+    problem = pfdist.Problem(
+        "random_walk", horizon=60, measurement_budget=9, particles=30, sensor={"fails": 0.2}
+    )
+    times = [*range(0, 60, 10)]
+    table = pd.DataFrame({"t": times, "y0": [0.1, 0.4, math.nan, 0.2, math.nan, 0.3]})
+    found = pfdist.filter_measurements(problem, table)
+    assert found.failed == (20, 40)
+    text = repr(found._page())
+    assert "('failed', '2 of 6, t = 20, 40')" in text
+    sizes = found.table["smoothed_effective_sample_size"]
+    last = int(np.flatnonzero(sizes < 20)[-1])
+    few = f"few ancestors until t = {last}, at least {sizes.min():.0f}: more particles help, or"
+    assert few in text
+    better = replace(found, table=found.table.assign(smoothed_effective_sample_size=20.0))
+    assert "few ancestors" not in repr(better._page())
+
+
 def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
     from pfdist.pages.plots import draw_filtered, filtered_plot
 

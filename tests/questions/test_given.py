@@ -11,9 +11,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist import StateSpaceModel
 from pfdist.densities import normal_logpdf
-from pfdist.errors import JobError, MeasurementsError, ModelError
+from pfdist.errors import JobError, MeasurementsError, ModelError, PfdistWarning
 from pfdist.problem.problem import as_job
 
 U = [0.3, 0.5, 0.1]
@@ -77,6 +78,45 @@ def test_a_filter_of_one_system_takes_them_with_each_reading() -> None:
         assert filtering.smoothed()[0].mean[0] == pytest.approx(mean, abs=tolerance)
     with pytest.raises(MeasurementsError, match="sd must be a parameter of the model with a value"):
         filtering.update(6, 1.0, sd=0.1)
+
+
+@in_turn("clock", [None, range(7)])
+def test_a_single_value_holds_at_each_instant(clock: Any) -> None:
+    """As in a job: the readings without an error of their own have the model's."""
+    single, every = _constant((0.2,)), _constant([0.2] * 7)
+    if clock:
+        single, every = single.on_clock(clock), every.on_clock(clock)
+    with pytest.warns(PfdistWarning, match="u of the model: one value, which holds at each inst"):
+        filtering = pfdist.Filter(single, seed=3)
+    for each in (filtering, wanted := pfdist.Filter(every, seed=3)):
+        each.update(2, 1.1, u=0.3)
+        each.update(6, 0.4)
+    assert filtering.now.mean == wanted.now.mean
+    assert filtering.now.standard_deviation == wanted.now.standard_deviation
+
+
+def test_the_filter_of_a_job_is_that_of_the_commands(tmp_path: Path) -> None:
+    """Bit for bit; arguments of the constructor replace the job's values."""
+    job = {"given": {"u": "error"}, "particles": 40, "engine": "auto"}
+    problem = _problem((0.2,), times=[0, 0.5, 1, 2, 4, 8, 9], **{"horizon": None, **job})
+    table = pd.DataFrame({"t": [0, 1, 8], "y0": Y, "error": U})
+    seeded = problem.job().with_changes(["seed=5"])
+    for source in (problem, seeded):
+        last = pfdist.filter_measurements(source, table, report=False).table.iloc[-2]
+        filtering = pfdist.Filter(source)
+        for t, y, u in zip((0, 2, 5), Y, U, strict=True):
+            filtering.update(t, y, u=u)
+        assert filtering.now.mean[0] == last["mean_0"]
+        assert filtering.now.standard_deviation[0] == last["sd_0"]
+        assert filtering.horizon == 6
+    other = pfdist.Filter(problem, particles=50, seed=4, horizon=3, resample="below 0.5")
+    assert other.unmeasured.settings.particles == 50
+    assert other.horizon == 3
+    assert other.stream != filtering.stream
+    with pytest.raises(JobError, match=r"cannot read .*none\.toml"):
+        pfdist.Filter(tmp_path / "none.toml")
+    with pytest.raises(ModelError, match="must be a StateSpaceModel, a name, or a job, got 3"):
+        pfdist.Filter(3)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("engine", ["kalman", "auto"])

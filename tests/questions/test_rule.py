@@ -1,6 +1,7 @@
 """A rule that is tuned, judged and used: on small jobs, and against fixed times."""
 
 import json
+import math
 import re
 import shutil
 from collections.abc import Callable
@@ -401,8 +402,7 @@ def test_the_loop_in_the_manual_measures_as_the_filter_of_the_run(
         y = built.evaluator.draws(range(draw, draw + 1), work.draws_stream).y[0]
         measured = list[int]()
 
-        def look(t: int, names: Any, y: Any = y, measured: list[int] = measured) -> Any:
-            assert names == ["y"]
+        def look(t: int, y: Any = y, measured: list[int] = measured) -> Any:
             measured.append(t)
             return y[t]
 
@@ -416,6 +416,54 @@ def test_the_loop_in_the_manual_measures_as_the_filter_of_the_run(
         assert measured == ruling.followed(built.evaluator, work, draw).measured
         assert 6 in measured
         assert len(measured) <= (4 if hard else 7)
+
+
+def test_the_loop_with_two_sensors_filters_as_the_command() -> None:
+    """One of them fails once, and has its error with each reading."""
+    sensors = {
+        "ping": pfdist.Sensor(
+            lambda x, t, v, p: (x[0] + v[0],),
+            lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+            ("normal",),
+        ),
+        "gps": pfdist.Sensor(
+            lambda x, t, v, p: (x[0] + p.gps_sd[t] * v[0], x[1] + p.gps_sd[t] * v[1]),
+            lambda y, x, t, p: (
+                -0.5 * ((y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2) / p.gps_sd[t] ** 2
+                - 2 * np.log(p.gps_sd[t])
+            ),
+            ("normal", "normal"),
+        ),
+    }
+    boat = pfdist.StateSpaceModel(
+        name="boat",
+        initial=lambda w, p: (w[0], w[1]),
+        transition=lambda x, t, w, p: (x[0] + w[0], x[1] + w[1]),
+        quantity_of_interest=lambda x, t, p: x,
+        initial_noise=("normal",) * 2,
+        process_noise=("normal",) * 2,
+        sensors=sensors,
+        parameters={"gps_sd": (3.0,)},
+    )
+    problem = Problem(
+        boat, horizon=6, measurement_budget=9, particles=200, given={"gps_sd": "error"},
+        sensors={"ping": {}, "gps": {"fails": 0.2}},
+    )  # fmt: skip
+    fixes = iter([(0.5, -0.5, 0.4), (math.nan, math.nan, None), (2.0, 1.0, 0.8)])
+    thresholds = [ALWAYS, NEVER, NEVER, ALWAYS, ALWAYS, ALWAYS, NEVER, ALWAYS] + [NEVER] * 6
+    rule = pfdist.Rule(Thresholds(tuple(thresholds)), StepLimits(), ["ping", "gps"])
+    names = {"rule": rule, "belief": pfdist.Filter(problem), "read_ping": lambda: 0.7}
+    exec(code_of_the_manual()[1], {**names, "read_gps": lambda: next(fixes)})
+    assert rule.spent == 5
+    table = pd.DataFrame(
+        [(0, "ping", 0.7, None, None), (1, "gps", 0.5, -0.5, 0.4), (2, "ping", 0.7, None, None),
+         (2, "gps", None, None, None), (3, "gps", 2.0, 1.0, 0.8)],
+        columns=["t", "sensor", "y0", "y1", "error"],
+    )  # fmt: skip
+    found = pfdist.filter_measurements(problem, table)
+    assert found.failed == ("2 gps",)
+    last = found.table.iloc[-1]
+    assert [*names["belief"].now.mean] == [last["mean_0"], last["mean_1"]]
 
 
 def test_a_rule_in_use_keeps_what_is_spent_and_takes_back_what_was_not_made() -> None:

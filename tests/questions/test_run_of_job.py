@@ -14,6 +14,7 @@ from oracles.in_turn import in_turn
 from oracles.listed import rewrite
 from pfdist import Job
 from pfdist.cli.main import main
+from pfdist.errors import StoreError
 
 QUICK = [
     "model.name=random_walk",
@@ -118,9 +119,47 @@ def test_another_job_than_that_of_the_run_is_refused(
     command: str, there: Path, error: Callable[..., str]
 ) -> None:
     words = [command, "jobs/small.toml", *ASK[command], "--set", *QUICK, "filter.particles=7"]
-    line = error(*words)
+    named = ["--results", "results/small"] if command in ("filter", "next") else []
+    line = error(*words, *named)
     assert "results/small holds a different run; use another results folder, or the run's" in line
     assert line.endswith(". In the run -> now: filter.particles: 40 -> 7")
+
+
+@in_turn("ask", [pfdist.filter_measurements, pfdist.next_time])
+@pytest.mark.usefixtures("there")
+def test_measurements_need_no_run(ask: Callable[..., Any], finished: Callable[..., Path]) -> None:
+    """Issue 108: a job and a table are enough; a run is used if it is a finished one of the job."""
+    shutil.rmtree("results")
+    shutil.copytree(finished(*QUICK), "results/small")
+    lines, report = list[str](), {"report": False} if ask is pfdist.filter_measurements else {}
+    options = {"changes": QUICK, "say": lines.append} | report
+
+    def answer(**more: Any) -> Any:
+        lines.clear()
+        return ask("jobs/small.toml", "y.csv", **options | more)
+
+    assert answer().run == Path("results/small").absolute()
+    assert lines == []
+    assert answer(results="none").run is None
+    assert lines == ["none holds no run: the answer uses no plan"]
+    assert answer(changes=[*QUICK, "filter.particles=7"]).run is None
+    why = "results/small holds a different run (filter.particles: 40 -> 7)"
+    assert lines == [f"{why}: the answer uses no plan"]
+    shutil.rmtree("results/small")
+
+    def stop(progress: Any) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run("jobs/small.toml", changes=QUICK, progress=stop, figures=False)
+    before = {each: each.read_bytes() for each in Path("results").rglob("*") if each.is_file()}
+    for each in ("jobs/small.toml", "results/small"):
+        lines.clear()
+        assert ask(each, "y.csv", **options).run is None
+        assert lines == ["results/small is not finished (searching): the answer uses no plan"]
+    with pytest.raises(StoreError, match="is not finished"):
+        answer(planned="genetic")
+    assert before == {each: each.read_bytes() for each in before}
 
 
 def test_a_question_leaves_the_draws_of_the_run_as_they_are(there: Path) -> None:

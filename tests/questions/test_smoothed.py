@@ -1,11 +1,13 @@
 """Runs of jobs whose estimates use later measurements."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
@@ -82,6 +84,25 @@ def test_what_needs_the_filters_estimate_is_one_line(run: pfdist.Run) -> None:
         load_job(run.path / "job.toml").with_changes(sections={"search": [{"method": "survivors"}]})
     with pytest.raises(JobError, match=r"^choosing times on the way needs problem.estimate = 'fi"):
         pfdist.Planner(run.path)
+
+
+def test_the_rest_of_a_season_is_planned_with_the_measured_dates(tmp_path: Path) -> None:
+    """The way that the error and docs/afterwards.md name: the best set is that of all others."""
+    page = (Path(__file__).parents[2] / "docs" / "afterwards.md").read_text(encoding="utf-8")
+    ((own, keys),) = re.findall(r"```toml\n# (\w+\.toml)[^\n]*\n(.*?)```", page, re.DOTALL)
+    season = 'horizon = 2027-10-31\nmeasurement_budget = 4\nestimate = "smoothed"\n'
+    clock = '[problem.clock]\nstart = 2027-04-01\nstep = "1 d"\n'
+    job, model = tmp_path / own, '[model]\nname = "random_walk"\n[filter]\nengine = "kalman"\n'
+    job.write_text(f"seed = 1\n{keys}{season}{clock}{model}")
+    with pytest.raises(JobError, match=r"make measured times problem.required, .*afterwards.md"):
+        pfdist.next_time(job, pd.DataFrame({"t": [], "y0": []}))
+    made = pfdist.plan(job, tmp_path / "rest", pool="serial", figures=False, bound_draws=0)
+    *measured, last = made.best.measurement_times
+    assert measured == ["2027-04-29", "2027-06-03", "2027-07-07"]
+    rest = pd.date_range("2027-07-26", "2027-10-31").to_series()
+    left = [f"{day:%Y-%m-%d}" for day in rest if day.weekday() in range(1, 5)]
+    errors = [pfdist.evaluate(job, [*measured, day]).expected_mse for day in left]
+    assert last == left[np.argmin(errors)]
 
 
 def test_a_lag_above_the_horizon_is_the_smoothed_estimate(finished: Callable[..., Path]) -> None:

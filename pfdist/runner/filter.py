@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
+from pathlib import Path
 from typing import Annotated, Any, cast
 
 import numpy as np
@@ -52,11 +53,16 @@ from pfdist.filters.one_filter import (
 )
 from pfdist.filters.settings import check_filter_settings
 from pfdist.filters.user_prior import as_prior
-from pfdist.filters.work import Estimation
+from pfdist.filters.work import PLAIN, Estimation
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.models.base import within_half_turn
 from pfdist.models.recorded import declared
+from pfdist.problem.job import Job
+from pfdist.problem.needs import REAL_DATA
+from pfdist.problem.problem import JobSource, Problem, as_job
+from pfdist.runner.build import Built, build
+from pfdist.store import holds_run
 
 Array = NDArray[np.float64]
 
@@ -75,19 +81,21 @@ class Filter(Followed):
 
     Parameters
     ----------
-    model : StateSpaceModel or str
+    model : StateSpaceModel, str, Path, Problem or Job
         The model, or a name that `pfdist.load_model` takes. If formulas read ``p.time`` or
         ``p.dt``, give ``model.on_clock(times)``. The filter counts instants.
-    particles : int
-        Number of particles; the engine "kalman" has none.
-    seed : int
-        Seed of the filter's noise.
-    resampling : {"multinomial", "stratified", "systematic"}
-    resample : str
-        "always", or "below 0.5" to resample only if the effective sample size falls below this
-        share of the particles.
-    engine : {"auto", "compiled", "batched", "numpy", "kalman"}
-        "auto" is the compiled engine, or the batched one for a batched model.
+        Or a job, its file or the folder of its run: then the model has the job's clock, parameters
+        and sensors, and the job gives each argument that is left out.
+    particles : int, optional
+        Number of particles, by default 500; the engine "kalman" has none.
+    seed : int, optional
+        Seed of the filter's noise, by default 0.
+    resampling : {"systematic", "stratified", "multinomial"}, optional
+    resample : str, optional
+        "always" (the default), or "below 0.5" to resample only if the effective sample size falls
+        below this share of the particles.
+    engine : {"auto", "compiled", "batched", "numpy", "kalman"}, optional
+        "auto" (the default) is the compiled engine, or the batched one for a batched model.
         "kalman" is exact, for models that declare themselves linear-Gaussian.
     prior : Cloud, Gaussian, array or DataFrame, optional
         The distribution of x(s), instead of the model's `initial`; the filter then starts at s. An
@@ -95,11 +103,13 @@ class Filter(Followed):
         another filter is also accepted.
     draw : int
         Index of the filter in the stream of its noise.
-    horizon : int
-        The last instant T that is allowed.
+    horizon : int, optional
+        The last instant T that is allowed, by default 32,000.
 
     Raises
     ------
+    JobError
+        The job is wrong.
     ModelError
         The model cannot be loaded or does not fit a setting, or a formula failed.
     PriorError
@@ -122,21 +132,49 @@ class Filter(Followed):
     @checked
     def __init__(
         self,
-        model: StateSpaceModel | str,
-        particles: int = 500,
-        seed: Annotated[Whole, Field(ge=-(2**63), lt=2**63)] = 0,
+        model: StateSpaceModel | JobSource,
+        particles: int | None = None,
+        seed: Annotated[Whole, Field(ge=-(2**63), lt=2**63)] | None = None,
         *,
-        resampling: str = "systematic",
-        resample: str = "always",
-        engine: Annotated[EngineName, Field()] = AUTO,
+        resampling: str | None = None,
+        resample: str | None = None,
+        engine: Annotated[EngineName, Field()] | None = None,
         prior: Prior | ArrayLike | None = None,
         draw: Annotated[Whole, Field(ge=0, lt=2**32)] = 0,
-        horizon: Annotated[Whole, Field(ge=0, le=LAST)] = LAST,
+        horizon: Annotated[Whole, Field(ge=0, le=LAST)] | None = None,
     ) -> None:
-        if not isinstance(model, StateSpaceModel | str):
-            raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
-        self.model = load_model(model) if isinstance(model, str) else model
-        self.horizon = horizon
+        given = {"particles": particles, "seed": seed, "resampling": resampling}
+        given |= {"resample": resample, "engine": engine, "horizon": horizon}
+        own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        if not isinstance(model, StateSpaceModel) and _is_job(model):
+            job = as_job(model)
+            if not job.filter.is_automatic:  # a filter of one system is plain
+                job = job.with_changes(settings={"filter": {"proposal": PLAIN}})
+            built = build(job)
+            own = settings_of_job(built) | own
+            clock = built.job.problem.clock
+            prior = as_prior(prior, own["model"], clock.readers(), clock.instant_of_t)
+        elif isinstance(model, StateSpaceModel | str):
+            own["model"] = load_model(model) if isinstance(model, str) else model
+        else:
+            rule = "a StateSpaceModel, a name, or a job"
+            raise ModelError(f"a model must be {rule}, got {shown(model)}")
+        self._start(**own, prior=prior, draw=draw)
+
+    def _start(
+        self,
+        model: StateSpaceModel,
+        particles: int = 500,
+        seed: int = 0,
+        resampling: str = "systematic",
+        resample: str = "always",
+        engine: EngineName = AUTO,
+        horizon: int = LAST,
+        *,
+        prior: Prior | ArrayLike | None,
+        draw: int,
+    ) -> None:
+        self.model, self.horizon = _at_each_instant(model, horizon), horizon
         self.stream = stream_of("filter", seed)
         """The 64-bit key of the filter's noise."""
         start = as_prior(prior, self.model)
@@ -190,7 +228,12 @@ class Filter(Followed):
         )
 
     def update(
-        self, t: int, y: float | Sequence[float] | Array, *, warn: bool = True, **given: float
+        self,
+        t: int,
+        y: float | Sequence[float] | Array,
+        *,
+        warn: bool = True,
+        **given: float | None,
     ) -> FilterEstimate:
         """Move the filter to t and give it the measurement there.
 
@@ -206,7 +249,7 @@ class Filter(Followed):
             estimate says so, too.
         given
             Values of parameters at this instant that come with the reading, such as its standard
-            error: ``sd=0.2``. The model reads them as ``p.sd[t]``.
+            error: ``sd=0.2``. The model reads them as ``p.sd[t]``. None leaves the model's value.
 
         Returns
         -------
@@ -255,7 +298,7 @@ class Filter(Followed):
         self._now, self._collapsed = now, now.collapsed
         return now
 
-    def _with(self, t: int, given: Mapping[str, float]) -> StateSpaceModel:
+    def _with(self, t: int, given: Mapping[str, float | None]) -> StateSpaceModel:
         """The model with values of parameters at an instant."""
         values = dict[str, Any]()
         for name, value in given.items():
@@ -265,7 +308,7 @@ class Filter(Followed):
                     f"{name} must be a parameter of the model with a value for each instant, to be "
                     f"given with a measurement {at}"
                 )
-            number = value if isinstance(value, Real) else math.nan
+            number = own[t] if value is None else value if isinstance(value, Real) else math.nan
             if not math.isfinite(number):
                 raise MeasurementsError(f"{name} must be a finite number, got {shown(value)} {at}")
             values[name] = (*own[:t], float(number), *own[t + 1 :])
@@ -418,6 +461,41 @@ class Filter(Followed):
             return surprise
         cloud = cast(Cloud, _prior(self._many))
         return surprise_of_particles(self.model, cloud, y, self.stream, self._many.draw)
+
+
+def _is_job(source: Any) -> bool:
+    """Whether this is a job, its file or the folder of its run, and not a model or its name."""
+    if isinstance(source, str):
+        return source.endswith(".toml") or holds_run(Path(source))
+    return isinstance(source, Problem | Job | Path)
+
+
+def _at_each_instant(model: StateSpaceModel, horizon: int) -> StateSpaceModel:
+    """The model whose sequences of a single value have it at each instant, as a warning says."""
+    series = {name: value for name, value in model.parameters.items() if isinstance(value, tuple)}
+    single = {name: value for name, value in series.items() if len(value) == 1}
+    if not (single and horizon):
+        return model
+    most = max(map(len, series.values()))
+    warnings.warn(f"{', '.join(single)} of the model: one value, which holds at each instant",
+                  PfdistWarning, stacklevel=5)  # fmt: skip
+    instants = most if most > 1 else horizon + 1
+    return model.with_parameters({name: value * instants for name, value in single.items()})
+
+
+def settings_of_job(built: Built) -> dict[str, Any]:
+    """The arguments of a `Filter` with a job's model, [filter], clock and seed."""
+    job, evaluator = built.job, built.evaluator
+    REAL_DATA.check("a real system", job)
+    return {
+        "model": evaluator.believed,
+        "particles": job.filter.particles,
+        "seed": job.seed,
+        "resampling": job.filter.resampling,
+        "resample": job.filter.resample or "always",
+        "engine": evaluator.engine,
+        "horizon": evaluator.horizon,
+    }
 
 
 def _prior(at: OneFilter) -> Prior:
