@@ -27,7 +27,7 @@ _UNIT = re.compile(rf"({'|'.join(SECONDS)}) since (\d{{4}}-\d\d-\d\d(?:T\S+)?)(?
 _DATED = re.compile(r"\.\.|\d{4}-\d\d-\d\d")
 _WITH_SPACE = re.compile(r"(?<=\d{4}-\d\d-\d\d) (?=\d\d:\d\d)")
 _AROUND_DOTS = re.compile(r"\s*\.\.\s*")
-OWN_DATES = "dates and times of the clock"
+OWN_DATES, DAYS_OF_YEAR = "dates and times of the clock", "days of the year"
 _NUMBERED = {  # number, of how many seconds, that 1970 has: numbers that are dates
     "seconds since 1970": ("1", "0"),
     "milliseconds since 1970": ("1e-3", "0"),
@@ -126,7 +126,7 @@ class Calendar:
         found |= {name: partial(number, name) for name in _NUMBERED}
         found |= {name: partial(written, name) for name in _WRITTEN}
         if last * own < 365 * SECONDS["d"]:
-            found["days of the year"] = day_of_year
+            found[DAYS_OF_YEAR] = day_of_year
         return found
 
     def in_year_of_start(self, moments: Sequence[float]) -> list[float]:
