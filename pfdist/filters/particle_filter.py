@@ -20,7 +20,7 @@ from pfdist.common.measurement_times import Times, first_smoothed
 from pfdist.errors import PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
-from pfdist.filters.formulas import filter_blocks
+from pfdist.filters.formulas import filter_blocks, simulation_blocks
 from pfdist.filters.interface import SUMS, all_or_none, checking, weighed
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
@@ -30,6 +30,7 @@ from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan_prefixes
+from pfdist.kernels.replicates import replicates_of
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
@@ -132,6 +133,14 @@ def _filter(
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
     sensors, rule = len(model.parts), (settings.rule, settings.follows, settings.flipped)
     planned, ruling, filled = ruling_of(*rule, planned, draws.index, draws.instants, sensors)
+    if settings.replicates:
+        replicates = replicates_of(
+            settings.replicates, simulation_blocks(model, draws.instants).blocks,
+            model.noise_of_measurements, [part.v.start for part in model.parts],
+            len(draws.index), *model.components[:2],
+        )  # fmt: skip
+        ruling = ruling._replace(replicates=replicates)
+        filled["penalty"] = np.zeros((*draws.z.shape[:2], sensors))
     mse = np.empty((len(draws.index), len(planned.measured)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others, **filled)
     prior, chosen, prior_weight = _prior(draws, stream, settings)

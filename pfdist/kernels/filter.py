@@ -142,6 +142,8 @@ def _predict(instant):
         call(steps.put_truth, instant)
     if instant.at.work.rule.decide != 0:
         call(instant.at.work.rule.decide, instant)
+    if instant.at.work.rule.replicates.compare != 0:
+        call(instant.at.work.rule.replicates.compare, instant)
 
 
 @compiled

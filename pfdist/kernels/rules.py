@@ -80,6 +80,28 @@ class Thresholds(NamedTuple):
         return self._replace(thresholds=tuple(thresholds))
 
 
+class Replicates(NamedTuple):
+    """Measurements that particles would make, for the compiled filter; by default there are none.
+
+    Rows have 16 particles of each draw.
+    """
+
+    compare: int = 0  # address of `pfdist.kernels.replicates.compare`
+    number: int = 0
+    # the blocks of a simulation, as `pfdist.kernels.blocks.Blocks` has them
+    addresses: NDArray[np.int64] = np.empty(0, np.int64)
+    places: NDArray[np.int64] = np.empty(0, np.int64)
+    table: NDArray[np.float64] = np.empty(0)
+    memory: NDArray[np.float64] = np.empty(0)
+    components: int = 0  # of the measurement noise
+    kinds: NDArray[np.int64] = np.empty(0, np.int64)  # (components,)
+    first_noises: NDArray[np.int64] = np.empty(0, np.int64)  # (sensors,)
+    row: int = 0  # entries of a row
+    states: NDArray[np.float64] = np.empty(0)  # rows of x
+    values: NDArray[np.float64] = np.empty(0)  # rows of y
+    noise: NDArray[np.float32] = np.empty(0, np.float32)
+
+
 class Ruling(NamedTuple):
     """A rule in the form that the compiled filter reads; by default there is none."""
 
@@ -93,3 +115,4 @@ class Ruling(NamedTuple):
     follows: StepArrays = UNLIMITED.arrays(1, range(1))
     left: NDArray[np.float64] = np.empty(0)  # (D, n): records of the draws of a batch
     trial: NDArray[np.float64] = np.empty(0)  # (n,): another one
+    replicates: Replicates = Replicates()

@@ -1,0 +1,135 @@
+"""Replicates of a measurement: what the true one does to the variance of z, less what others would.
+
+Before an instant is measured, the truth is each particle with the same probability, given the cloud
+as a set. So the measurement that any other particle would make has the law of the true one, and the
+difference of the variances after both has the mean 0, for any number of particles.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pfdist.kernels.ancestors import weigh
+from pfdist.kernels.batch import (
+    SENSORS,
+    Instant,
+    fill_mean_of_z,
+    fill_variances,
+    present,
+    with_given,
+)
+from pfdist.kernels.blocks import Blocks, call_block
+from pfdist.kernels.cached import compiled, entry
+from pfdist.kernels.memory import ahead, call, read
+from pfdist.kernels.rules import Replicates
+from pfdist.kernels.simulation import MEASUREMENT
+from pfdist.kernels.variates import SPARE, TRUTH_MEASUREMENT, Key, VariateRow, codes_of
+from pfdist.kernels.vectors import LANES
+
+_SEEN = np.int64(LANES)  # particles of each draw whose measurements are computed
+
+
+def replicates_of(
+    number: int, blocks: Blocks, noise: Sequence[str], first_noises: Sequence[int],
+    draws: int, states: int, measurements: int,
+) -> Replicates:  # fmt: skip
+    """So many replicates of each measurement of some draws, at most 15.
+
+    `blocks` are those of a simulation, `noise` has the kinds of its measurement noise, and
+    `first_noises` the first for each sensor.
+    """
+    row, (kinds,) = draws * int(_SEEN), codes_of((*noise, "uniform"))
+    return Replicates(
+        compare.address,
+        number,
+        *blocks,
+        kinds.size,
+        kinds,
+        np.array(first_noises),
+        row,
+        np.zeros(states * row),
+        np.zeros(measurements * row),
+        np.zeros(kinds.size * (row + SPARE), np.float32),
+    )
+
+
+@entry(Instant)
+def compare(instant):
+    """Fill what each sensor's measurement does to the variance of z, less the mean of replicates.
+
+    The truth makes the true measurement, and random particles make the replicates.
+    """
+    at, _, t, _, _ = read(instant)
+    request, batch, own = at.work.request, at.work.batch, at.work.rule.replicates
+    origin = at.first * request.instants + t
+    for c in range(own.components):
+        row = VariateRow(
+            batch.words, ahead(own.noise, c * (own.row + SPARE)), _SEEN, own.kinds[c],
+            Key(at.stream, request.start + t, TRUTH_MEASUREMENT, c),
+            request.first_draw + at.first, at.draws,
+        )  # fmt: skip
+        call(at.work.scratch.fill, row)
+    _choose(at)
+    for sensor in range(request.sensors):
+        noise = ahead(own.noise, own.first_noises[sensor] * (own.row + SPARE))
+        call_block(
+            own, (MEASUREMENT + sensor) * request.instants + t, (own.values, own.row),
+            (own.states, own.row), (noise, own.row + SPARE), (batch.means, 0, 0),
+            (1, at.draws * _SEEN),
+        )  # fmt: skip
+        first = request.first_components[sensor]
+        last = request.measurements
+        if sensor + 1 < request.sensors:
+            last = request.first_components[sensor + 1]
+        for d in range(at.draws):
+            y = ahead(request.y, (origin + d * request.instants) * request.measurements)
+            for c in range(first, last):
+                own.values[(c - first) * own.row + d * _SEEN] = y[c]
+        for replicate in range(own.number + 1):
+            _weigh_by(at, t, sensor, replicate)
+            for d in range(at.draws):
+                variance = 0.0
+                for c in range(request.quantities):
+                    variance += batch.moments[(request.quantities + c) * batch.row + d]
+                place = (origin + d * request.instants) * request.sensors + sensor
+                if variance < np.inf:  # a function of the cloud and y, as it must be
+                    share = 1.0 if replicate == 0 else -1.0 / own.number
+                    at.work.results.penalty[place] += share * variance
+    for d in range(at.draws):
+        batch.weighted[d], batch.total[d] = 0, float(request.particles)
+
+
+@compiled
+def _choose(at):
+    """Copy the states of the truth, and of as many other particles as there are replicates.
+
+    The others are at equal distances from a random one on, because particles lie in the order of
+    their ancestors.
+    """
+    request, batch, own = at.work.request, at.work.batch, at.work.rule.replicates
+    cloud, uniform = present(at), ahead(own.noise, (own.components - 1) * (own.row + SPARE))
+    for d in range(at.draws):
+        for i in range(_SEEN):
+            chosen = np.int64(0)
+            if 0 < i <= own.number:
+                share = (i - 1 + np.float64(uniform[d * _SEEN])) / own.number
+                chosen = np.int64(share * request.particles)
+            for c in range(request.states):
+                value = cloud[c * batch.stride + d * batch.width + chosen]
+                own.states[c * own.row + d * _SEEN + i] = value
+
+
+@compiled
+def _weigh_by(at, t, sensor, replicate):
+    """Fill rows of draws with the variance of z after a replicate of a measurement."""
+    request, batch, own = at.work.request, at.work.batch, at.work.rule.replicates
+    y = ahead(own.values, replicate)
+    with_given(at, SENSORS + sensor, t, present(at), batch.log_weight, y, _SEEN, own.row)
+    for d in range(at.draws):
+        batch.weighted[d], batch.total[d] = 1, weigh(
+            batch.log_weight, d * batch.width, batch.width, request.particles, batch.weight,
+            batch.cumulative,
+        )  # fmt: skip
+    mean = batch.moments
+    fill_mean_of_z(at, t, mean, False)
+    fill_variances(at, t, mean, ahead(mean, request.quantities * batch.row))
