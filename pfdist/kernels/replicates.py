@@ -6,6 +6,7 @@ difference of the variances after both has the mean 0, for any number of particl
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from pfdist.kernels.batch import (
     fill_mean_of_z,
     fill_variances,
     present,
+    sensors_at,
     with_given,
 )
 from pfdist.kernels.blocks import Blocks, call_block
@@ -26,7 +28,7 @@ from pfdist.kernels.simulation import MEASUREMENT
 from pfdist.kernels.variates import SPARE, TRUTH_MEASUREMENT, Key, VariateRow, codes_of
 from pfdist.kernels.vectors import LANES
 
-_SEEN = np.int64(LANES)  # particles of each draw whose measurements are computed
+_SEEN: Final = int(LANES)  # particles of each draw whose measurements are computed
 
 
 def replicates_of(
@@ -38,7 +40,7 @@ def replicates_of(
     `blocks` are those of a simulation, `noise` has the kinds of its measurement noise, and
     `first_noises` the first for each sensor.
     """
-    row, (kinds,) = draws * int(_SEEN), codes_of((*noise, "uniform"))
+    row, (kinds,) = draws * _SEEN, codes_of((*noise, "uniform"))
     return Replicates(
         compare.address,
         number,
@@ -60,8 +62,31 @@ def compare(instant):
     The truth makes the true measurement, and random particles make the replicates.
     """
     at, _, t, _, _ = read(instant)
+    request, batch, number = at.work.request, at.work.batch, at.work.rule.replicates.number
+    _choose_particles(at, t)
+    for sensor in range(request.sensors):
+        _measure(at, t, sensor)
+        for replicate in range(number + 1):
+            _weigh_by(at, t, sensor, replicate)
+            share = 1.0 if replicate == 0 else -1.0 / number
+            for d in range(at.draws):
+                variance = 0.0
+                for c in range(request.quantities):
+                    variance += batch.moments[(request.quantities + c) * batch.row + d]
+                place = ((at.first + d) * request.instants + t) * request.sensors + sensor
+                if variance < np.inf:  # whether it counts is a function of the cloud and y, too
+                    at.work.results.penalty[place] += share * variance
+    for d in range(at.draws):
+        batch.weighted[d], batch.total[d] = 0, float(request.particles)
+
+
+@compiled
+def _choose_particles(at, t):
+    """Draw noise, and copy the states of the truth and of a particle for each replicate.
+
+    These are at equal distances from a random one on: particles are sorted by their ancestors.
+    """
     request, batch, own = at.work.request, at.work.batch, at.work.rule.replicates
-    origin = at.first * request.instants + t
     for c in range(own.components):
         row = VariateRow(
             batch.words, ahead(own.noise, c * (own.row + SPARE)), _SEEN, own.kinds[c],
@@ -69,44 +94,6 @@ def compare(instant):
             request.first_draw + at.first, at.draws,
         )  # fmt: skip
         call(at.work.scratch.fill, row)
-    _choose(at)
-    for sensor in range(request.sensors):
-        noise = ahead(own.noise, own.first_noises[sensor] * (own.row + SPARE))
-        call_block(
-            own, (MEASUREMENT + sensor) * request.instants + t, (own.values, own.row),
-            (own.states, own.row), (noise, own.row + SPARE), (batch.means, 0, 0),
-            (1, at.draws * _SEEN),
-        )  # fmt: skip
-        first = request.first_components[sensor]
-        last = request.measurements
-        if sensor + 1 < request.sensors:
-            last = request.first_components[sensor + 1]
-        for d in range(at.draws):
-            y = ahead(request.y, (origin + d * request.instants) * request.measurements)
-            for c in range(first, last):
-                own.values[(c - first) * own.row + d * _SEEN] = y[c]
-        for replicate in range(own.number + 1):
-            _weigh_by(at, t, sensor, replicate)
-            for d in range(at.draws):
-                variance = 0.0
-                for c in range(request.quantities):
-                    variance += batch.moments[(request.quantities + c) * batch.row + d]
-                place = (origin + d * request.instants) * request.sensors + sensor
-                if variance < np.inf:  # a function of the cloud and y, as it must be
-                    share = 1.0 if replicate == 0 else -1.0 / own.number
-                    at.work.results.penalty[place] += share * variance
-    for d in range(at.draws):
-        batch.weighted[d], batch.total[d] = 0, float(request.particles)
-
-
-@compiled
-def _choose(at):
-    """Copy the states of the truth, and of as many other particles as there are replicates.
-
-    The others are at equal distances from a random one on, because particles lie in the order of
-    their ancestors.
-    """
-    request, batch, own = at.work.request, at.work.batch, at.work.rule.replicates
     cloud, uniform = present(at), ahead(own.noise, (own.components - 1) * (own.row + SPARE))
     for d in range(at.draws):
         for i in range(_SEEN):
@@ -120,16 +107,34 @@ def _choose(at):
 
 
 @compiled
+def _measure(at, t, sensor):
+    """Fill rows with the true measurement of each draw, and its replicates."""
+    request, own = at.work.request, at.work.rule.replicates
+    noise = ahead(own.noise, own.first_noises[sensor] * (own.row + SPARE))
+    call_block(
+        own, (MEASUREMENT + sensor) * request.instants + t, (own.values, own.row),
+        (own.states, own.row), (noise, own.row + SPARE), (noise, 0, 0), (1, at.draws * _SEEN),
+    )  # fmt: skip
+    first = request.first_components[sensor]
+    is_last = sensor + 1 == request.sensors
+    end = request.measurements if is_last else request.first_components[sensor + 1]
+    y = sensors_at(at, t, first)
+    for d in range(at.draws):
+        for c in range(end - first):
+            true = y[d * request.instants * request.measurements + c]
+            own.values[c * own.row + d * _SEEN] = true
+
+
+@compiled
 def _weigh_by(at, t, sensor, replicate):
     """Fill rows of draws with the variance of z after a replicate of a measurement."""
     request, batch, own = at.work.request, at.work.batch, at.work.rule.replicates
-    y = ahead(own.values, replicate)
+    y, mean = ahead(own.values, replicate), batch.moments
     with_given(at, SENSORS + sensor, t, present(at), batch.log_weight, y, _SEEN, own.row)
     for d in range(at.draws):
         batch.weighted[d], batch.total[d] = 1, weigh(
             batch.log_weight, d * batch.width, batch.width, request.particles, batch.weight,
             batch.cumulative,
         )  # fmt: skip
-    mean = batch.moments
     fill_mean_of_z(at, t, mean, False)
     fill_variances(at, t, mean, ahead(mean, request.quantities * batch.row))
