@@ -109,7 +109,8 @@ def filter_checked_sets(
     mse, degenerate = found.mse[:, columns], found.degenerate[:, columns]
     shared = zip(givers, planned.begins, strict=True) if not settings.lag else ()
     for row, (giver, begin) in enumerate(shared):
-        found.errors[..., row, :begin] = found.errors[..., giver, :begin]
+        for each in (found.errors, found.penalty):
+            each[..., row, :begin] = each[..., giver, :begin]
     of_instants = found.errors[..., columns, :]
     if by_draw:
         nothing = np.zeros(of_instants.shape[1:])
@@ -118,7 +119,9 @@ def filter_checked_sets(
         of_instants[~np.isfinite(mse).all(axis=0)] = np.nan
     else:
         of_instants = all_or_none(of_instants, mse)
-    return found._replace(mse=mse, degenerate=degenerate, errors=of_instants)
+    return found._replace(
+        mse=mse, degenerate=degenerate, errors=of_instants, penalty=found.penalty[:, columns]
+    )
 
 
 def _filter(
@@ -133,6 +136,7 @@ def _filter(
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
     sensors, rule = len(model.parts), (settings.rule, settings.follows, settings.flipped)
     planned, ruling, filled = ruling_of(*rule, planned, draws.index, draws.instants, sensors)
+    mse = np.empty((len(draws.index), len(planned.measured)))
     if settings.replicates:
         replicates = replicates_of(
             settings.replicates, simulation_blocks(model, draws.instants).blocks,
@@ -140,8 +144,8 @@ def _filter(
             len(draws.index), *model.components[:2],
         )  # fmt: skip
         ruling = ruling._replace(replicates=replicates)
-        filled["penalty"] = np.zeros((*draws.z.shape[:2], sensors))
-    mse = np.empty((len(draws.index), len(planned.measured)))
+    compared = len(mse) if settings.replicates else 0
+    filled["penalty"] = np.zeros((compared, mse.shape[1], len(draws.instants)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others, **filled)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
     blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)

@@ -142,8 +142,6 @@ def _predict(instant):
         call(steps.put_truth, instant)
     if instant.at.work.rule.decide != 0:
         call(instant.at.work.rule.decide, instant)
-    if instant.at.work.rule.replicates.compare != 0:
-        call(instant.at.work.rule.replicates.compare, instant)
 
 
 @compiled
@@ -151,6 +149,8 @@ def _measure(measurement):
     """Weigh the particles by a sensor."""
     steps = measurement.at.work.steps
     call(steps.resample, measurement)
+    if measurement.at.work.rule.replicates.compare != 0:
+        call(measurement.at.work.rule.replicates.compare, measurement)
     if is_drawn_again(measurement):
         call(steps.guide, measurement)
     call(steps.weigh, measurement)

@@ -1,7 +1,7 @@
 """Replicates of a measurement: what the true one does to the variance of z, less what others would.
 
-Before an instant is measured, the truth is each particle with the same probability, given the cloud
-as a set. So the measurement that any other particle would make has the law of the true one, and the
+Before a measurement, the truth is each particle with the same probability, given the cloud as a
+set. So the measurement that a random particle would make has the law of the true one, and the
 difference of the variances after both has the mean 0, for any number of particles.
 """
 
@@ -56,26 +56,27 @@ def replicates_of(
 
 
 @entry(Instant)
-def compare(instant):
-    """Fill what each sensor's measurement does to the variance of z, less the mean of replicates.
+def compare(measurement):
+    """Fill what the last measurement of an instant does to the variance of z, less its replicates.
 
     The truth makes the true measurement, and random particles make the replicates.
     """
-    at, _, t, _, _ = read(instant)
+    at, s, t, sensors, sensor = read(measurement)
     request, batch, number = at.work.request, at.work.batch, at.work.rule.replicates.number
+    if sensors >> sensor != 1:
+        return
     _choose_particles(at, t)
-    for sensor in range(request.sensors):
-        _measure(at, t, sensor)
-        for replicate in range(number + 1):
-            _weigh_by(at, t, sensor, replicate)
-            share = 1.0 if replicate == 0 else -1.0 / number
-            for d in range(at.draws):
-                variance = 0.0
-                for c in range(request.quantities):
-                    variance += batch.moments[(request.quantities + c) * batch.row + d]
-                place = ((at.first + d) * request.instants + t) * request.sensors + sensor
-                if variance < np.inf:  # whether it counts is a function of the cloud and y, too
-                    at.work.results.penalty[place] += share * variance
+    _measure(at, t, sensor)
+    for replicate in range(number + 1):
+        _weigh_by(at, t, sensor, replicate)
+        share = 1.0 if replicate == 0 else -1.0 / number
+        for d in range(at.draws):
+            variance = 0.0
+            for c in range(request.quantities):
+                variance += batch.moments[(request.quantities + c) * batch.row + d]
+            place = ((at.first + d) * request.sets + s) * request.instants + t
+            if variance < np.inf:  # whether it counts is a function of the cloud and y, too
+                at.work.results.penalty[place] += share * variance
     for d in range(at.draws):
         batch.weighted[d], batch.total[d] = 0, float(request.particles)
 

@@ -17,15 +17,15 @@ from pfdist.filters.work import PLAIN, FilterWork, Result, with_truth
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.search.first_windows import WINDOW, relaxation_for
-from pfdist.search.least import Array, best_price, bounds_of_draws, least_of_draw, penalised
+from pfdist.search.least import Array, best_price, bounds_of_draws, least_of_draw
 from pfdist.search.relaxation import Relaxation
 from pfdist.store import RULE_PHASE
 
-CHOICE_DRAWS, DRAWS = 40, 200
+CHOICE_DRAWS, DRAWS = 30, 130
 # Factors of the penalty: the choice draws decide. The bound is concave in the factor, and flat near
 # the best one, which was -0.9 to -4 for the shipped jobs; each factor takes a programme a draw.
 PENALTIES = 0.0, -1.0, -2.0
-REPLICATES = 5  # of each measurement
+REPLICATES = 8  # of the last measurement of each window; with 5, the bound is 1 % lower
 _LEAST_PARTICLES = 500  # the bound is lower with fewer
 _MOST_CELLS = 20_000  # errors of a draw
 _TOGETHER = 4  # draws whose errors are kept at the same time
@@ -36,7 +36,7 @@ class LeastWork(FilterWork):
     """Draws with the errors of all windows; a column for each penalty and number."""
 
     relaxation: Relaxation | None = None
-    steps_of_windows: int = 0  # of one draw
+    steps_of_windows: int = 0  # of one draw, with those of replicates
     penalties: tuple[float, ...] = (0.0,)  # factors of the penalty
 
     def result(self, evaluator: Evaluator) -> Result:
@@ -47,27 +47,23 @@ class LeastWork(FilterWork):
         draws, least = evaluator.draws(range(*self.draws), self.draws_stream), list[Array]()
         counted, stream = relaxation.counted(range(len(relaxation.windows))), self.filter_streams[0]
         most = len(self.ids) // len(self.penalties) - 1
-        imagined = replace(self.estimation, proposal=PLAIN, replicates=REPLICATES)
-        every = [relaxation.constraints.allowed], [evaluator.horizon], stream, imagined
         given = relaxation.sets, relaxation.ends.tolist(), stream, self.estimation
         for first in range(0, len(draws.index), _TOGETHER):
             some = draws[first : first + _TOGETHER]
-            weights = some.instant_weights
-            errors = evaluator.filter_sets(some, *given, EACH_DRAW).errors
-            errors = weighed(errors, weights * evaluator.scale)
-            penalty = weights[:, None] * evaluator.filter_sets(some, *every).penalty
-            for own, each in zip(errors, penalty.reshape(len(penalty), -1), strict=True):
-                windows = counted.of_instants(own)
-                rows = (penalised(relaxation, windows, c * each) for c in self.penalties)
-                least.append(np.concatenate([least_of_draw(relaxation, r, most) for r in rows]))
+            found = evaluator.filter_sets(some, *given, EACH_DRAW)
+            errors = weighed(found.errors, some.instant_weights * evaluator.scale)
+            penalties = found.penalty * some.instant_weights
+            for own, penalty in zip(errors, penalties, strict=True):
+                windows, fees = counted.of_instants(own), counted.of_instants(penalty)
+                rows = (least_of_draw(relaxation, windows + c * fees, most) for c in self.penalties)
+                least.append(np.concatenate([*rows]))
         values = np.array(least)
         return Result(values, degenerate=np.zeros(values.shape, np.bool_))
 
     @property
     def steps_a_draw(self) -> int:
-        """Particle-steps of one draw; a replicate takes as long as a step."""
-        instants = self.relaxation.horizon + 1 if self.relaxation else 0
-        return self.steps_of_windows + instants * (REPLICATES + 2) * self.estimation.particles
+        """Particle-steps of one draw."""
+        return self.steps_of_windows
 
 
 def bound_of_strategies(
@@ -80,6 +76,8 @@ def bound_of_strategies(
     largest bound is too high. None if no bound is known, or if its windows are too many.
     """
     built, relaxations = session.built, list[Relaxation]()
+    is_plain = built.job.filter.proposal == PLAIN  # guided particles are redrawn for the true y
+    penalties = PENALTIES if is_plain else (0.0,)
     evaluator, usual = built.evaluator, built.study.usual
     is_known = built.job.criterion.is_mean and built.feasible.counted and not evaluator.lag
     for window in (1, WINDOW) if is_known and evaluator.truth.variance_is_error else ():
@@ -87,8 +85,8 @@ def bound_of_strategies(
             relaxations.append(relaxation_for(built.feasible, window, usual, _MOST_CELLS))
     best: tuple[float, float, float, Relaxation | None] = -math.inf, math.nan, 0.0, None
     for each in relaxations:
-        found = yield from _least(session, each, PENALTIES, "choice", CHOICE_DRAWS, number, is_hard)
-        for penalty, least in zip(PENALTIES, found, strict=True):
+        found = yield from _least(session, each, penalties, "choice", CHOICE_DRAWS, number, is_hard)
+        for penalty, least in zip(penalties, found, strict=True):
             price = math.inf if is_hard else best_price(least, number)
             value = float(bounds_of_draws(least, number, price).mean())
             best = (value, price, penalty, each) if value > best[0] else best
@@ -111,9 +109,10 @@ def _least(
     """The least relaxed MSE with each penalty, of each draw, with each number: (C, D, most+1)."""
     built, feasible = session.built, session.built.feasible
     most = int(number) if is_hard else len(feasible.allowed)
-    estimation = with_truth(
-        max(built.comparing.particles, _LEAST_PARTICLES), built.job.filter.proposal
-    )
+    particles, proposal = built.comparing.particles, built.job.filter.proposal
+    estimation = with_truth(max(particles, _LEAST_PARTICLES), proposal)
+    if any(penalties):
+        estimation = replace(estimation, replicates=REPLICATES)
     stream = stream_of("bound", built.job.seed, "strategies", "filter")
     of_draws = stream_of("bound", built.job.seed, "strategies", role)
     truth, windows = built.evaluator.truth, relaxation.sets
@@ -121,6 +120,7 @@ def _least(
     of_windows = truth.work(
         windows, stream, of_draws, (0, 1), estimation, ends=tuple(relaxation.ends.tolist())
     )
+    compared = len(windows) * (REPLICATES + 1) if estimation.replicates else 0
     parts = relaxation.windows, relaxation.ends.tolist(), stream, of_draws
     columns = product(penalties, range(most + 1))
     ids = tuple(truth.id_of(estimation, *parts, most, penalties, *each) for each in columns)
@@ -128,7 +128,7 @@ def _least(
     work = LeastWork(
         **vars(truth.work(*given, ids=ids, knows_truth=True)),
         relaxation=relaxation,
-        steps_of_windows=of_windows.steps,
+        steps_of_windows=of_windows.steps + compared * estimation.particles,
         penalties=penalties,
     )
     least, reporter = np.full((draws, len(ids)), np.nan), session.reporter

@@ -30,18 +30,6 @@ def least_of_draw(relaxation: Relaxation, errors: Array, most: int) -> Array:
     return Programme(relaxation, errors, most).mse
 
 
-def penalised(relaxation: Relaxation, errors: Array, penalty: Array) -> Array:
-    """The errors of a draw's windows, (E,), with the penalty of each possible measurement, (n,).
-
-    It belongs to the first error of the windows that end with the measurement. If an instant has
-    several, only the last one's counts.
-    """
-    measured = relaxation.last >= 0
-    with_penalty = errors.copy()
-    with_penalty[relaxation.offsets[:-1][measured]] += penalty[relaxation.last[measured]]
-    return with_penalty
-
-
 def best_price(least: Array, number: float) -> float:
     """The price of a measurement for which the bound of some draws is largest.
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist import StateSpaceModel
+from pfdist.common.measurement_times import Times
 from pfdist.filters import plain
 from pfdist.filters.draws import Draws
 from pfdist.filters.work import Estimation
@@ -16,32 +17,31 @@ _SEEN = 16  # the noise of so many particles is drawn together
 
 
 def penalties(
-    model: StateSpaceModel, draws: Draws, stream: int, settings: Estimation
+    model: StateSpaceModel, draws: Draws, times: Times, stream: int, settings: Estimation
 ) -> NDArray[np.float64]:
-    """Variance of z after each measurement, less the mean after its replicates, (D, T+1, sensors).
+    """Variance of z after each measurement, less the mean after its replicates, (D, T+1).
 
-    Everything before the instant is measured.
+    No instant has two measurements. It is 0 at instants without a measurement.
     """
     number, fixed = settings.replicates or 0, replace(settings, replicates=None)
     kinds, index = (*model.noise_of_measurements, "uniform"), np.array(draws.index)
-    found = np.zeros((*draws.z.shape[:2], len(model.parts)))
-    for t in draws.instants:
-        before = tuple(range(model.points.first(t)))
-        cloud = plain.filter_checked_draws(model, draws.upto(t), before, stream, fixed).cloud
+    found = np.zeros(draws.z.shape[:2])
+    for place, point in enumerate(times):
+        t, part = model.points.instant(point), model.parts[model.points.way(point)]
+        given = model, draws.upto(t), times[:place], stream, fixed
         *noise, uniform = (
             variates(kind, _SEEN, stream, index, t, TRUTH_MEASUREMENT, c)
             for c, kind in enumerate(kinds)
         )
-        for d, x in enumerate(cloud):
+        for d, x in enumerate(plain.filter_checked_draws(*given).cloud):
             shares = (np.arange(number) + uniform[d, 0]) / number
             chosen = (shares * settings.particles).astype(int)
-            v = tuple(each[d, 1 : number + 1] for each in noise)
-            for sensor, part in enumerate(model.parts):
-                made = part.model.measurement(tuple(x[:, chosen]), t, v[part.v], model.p)
-                replicates = np.stack([np.broadcast_to(each, number) for each in made], axis=1)
-                ys = np.vstack([draws.y[d, t, part.y], replicates])
-                after = [_variance(model, part.model, x, y, t) for y in ys]
-                found[d, t, sensor] = after[0] - np.mean(after[1:])
+            v = tuple(each[d, 1 : number + 1] for each in noise[part.v])
+            made = part.model.measurement(tuple(x[:, chosen]), t, v, model.p)
+            replicates = np.stack([np.broadcast_to(each, number) for each in made], axis=1)
+            ys = np.vstack([draws.y[d, t, part.y], replicates])
+            after = [_variance(model, part.model, x, y, t) for y in ys]
+            found[d, t] = after[0] - np.mean(after[1:])
     return found
 
 

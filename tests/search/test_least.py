@@ -10,7 +10,7 @@ import pytest
 from oracles import beliefs
 from pfdist.problem.feasible import Feasible
 from pfdist.search.first_windows import relaxation_with
-from pfdist.search.least import Array, best_price, bounds_of_draws, least_of_draw, penalised
+from pfdist.search.least import Array, best_price, bounds_of_draws, least_of_draw
 from pfdist.search.relaxation import Relaxation
 
 
@@ -76,16 +76,17 @@ class Chain:
         """All sequences y."""
         return [*product((0, 1), repeat=self.horizon + 1)]
 
-    def penalty(self, y: tuple[int, ...]) -> Array:
-        """The variance after each measurement, less its mean, given all before, (T+1,)."""
-        belief, found = self.prior, list[float]()
+    def penalties(self, times: tuple[int, ...], y: tuple[int, ...]) -> Array:
+        """The variance after each measurement of a filter, less its mean before, (T+1,)."""
+        belief, found = self.prior, np.zeros(self.horizon + 1)
         for t in range(self.horizon + 1):
             belief = self.moved(belief) if t else belief
-            shares, after = zip(*(self.after(belief, t, each) for each in (0, 1)), strict=True)
-            variances = np.array(after) * (1.0 - np.array(after))
-            found.append(self.weights[t] * (variances[y[t]] - np.sum(shares * variances)))
-            belief = after[y[t]]
-        return np.array(found)
+            if t in times:
+                shares, after = zip(*(self.after(belief, t, each) for each in (0, 1)), strict=True)
+                variances = np.array(after) * (1.0 - np.array(after))
+                found[t] = self.weights[t] * (variances[y[t]] - np.sum(shares * variances))
+                belief = after[y[t]]
+        return found
 
     def least(self, relaxation: Relaxation, most: int, factor: float = 0.0) -> tuple[Array, Array]:
         """The probability of each sequence y, and its least relaxed MSEs, (Y, most+1)."""
@@ -93,9 +94,11 @@ class Chain:
         windows = zip(relaxation.sets, relaxation.first, relaxation.ends, strict=True)
         ranges = [(times, slice(first, end + 1)) for times, first, end in windows]
         for y, (share, errors) in zip(self.sequences(), self.draws(), strict=True):
-            values = np.concatenate([errors(times)[:-1][here] for times, here in ranges])
-            values = penalised(relaxation, values, factor * self.penalty(y))
-            rows.append(least_of_draw(relaxation, values, most))
+            values = [
+                errors(times)[:-1][here] + factor * self.penalties(times, y)[here]
+                for times, here in ranges
+            ]
+            rows.append(least_of_draw(relaxation, np.concatenate(values), most))
             shares.append(share)
         return np.array(shares), np.array(rows)
 
@@ -138,15 +141,15 @@ FACTORS = 0.0, 0.7, -0.5, -1.0, -2.0
     ("window", "factor", "known"),
     [
         (1, 0.0, 0.11289),
-        (1, -1.0, 0.0),
+        (1, -2.0, 0.11991),
         pytest.param(2, 0.0, 0.11465, marks=pytest.mark.slow),
-        pytest.param(2, -1.0, 0.12084, marks=pytest.mark.slow),
+        pytest.param(2, -2.0, 0.12070, marks=pytest.mark.slow),
     ],
 )
 def test_the_bound_of_the_chain_with_a_sharp_and_a_blunt_sensor(
     window: int, factor: float, known: float
 ) -> None:
-    """The best policy has 0.12118: most of what the minimum foresees has its penalty."""
+    """The best policy has 0.12118, and 0.12100 on average: the penalty closes most of the gap."""
     chain, number = Beliefs(), beliefs.BUDGET
     relaxation = relaxation_with(
         Feasible(horizon=chain.horizon, measurement_budget=number), window, chain.horizon + 1
@@ -156,10 +159,12 @@ def test_the_bound_of_the_chain_with_a_sharp_and_a_blunt_sensor(
     assert hard == pytest.approx(known, abs=5e-6)
     assert hard < beliefs.best_policy(number)
     average = max(
-        float(shares @ bounds_of_draws(least, number, price)) for price in (0.004, 0.006, 0.008)
+        float(shares @ bounds_of_draws(least, number, price))
+        for price in np.linspace(0.02, 0.026, 7)
     )
-    assert average <= hard
-    assert average <= beliefs.average_bound(number, np.linspace(0.03, 0.07, 9)) < 0.12101
+    best = beliefs.average_bound(number, np.linspace(0.18, 0.24, 13))
+    assert hard - 2e-3 < average <= hard
+    assert average <= best == pytest.approx(0.12099, abs=1e-5)
 
 
 def variances(times: tuple[int, ...]) -> Array:
@@ -230,3 +235,11 @@ def test_the_price_is_the_one_of_the_largest_bound() -> None:
     )
     assert bounds_of_draws(least, 3, 0.0).mean() < best
     assert best <= bounds_of_draws(least, 3, np.inf).mean()
+
+
+def test_numbers_that_the_constraints_forbid_have_no_price() -> None:
+    """The bound of a limit in each draw is too high for a number on average."""
+    least = np.array([[np.inf, 4.0, 1.0, 0.5], [np.inf, 3.0, 2.5, 2.4]])
+    price = best_price(least, 2)
+    assert price == pytest.approx(0.5, rel=0.05)
+    assert bounds_of_draws(least, 2, price).mean() == pytest.approx(1.75, abs=0.01)
