@@ -20,17 +20,17 @@ from pfdist.common.measurement_times import Times, first_smoothed
 from pfdist.errors import PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
-from pfdist.filters.formulas import filter_blocks, simulation_blocks
+from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.interface import SUMS, all_or_none, checking, weighed
+from pfdist.filters.ruling import ruling_of
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import FilterArrays, FilterRequest
-from pfdist.kernels.deciding import ruling_of, with_points
+from pfdist.kernels.deciding import with_points
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan_prefixes
-from pfdist.kernels.replicates import replicates_of
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
@@ -109,8 +109,7 @@ def filter_checked_sets(
     mse, degenerate = found.mse[:, columns], found.degenerate[:, columns]
     shared = zip(givers, planned.begins, strict=True) if not settings.lag else ()
     for row, (giver, begin) in enumerate(shared):
-        for each in (found.errors, found.penalty):
-            each[..., row, :begin] = each[..., giver, :begin]
+        found.errors[..., row, :begin] = found.errors[..., giver, :begin]
     of_instants = found.errors[..., columns, :]
     if by_draw:
         nothing = np.zeros(of_instants.shape[1:])
@@ -119,9 +118,7 @@ def filter_checked_sets(
         of_instants[~np.isfinite(mse).all(axis=0)] = np.nan
     else:
         of_instants = all_or_none(of_instants, mse)
-    return found._replace(
-        mse=mse, degenerate=degenerate, errors=of_instants, penalty=found.penalty[:, columns]
-    )
+    return found._replace(mse=mse, degenerate=degenerate, errors=of_instants)
 
 
 def _filter(
@@ -134,18 +131,8 @@ def _filter(
 ) -> FilterArrays:
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
-    sensors, rule = len(model.parts), (settings.rule, settings.follows, settings.flipped)
-    planned, ruling, filled = ruling_of(*rule, planned, draws.index, draws.instants, sensors)
+    planned, ruling, filled = ruling_of(model, draws, planned, settings)
     mse = np.empty((len(draws.index), len(planned.measured)))
-    if settings.replicates:
-        replicates = replicates_of(
-            settings.replicates, simulation_blocks(model, draws.instants).blocks,
-            model.noise_of_measurements, [part.v.start for part in model.parts],
-            len(draws.index), *model.components[:2],
-        )  # fmt: skip
-        ruling = ruling._replace(replicates=replicates)
-    compared = len(mse) if settings.replicates else 0
-    filled["penalty"] = np.zeros((compared, mse.shape[1], len(draws.instants)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others, **filled)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
     blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)
@@ -163,7 +150,7 @@ def _filter(
         components_of_state=np.array(components, np.int64),
         is_state=bool(components) and not results.ranks.size,
         is_angle=np.array(truth.is_angle, np.uint8),
-        sensors=sensors,
+        sensors=len(model.parts),
         streams=streams,
         first_draw=draws.index.start,
         start=draws.start,
@@ -197,7 +184,7 @@ def _filter(
     degenerate = results.degenerate.view(np.bool_)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
-    return with_points(results, sensors)._replace(degenerate=degenerate)
+    return with_points(results, len(model.parts))._replace(degenerate=degenerate)
 
 
 def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:

@@ -55,7 +55,7 @@ class Estimation:
     rule: Thresholds | None = None  # decides at which of the given times each draw is measured
     flipped: int | None = None  # a point at which the rule decides the opposite
     follows: StepLimits = UNLIMITED  # what a rule may measure after other measurements
-    replicates: int | None = None  # of each measurement; see `pfdist.kernels.replicates`
+    penalty: float | None = None  # its factor, in errors; see `pfdist.kernels.replicates`
 
     @property
     def carries(self) -> bool:

@@ -151,9 +151,6 @@ class FilterArrays(NamedTuple):
     # (D,): of a rule that decides the opposite at a point, the deviation with which each draw comes
     # to it; NaN where the point may not be measured. Else empty
     deviation: NDArray[np.float64] = np.empty(0)
-    # (D, U, T+1), with replicates: the variance of z after the last measurement of an instant, less
-    # the mean of those after its replicates; else empty. It is filled as `errors` are.
-    penalty: NDArray[np.float64] = np.empty((0, 0, 0))
 
 
 class Wanted(NamedTuple):

@@ -1,4 +1,4 @@
-"""Replicates of a measurement: what the true one does to the variance of z, less what others would.
+"""The penalty of a measurement: what it does to the variance of z, less what replicates would do.
 
 Before a measurement, the truth is each particle with the same probability, given the cloud as a
 set. So the measurement that a random particle would make has the law of the true one, and the
@@ -14,6 +14,7 @@ from pfdist.kernels.ancestors import weigh
 from pfdist.kernels.batch import (
     SENSORS,
     Instant,
+    add_error,
     fill_mean_of_z,
     fill_variances,
     present,
@@ -28,14 +29,17 @@ from pfdist.kernels.simulation import MEASUREMENT
 from pfdist.kernels.variates import SPARE, TRUTH_MEASUREMENT, Key, VariateRow, codes_of
 from pfdist.kernels.vectors import LANES
 
+REPLICATES: Final = 6
+"""Replicates of a measurement, at most 15."""
+
 _SEEN: Final = int(LANES)  # particles of each draw whose measurements are computed
 
 
 def replicates_of(
-    number: int, blocks: Blocks, noise: Sequence[str], first_noises: Sequence[int],
+    factor: float, blocks: Blocks, noise: Sequence[str], first_noises: Sequence[int],
     draws: int, states: int, measurements: int,
 ) -> Replicates:  # fmt: skip
-    """So many replicates of each measurement of some draws, at most 15.
+    """The replicates of some draws, and by how much their penalty counts.
 
     `blocks` are those of a simulation, `noise` has the kinds of its measurement noise, and
     `first_noises` the first for each sensor.
@@ -43,7 +47,7 @@ def replicates_of(
     row, (kinds,) = draws * _SEEN, codes_of((*noise, "uniform"))
     return Replicates(
         compare.address,
-        number,
+        factor,
         *blocks,
         kinds.size,
         kinds,
@@ -57,26 +61,25 @@ def replicates_of(
 
 @entry(Instant)
 def compare(measurement):
-    """Fill what the last measurement of an instant does to the variance of z, less its replicates.
+    """Add the penalty of an instant's last measurement to the error.
 
     The truth makes the true measurement, and random particles make the replicates.
     """
     at, s, t, sensors, sensor = read(measurement)
-    request, batch, number = at.work.request, at.work.batch, at.work.rule.replicates.number
+    request, batch, factor = at.work.request, at.work.batch, at.work.rule.replicates.factor
     if sensors >> sensor != 1:
         return
     _choose_particles(at, t)
     _measure(at, t, sensor)
-    for replicate in range(number + 1):
+    for replicate in range(REPLICATES + 1):
         _weigh_by(at, t, sensor, replicate)
-        share = 1.0 if replicate == 0 else -1.0 / number
+        share = factor if replicate == 0 else -factor / REPLICATES
         for d in range(at.draws):
             variance = 0.0
             for c in range(request.quantities):
                 variance += batch.moments[(request.quantities + c) * batch.row + d]
-            place = ((at.first + d) * request.sets + s) * request.instants + t
             if variance < np.inf:  # whether it counts is a function of the cloud and y, too
-                at.work.results.penalty[place] += share * variance
+                add_error(at, s, t, d, share * variance, request.instant_weights[t])
     for d in range(at.draws):
         batch.weighted[d], batch.total[d] = 0, float(request.particles)
 
@@ -99,8 +102,8 @@ def _choose_particles(at, t):
     for d in range(at.draws):
         for i in range(_SEEN):
             chosen = np.int64(0)
-            if 0 < i <= own.number:
-                share = (i - 1 + np.float64(uniform[d * _SEEN])) / own.number
+            if 0 < i <= REPLICATES:
+                share = (i - 1 + np.float64(uniform[d * _SEEN])) / REPLICATES
                 chosen = np.int64(share * request.particles)
             for c in range(request.states):
                 value = cloud[c * batch.stride + d * batch.width + chosen]

@@ -87,7 +87,7 @@ class Replicates(NamedTuple):
     """
 
     compare: int = 0  # address of `pfdist.kernels.replicates.compare`
-    number: int = 0
+    factor: float = 0.0  # by which the penalty counts
     # the blocks of a simulation, as `pfdist.kernels.blocks.Blocks` has them
     addresses: NDArray[np.int64] = np.empty(0, np.int64)
     places: NDArray[np.int64] = np.empty(0, np.int64)

@@ -11,6 +11,7 @@ from pfdist.filters import plain
 from pfdist.filters.draws import Draws
 from pfdist.filters.work import Estimation
 from pfdist.kernels.ancestors import weights_of
+from pfdist.kernels.replicates import REPLICATES
 from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 
 _SEEN = 16  # the noise of so many particles is drawn together
@@ -23,7 +24,7 @@ def penalties(
 
     No instant has two measurements. It is 0 at instants without a measurement.
     """
-    number, fixed = settings.replicates or 0, replace(settings, replicates=None)
+    number, fixed = REPLICATES, replace(settings, penalty=None)
     kinds, index = (*model.noise_of_measurements, "uniform"), np.array(draws.index)
     found = np.zeros(draws.z.shape[:2])
     for place, point in enumerate(times):

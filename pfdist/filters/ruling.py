@@ -1,0 +1,35 @@
+"""A rule, and the penalty of measurements, in the form that the compiled filter reads."""
+
+from typing import Any
+
+from numpy.typing import NDArray
+
+from pfdist.filters.draws import Draws
+from pfdist.filters.formulas import simulation_blocks
+from pfdist.filters.work import Estimation
+from pfdist.kernels import deciding
+from pfdist.kernels.prefixes import Plan
+from pfdist.kernels.replicates import replicates_of
+from pfdist.kernels.rules import Ruling
+from pfdist.models import StateSpaceModel
+
+
+def ruling_of(
+    model: StateSpaceModel, draws: Draws, planned: Plan, settings: Estimation
+) -> tuple[Plan, Ruling, dict[str, NDArray[Any]]]:
+    """The plan that the rule of some settings fills, the rule, and the results that it fills.
+
+    Without a rule, the plan stays as it is.
+    """
+    rule = settings.rule, settings.follows, settings.flipped
+    planned, ruling, filled = deciding.ruling_of(
+        *rule, planned, draws.index, draws.instants, len(model.parts)
+    )
+    if settings.penalty:
+        replicates = replicates_of(
+            settings.penalty, simulation_blocks(model, draws.instants).blocks,
+            model.noise_of_measurements, [part.v.start for part in model.parts],
+            len(draws.index), *model.components[:2],
+        )  # fmt: skip
+        ruling = ruling._replace(replicates=replicates)
+    return planned, ruling, filled
