@@ -87,7 +87,7 @@ def decide(instant):
     variance = ahead(mean, request.quantities * row)
     width = (request.sensors + 7) // 8
     some = ahead(at.work.plan.measured, (s * request.instants + t) * width)
-    fill_mean_of_z(at, t, mean, False)
+    fill_mean_of_z(at, t, mean)
     for place in range(width):
         some[place] = 0
     has_variance = False

@@ -324,8 +324,6 @@ def _tell(instant):
         (1, batch.row),
     )
     for d in range(at.draws):
-        if not is_measured(at, t, d):
-            continue
         origin = d * batch.width
         highest = -np.inf
         for i in range(origin, origin + request.particles):
@@ -432,9 +430,7 @@ def _estimate(instant):
     instant = read(instant)
     at, s, t, sensors, _ = instant
     request, steps, batch = at.work.request, at.work.steps, at.work.batch
-    by_rule = at.work.rule.decide != 0  # which has filled the mean of draws that are not measured
-    if sensors != 0 or not by_rule:
-        fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row), by_rule)
+    fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row))
     if steps.estimate_variance != 0:
         call(steps.estimate_variance, instant)
     add_squared_errors(at, s, t)
@@ -462,8 +458,6 @@ def _rank_truth(instant):
     half = request.draws * request.instants * request.quantities
     of_particles(at, QUANTITY, t, present(at), batch.quantity)
     for d in range(at.draws):
-        if not is_measured(at, t, d):
-            continue
         origin, total = d * batch.width, batch.total[d]
         first = ((at.first + d) * request.instants + t) * request.quantities
         for c in range(request.quantities):

@@ -140,5 +140,5 @@ def _weigh_by(at, t, sensor, replicate):
             batch.log_weight, d * batch.width, batch.width, request.particles, batch.weight,
             batch.cumulative,
         )  # fmt: skip
-    fill_mean_of_z(at, t, mean, False)
+    fill_mean_of_z(at, t, mean)
     fill_variances(at, t, mean, ahead(mean, request.quantities * batch.row))
