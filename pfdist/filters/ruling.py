@@ -2,11 +2,12 @@
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import simulation_blocks
-from pfdist.filters.work import Estimation
+from pfdist.filters.work import PLAIN, Estimation
 from pfdist.kernels import deciding
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.replicates import replicates_of
@@ -21,9 +22,9 @@ def ruling_of(
 
     Without a rule, the plan stays as it is.
     """
-    rule = settings.rule, settings.follows, settings.flipped
+    is_alone = settings.proposal != PLAIN or bool(np.any(settings.lag))
     planned, ruling, filled = deciding.ruling_of(
-        *rule, planned, draws.index, draws.instants, len(model.parts)
+        settings.rule, planned, draws.index, draws.instants, len(model.parts), is_alone=is_alone
     )
     if settings.penalty:
         replicates = replicates_of(

@@ -148,8 +148,7 @@ class FilterArrays(NamedTuple):
     # (D, (T+1) sensors): whether a rule measures each draw at each point; else empty. In the
     # kernel, bits as in `Plan.measured`
     measured: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
-    # (D,): of a rule that decides the opposite at a point, the deviation with which each draw comes
-    # to it; NaN where the point may not be measured. Else empty
+    # (D,): deviation at a rule's flipped point, NaN where it may not be measured; else empty
     deviation: NDArray[np.float64] = np.empty(0)
 
 

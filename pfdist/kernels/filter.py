@@ -428,7 +428,7 @@ def _resample(instant):
 def _estimate(instant):
     """Estimate z(t) of each draw, and add the errors."""
     instant = read(instant)
-    at, s, t, sensors, _ = instant
+    at, s, t, _, _ = instant
     request, steps, batch = at.work.request, at.work.steps, at.work.batch
     fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row))
     if steps.estimate_variance != 0:
@@ -530,8 +530,7 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    if rule.decide and (request.sensors > 1 or request.rows.size or request.lag):
-        draws = 1  # by a rule, each draw has a separate set
+    draws = min(draws, rule.together)
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
     )
@@ -572,7 +571,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         scheme=ENTRIES[scheme].address,
         estimate=address(_estimate),
         estimate_variance=address(_estimate_variance, _has_variance(request, results)),
-        rank=address(_rank_truth, results.ranks.size > 0),
+        rank=address(_rank_truth, request.holds_truth and results.ranks.size > 0),
         finish=address(_finish),
         keep=address(_keep, results.cloud.size > 0),
     )
