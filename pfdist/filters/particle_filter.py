@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times, first_smoothed
 from pfdist.errors import PriorError
+from pfdist.filters.applied_rules import applied
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.interface import SUMS, all_or_none, checking, weighed
-from pfdist.filters.ruling import ruling_of
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import FilterArrays, FilterRequest
@@ -131,7 +131,7 @@ def _filter(
 ) -> FilterArrays:
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
-    planned, ruling, filled = ruling_of(model, draws, planned, settings)
+    planned, ruling, filled = applied(model, draws, planned, settings)
     mse = np.empty((len(draws.index), len(planned.measured)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others, **filled)
     prior, chosen, prior_weight = _prior(draws, stream, settings)

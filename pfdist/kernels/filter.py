@@ -149,8 +149,8 @@ def _measure(measurement):
     """Weigh the particles by a sensor."""
     steps = measurement.at.work.steps
     call(steps.resample, measurement)
-    if measurement.at.work.rule.replicates.compare != 0:
-        call(measurement.at.work.rule.replicates.compare, measurement)
+    if measurement.at.work.rule.replicates.penalise != 0:
+        call(measurement.at.work.rule.replicates.penalise, measurement)
     if is_drawn_again(measurement):
         call(steps.guide, measurement)
     call(steps.weigh, measurement)

@@ -46,7 +46,7 @@ def replicates_of(
     """
     row, (kinds,) = draws * _SEEN, codes_of((*noise, "uniform"))
     return Replicates(
-        compare.address,
+        penalise.address,
         factor,
         *blocks,
         kinds.size,
@@ -60,7 +60,7 @@ def replicates_of(
 
 
 @entry(Instant)
-def compare(measurement):
+def penalise(measurement):
     """Add the penalty of an instant's last measurement to the error.
 
     The truth makes the true measurement, and random particles make the replicates.

@@ -100,7 +100,7 @@ class Replicates(NamedTuple):
     Rows have 16 particles of each draw.
     """
 
-    compare: int = 0  # address of `pfdist.kernels.replicates.compare`
+    penalise: int = 0  # address of `pfdist.kernels.replicates.penalise`
     factor: float = 0.0  # by which the penalty counts
     # the blocks of a simulation, as `pfdist.kernels.blocks.Blocks` has them
     addresses: NDArray[np.int64] = np.empty(0, np.int64)

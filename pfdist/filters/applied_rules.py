@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import simulation_blocks
 from pfdist.filters.work import PLAIN, Estimation
-from pfdist.kernels import deciding
+from pfdist.kernels.deciding import ruling_of
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.replicates import replicates_of
 from pfdist.kernels.rules import Ruling
 from pfdist.models import StateSpaceModel
 
 
-def ruling_of(
+def applied(
     model: StateSpaceModel, draws: Draws, planned: Plan, settings: Estimation
 ) -> tuple[Plan, Ruling, dict[str, NDArray[Any]]]:
     """The plan that the rule of some settings fills, the rule, and the results that it fills.
@@ -23,7 +23,7 @@ def ruling_of(
     Without a rule, the plan stays as it is.
     """
     is_alone = settings.proposal != PLAIN or bool(np.any(settings.lag))
-    planned, ruling, filled = deciding.ruling_of(
+    planned, ruling, filled = ruling_of(
         settings.rule, planned, draws.index, draws.instants, len(model.parts), is_alone=is_alone
     )
     if settings.penalty:
