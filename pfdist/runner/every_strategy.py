@@ -22,7 +22,7 @@ from pfdist.search.least import Array, best_price, bounds_of_draws, least_of_dra
 from pfdist.search.relaxation import Relaxation
 from pfdist.store import RULE_PHASE
 
-CHOICE_DRAWS, DRAWS = 20, 120
+CHOICE_DRAWS, DRAWS = 20, 240
 # Factors of the penalty: the choice draws decide. The bound is concave in the factor, and flat near
 # the best one, which was -0.9 to -4 for the shipped jobs.
 PENALTIES = 0.0, -1.0, -2.0

@@ -197,14 +197,15 @@ class EvenSearch:
             relaxation = first_relaxation(feasible, study.usual, built.evaluator.lag, most)
         except JobError:
             return None
-        if relaxation.offsets[-1] > most and not built.evaluator.exact:
-            return None
+        is_large = relaxation.offsets[-1] > most and not built.evaluator.exact
         usual_gap = (feasible.horizon + 1) / (study.usual + 1)
-        if built.evaluator.lag and relaxation.longest_gap < _GAPS * usual_gap:
+        if is_large or (built.evaluator.lag and relaxation.longest_gap < _GAPS * usual_gap):
             return None
         counted = np.flatnonzero(np.diff(relaxation.offsets)).tolist()
         errors = yield from phase.sums(relaxation.counted(counted)).means(blocks, session)
         session.later(partial(session.store.settle, "error_sums", phase.name))
+        if not np.isfinite(errors[: relaxation.offsets[1]]).all():  # with everything measured
+            return None
         programme = Programme(relaxation, np.nan_to_num(errors, nan=np.inf), relaxation.total)
         session.known[phase.name] = programme
         return programme

@@ -160,7 +160,8 @@ class GapSums:
 class _Parts:
     """The errors of known gaps that are not too long, of which unknown gaps consist.
 
-    These gaps do not grow, so an unknown gap keeps its sum.
+    These gaps do not grow, so an unknown gap keeps its sum. `around` has the sum of errors before
+    each instant, where an instant has its error in the gap around it, from `before` to `after`.
     """
 
     def __init__(self, relaxation: GapRelaxation, errors: Array) -> None:
@@ -180,6 +181,8 @@ class _Parts:
             if len(window) != 2 or not 0 < size <= longest or not relaxation.passable[number]:
                 continue
             (last, time), own = window, errors_of[number][:size]
+            if not np.isfinite(own).all():
+                continue
             self._next[last + 1] = time
             self._from_last[last + 1] = _added_up(own, longest)
             if last < self._last[time]:
@@ -198,7 +201,8 @@ class _Parts:
         for place, (last, first, until) in enumerate(zip(lasts, begins, ends, strict=True)):
             reached, stop = max(reached, first), until
             if place + 1 < len(lasts):  # up to the middle between the middles of both gaps
-                stop = min(stop, (first + until + begins[place + 1] + ends[place + 1] + 3) // 4)
+                middle = (first + until + begins[place + 1] + ends[place + 1] + 3) // 4
+                stop = min(stop, max(middle, begins[place + 1]))
             if reached < stop:
                 here = slice(reached, stop)
                 self.before[here], self.after[here] = last, self._next[last + 1]

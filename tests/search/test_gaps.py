@@ -3,6 +3,7 @@
 Oracles are exact covariances of linear systems (`pfdist.filters.kalman`).
 """
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -129,6 +130,42 @@ def test_an_instant_in_an_unknown_gap_has_its_error_in_the_known_gap_around_it()
         middle = [longest / 4] * (time - last - longest)
         expected = sum([*known[:3], *middle, *known[3:]])
         assert sums(windows, times)[0] == pytest.approx(expected, abs=1e-6)
+
+
+def test_no_unknown_gap_counts_more_than_it_costs_beside_a_forbidden_stretch() -> None:
+    """Every gap of three sets with a hole between the gaps that are known (exact errors)."""
+    model = walk(1.0, 1.0, 1e-9, math.sqrt(5))
+    feasible = Feasible(35, 4, forbidden=tuple(range(4, 17)), required=(23,))
+    programme = programme_of(model, gaps_with(feasible, 17, 35), 4)
+    sets = [(0, 18, 23, each) for each in (20, 25, 28, 30, 34)]
+    sets = [tuple(sorted(each)) for each in sets]
+    own = expected_mse(model, 35, sets, lag=35)
+    assert (np.array([*map(programme.of_set, sets)]) <= own * (1 + ROUNDING)).all()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_instants_pass_from_one_known_gap_to_the_next(seed: int) -> None:
+    """So the gaps that are part of an unknown one follow each other."""
+    rng = np.random.default_rng(seed)
+    horizon = int(rng.integers(10, 40))
+    first, size = int(rng.integers(1, horizon)), int(rng.integers(1, horizon))
+    forbidden = range(first, min(horizon, first + size))
+    required = [*{*range(horizon + 1)} - {*forbidden}][:: int(rng.integers(3, 20))][:1]
+    feasible = Feasible(horizon, 2, forbidden=tuple(forbidden), required=tuple(required))
+    relaxation = gaps_with(feasible, int(rng.integers(1, 18)), horizon)
+    parts = relaxation.sums(np.ones(relaxation.offsets[-1]))._parts
+    assert (np.diff(parts.before) >= 0).all()
+    assert (np.diff(parts.after) >= 0).all()
+
+
+def test_a_gap_of_infinite_error_spoils_no_other() -> None:
+    """Only sets with the gap have no error."""
+    relaxation = gaps_with(Feasible(30, 3), 6, 30)
+    errors = np.random.default_rng(1).uniform(1.0, 2.0, relaxation.offsets[-1])
+    errors[relaxation.offsets[relaxation.index[(10, 16)]]] = np.inf
+    programme = Programme(relaxation, errors, 3)
+    for times in Feasible(30, 3).every():
+        assert np.isfinite(programme.of_set(times)) == ((10, 16) not in pairwise(times))
 
 
 @pytest.mark.parametrize(
