@@ -52,7 +52,6 @@ def test_the_first_number_and_larger_ones_that_do_worse_are_named(
         tmp_path / "run",
         changes=changes,
         figures=False,
-        bound_draws=0,
     )
     job, plan = pfdist.load_job(run.path), _plan(run)
     numbers, evaluator = range(4, 22), build(job).evaluator
@@ -77,7 +76,7 @@ def test_the_first_number_and_larger_ones_that_do_worse_are_named(
 
 def test_differences_are_those_of_the_same_draws(small_job: Job, tmp_path: Path) -> None:
     few = [DRAWS, "filter.particles=20"]
-    run = pfdist.plan(small_job, tmp_path / "run", changes=few, figures=False, bound_draws=0)
+    run = pfdist.plan(small_job, tmp_path / "run", changes=few, figures=False)
     job, table = pfdist.load_job(run.path), run.table("evenly_spaced").set_index("measurements")
     plan = run.table("comparison")[f"mse_{run.names[-1]}"].to_numpy()
     assert (table["draws"] <= len(plan)).all()
@@ -112,7 +111,7 @@ def test_nothing_is_said_where_not_all_numbers_can_be_evenly_spaced(
     small_job: Job, tmp_path: Path
 ) -> None:
     changes = [*EXACT, "problem.forbidden=[1]"]
-    run = pfdist.plan(small_job, tmp_path / "run", changes=changes, figures=False, bound_draws=0)
+    run = pfdist.plan(small_job, tmp_path / "run", changes=changes, figures=False)
     assert "evenly_spaced" not in run.tables
     assert "evenly spaced measurements" not in str(answer_of(run))
 
@@ -120,13 +119,13 @@ def test_nothing_is_said_where_not_all_numbers_can_be_evenly_spaced(
 def test_nothing_is_said_where_measurements_tell_nothing(small_job: Job, tmp_path: Path) -> None:
     """All numbers have the same error, so none is clearly as good, and none clearly worse."""
     blind = ["model.name=random_walk", "model.parameters.measurement_sd=1e6", DRAWS, "seed=2"]
-    run = pfdist.plan(small_job, tmp_path / "run", changes=blind, figures=False, bound_draws=0)
+    run = pfdist.plan(small_job, tmp_path / "run", changes=blind, figures=False)
     assert _plan(run).evenly_spaced is None  # undecided
     assert "evenly spaced measurements" not in str(answer_of(run))
 
 
 def test_a_table_of_an_earlier_version_says_nothing(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.plan(small_job, tmp_path / "run", changes=EXACT, figures=False, bound_draws=0)
+    run = pfdist.plan(small_job, tmp_path / "run", changes=EXACT, figures=False)
     rows = run._store.rows("evenly_spaced").drop_columns(["plan_mse"])
     run._store.publish("evenly_spaced", EVEN_PHASE, [rows])
     again = pfdist.open_run(run.path)
@@ -144,8 +143,6 @@ def test_nothing_is_said_where_a_look_would_take_too_long(
     said = list[bool]()
     for limit in (1.0, 0.0):
         monkeypatch.setattr("pfdist.questions.run.SHARE", limit)
-        run = pfdist.plan(
-            problem, tmp_path / str(limit), changes=changes, figures=False, bound_draws=0
-        )
+        run = pfdist.plan(problem, tmp_path / str(limit), changes=changes, figures=False)
         said.append("evenly_spaced" in run.tables)
     assert said == [True, False]
