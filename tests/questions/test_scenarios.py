@@ -169,9 +169,9 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
         return found(finalists, polished)
 
     monkeypatch.setattr(search_phase, "_Found", seen)
-    changes = ["comparison.draws=24", "search.relaxation.evaluation.draws=24"]
-    changes += ["problem.horizon=6", "problem.measurement_budget=2"]
-    asked = problem("worst", filter="nominal", particles=20)
+    changes = ["comparison.draws=48", "search.relaxation.evaluation.draws=48"]
+    changes += ["problem.horizon=8", "problem.measurement_budget=3"]
+    asked = problem("worst", filter="nominal", particles=40)
     pfdist.plan(
         asked, tmp_path / "run", changes=changes, pool="serial", bound_draws=0, figures=False
     )

@@ -102,7 +102,7 @@ def test_a_plan_and_its_bound_enclose_the_best_set_for_smoothed_estimates(tmp_pa
     for engine, proved in (("kalman", 0.01), ("compiled", 0.2)):
         problem = pfdist.Problem(
             model, horizon=horizon, measurement_budget=budget, estimate="smoothed", engine=engine,
-            particles=200,
+            particles=400,
         )  # fmt: skip
         run = pfdist.plan(problem, tmp_path / engine, changes=CHANGES, pool="serial", figures=False)
         row = run.table("bound").iloc[-1]
