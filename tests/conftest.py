@@ -23,7 +23,7 @@ from pfdist.errors import started_in
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
-from oracles.undrawn import undraw  # noqa: E402  found by the line above
+from oracles.undrawn import undraw
 
 # No test depends on measured time, and each finds the same when it is repeated.
 settings.register_profile("steady", max_examples=40, deadline=None, derandomize=True, database=None)
