@@ -21,10 +21,9 @@ from pfdist.cli.main import main
 from pfdist.common import stopping
 from pfdist.errors import started_in
 
-ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
-from oracles.undrawn import undraw  # noqa: E402  found by the line above
+from oracles.undrawn import undraw
 
 # No test depends on measured time, and each finds the same when it is repeated.
 settings.register_profile("steady", max_examples=40, deadline=None, derandomize=True, database=None)
@@ -194,9 +193,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark the quick tests and the faults; let `pytest -m crash` run the whole table of faults."""
-    quick = [ROOT / "tests" / folder for folder in QUICK]
+    quick = tuple(f"tests/{folder}/" for folder in QUICK)
     for item in items:
-        if any(map(item.path.is_relative_to, quick)) and not item.get_closest_marker("notebook"):
+        if item.nodeid.startswith(quick) and not item.get_closest_marker("notebook"):
             item.add_marker("quick")
         # Slurm must be installed first, so its tests are run by their own name alone.
         own = any(item.get_closest_marker(name) for name in ("crash", "slurm"))

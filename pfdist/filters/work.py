@@ -182,10 +182,10 @@ class FilterWork:
 
 def columns(streams: Sequence[int]) -> dict[int, list[int]]:
     """For each stream, the columns of the sets that use it."""
-    return {
-        stream: [column for column, stream_here in enumerate(streams) if stream_here == stream]
-        for stream in dict.fromkeys(streams)
-    }
+    found = dict[int, list[int]]()
+    for column, stream in enumerate(streams):
+        found.setdefault(stream, []).append(column)
+    return found
 
 
 @lru_cache(maxsize=64)

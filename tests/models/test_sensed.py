@@ -225,7 +225,7 @@ def test_repeats_are_those_of_brute_force_with_repetition(tmp_path: Path) -> Non
     ]
     problem = Problem(model, horizon=10, measurement_budget=4, engine="kalman")
     changes = ["problem.sensor.repeats=3", "comparison.draws=100"]
-    run = pfdist.plan(problem, tmp_path / "run", changes=changes, figures=False)
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, figures=False, bound_draws=0)
     assert run.best.expected_mse == pytest.approx(min(map(of_repeats, sets)), rel=1e-9)
     assert run.best.expected_mse == pytest.approx(0.74959, abs=5e-6)
     assert all(each.rpartition(" ")[2] in "abc" for each in run.best.measurement_times)
@@ -277,7 +277,9 @@ def test_a_limit_without_tails_is_refused_and_so_are_wrong_limits(tmp_path: Path
     problem = Problem(walk(), horizon=6, measurement_budget=2)
     for change in ("limits=[2, 1]", "fails=1", "repeats=1"):
         with pytest.raises(JobError, match="sensor"):
-            pfdist.plan(problem, tmp_path / "run", changes=[f"problem.sensor.{change}"])
+            pfdist.plan(
+                problem, tmp_path / "run", changes=[f"problem.sensor.{change}"], bound_draws=0
+            )
 
 
 @pytest.mark.parametrize("delay", [1, 3])

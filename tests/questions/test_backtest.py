@@ -364,7 +364,9 @@ def test_a_job_is_as_good_as_its_run(planned: Path) -> None:
 
 def test_the_best_evenly_spaced_times_of_the_run_are_a_third_grid(tmp_path: Path) -> None:
     problem = pfdist.Problem(lake.lake(), horizon=HORIZON, measurement_budget=4, engine="kalman")
-    run = pfdist.plan(problem, tmp_path / "run", changes=["comparison.draws=2"], figures=False)
+    run = pfdist.plan(
+        problem, tmp_path / "run", changes=["comparison.draws=2"], figures=False, bound_draws=0
+    )
     found = judged(run, days(3))
     assert [*found.sets] == ["plan", "from_start", "centred", "evenly_spaced"]
     again = judged(run, days(3), times={"same": run.sets["evenly_spaced"]})

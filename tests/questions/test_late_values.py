@@ -93,7 +93,7 @@ def test_next_keeps_measurements_without_a_value_yet(tmp_path: Path) -> None:
     )
     job = problem.job(search=[{"method": "exhaustive"}], online=EXHAUSTIVE | {"draws": 2},
                       comparison={"draws": 100})  # fmt: skip
-    run = pfdist.plan(job, tmp_path / "run", figures=False)
+    run = pfdist.plan(job, tmp_path / "run", figures=False, bound_draws=0)
     rows = [(0, "bedside", 0.2), (0, "lab", 1.0), (2, "lab", math.nan), (3, "bedside", 0.1)]
     table = pd.DataFrame(rows, columns=["t", "sensor", "y0"])
     made = {f"{t} {name}" for t, name, _ in rows}
@@ -114,7 +114,9 @@ def test_the_plan_before_is_compared_although_a_value_arrives_after_its_first_ti
         meter_and_laboratory(), horizon=8, measurement_budget=3, sensors=LATE, engine="kalman",
         required=["3 bedside"],
     )  # fmt: skip
-    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"])
+    run = pfdist.plan(
+        problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"], bound_draws=0
+    )
     table = pd.DataFrame([(2, "lab", math.nan)], columns=["t", "sensor", "y0"])
     found = pfdist.next_time(run.path, table)
     assert (found.in_flight, found.planned_before[0]) == (("2 lab",), "3 bedside")
@@ -127,7 +129,9 @@ def test_a_row_whose_value_arrives_after_the_end_says_what_time_it_is(
 ) -> None:
     problem = Problem(late_walk(), horizon=8, measurement_budget=3, sensor={"delay": 3},
                       engine="kalman")  # fmt: skip
-    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"])
+    run = pfdist.plan(
+        problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"], bound_draws=0
+    )
     table = pd.DataFrame([(0, 0.3), (6, value)], columns=["t", "y0"])
     found = pfdist.next_time(run.path, table, say=lambda line: None)
     assert (found.now, found.plan, found.measured) == (6, (), (0,))
@@ -151,7 +155,9 @@ def test_a_point_is_spent_once(tmp_path: Path) -> None:
     problem = Problem(
         late_walk(), horizon=5, measurement_budget=3, sensor={"fails": 0.1}, particles=200
     )
-    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"])
+    run = pfdist.plan(
+        problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"], bound_draws=0
+    )
     table = pd.DataFrame([(1, math.nan), (1, 0.3)], columns=["t", "y0"])
     assert pfdist.next_time(run.path, table).left == 2
 
@@ -192,7 +198,9 @@ def test_a_backtest_judges_values_when_they_are_made_by_those_that_have_arrived(
     horizon, delay = 12, 3
     problem = Problem(late_walk(), horizon=horizon, measurement_budget=2,
                       sensor={"delay": delay}, engine="kalman")  # fmt: skip
-    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"])
+    run = pfdist.plan(
+        problem, tmp_path / "run", figures=False, changes=["comparison.draws=100"], bound_draws=0
+    )
     y = simulate(late_walk(), horizon, range(2), 5).y[..., 0]
     rows = [(k, t, y[k, t]) for k in range(2) for t in range(horizon + 1)]
     table = pd.DataFrame(rows, columns=["id", "t", "y0"])

@@ -73,23 +73,26 @@ def test_two_filters_on_the_same_draws_lose_what_the_kalman_filter_does_not(
     assert many == pytest.approx(4 * few, rel=0.1)
 
 
-def test_the_fewest_lines_are_counted_where_the_error_counts_and_said(small_job: Job) -> None:
-    """One line is left where hundreds of measurements follow; with many particles there are more.
+def test_the_fewest_lines_are_counted_where_the_error_counts_and_said(
+    small_job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One line is left where a hundred measurements follow; with many particles there are more.
 
     Before the first measurement all instants have the same lines, or more.
     """
-    evaluator = Evaluator(pfdist.load_model("random_walk"), 300, lag=300)
-    few, many, times = Estimation(10), Estimation(2000), regular(300, 301)
+    evaluator = Evaluator(pfdist.load_model("random_walk"), 100, lag=100)
+    few, many, times = Estimation(10), Estimation(500), regular(100, 101)
     work = work_of_loss(evaluator, times, 1, few, 24)
     said, is_few = fewest_lines(evaluator, work, str)
     assert is_few
     assert said.startswith("Behind the smoothed estimate at t = 0 stand 1.0 of 10 particles: ")
-    late = replace(evaluator, weights=(0.0,) * 300 + (1.0,))
-    assert "at t = 300 stand 10.0 of 10 " in fewest_lines(late, work, str)[0]
+    late = replace(evaluator, weights=(0.0,) * 100 + (1.0,))
+    assert "at t = 100 stand 10.0 of 10 " in fewest_lines(late, work, str)[0]
     said, is_few = fewest_lines(evaluator, work_of_loss(evaluator, TIMES, 1, many, 24), str)
     assert not is_few
     assert said.endswith(" that it uses.")
     assert fewest_lines(replace(evaluator, lag=0), work, str) == ("", False)
+    monkeypatch.setattr(particles, "NUMBERS", (15, 30))  # how many are enough, others test
     job = small_job.with_changes(["problem.estimate=smoothed", "filter.particles=15"])
     found = pfdist.evaluate(job, TIMES, draws=50)
     assert found.few_lines.endswith("More particles help (filter.particles).")

@@ -49,8 +49,11 @@ def test_a_bundle_is_as_large_as_it_may_be() -> None:
     assert min(sizes[:-1]) > 10 - 3  # another draw of three sets did not fit
 
 
-def test_an_engine_that_filters_many_draws_as_quickly_as_one_gets_so_many() -> None:
-    pieces = bundles([work(3, 0, 500), work(30_000, 0, 5)], lambda remaining: 10, least_draws=200)
+def test_an_engine_that_filters_many_draws_as_quickly_as_one_gets_so_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("pfdist.runner.pace.MOST_ROWS", 600)
+    pieces = bundles([work(3, 0, 500), work(400, 0, 5)], lambda remaining: 10, least_draws=200)
     drawn = [each.draws for bundle in pieces for each in bundle.works]
     assert drawn == [(0, 200), (200, 400), (400, 500), *((draw, draw + 1) for draw in range(5))]
 

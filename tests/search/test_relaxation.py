@@ -1,6 +1,7 @@
 """The relaxation: which window a set is in, and its errors, by brute force."""
 
 from collections.abc import Sequence
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -101,10 +102,10 @@ def test_windows_that_none_continues_share_the_moves_of_their_last_time() -> Non
 @cases
 def test_the_filter_of_a_window_measures_whatever_a_set_in_it_has_measured(case: Case) -> None:
     relaxation, _ = case.make()
-    allowed = {*relaxation.constraints.allowed}
+    allowed, sets_of = {*relaxation.constraints.allowed}, cache(relaxation.sets.__getitem__)
     for times in satisfying(relaxation.constraints):
         for number, window in enumerate(relaxation.windows_of(times)):
-            filtered = relaxation.sets[window]
+            filtered = sets_of(window)
             assert list(filtered) == sorted({*filtered})
             assert {*times[:number]} <= {*filtered} <= allowed
             assert max(filtered, default=NOTHING) == relaxation.last[window]
