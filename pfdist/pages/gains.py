@@ -130,7 +130,7 @@ def _draw_gain(ax: Axes, relative: Gain, reference: str, style: Mapping[str, Any
     mean = minus(f"{100 * relative.relative.mean:.1f} %")
     bars = ax.bar(
         100 * EDGES[starts], shares, width, align="edge", color=style["color"], alpha=0.75, lw=0,
-        label=f"{style['label']}, mean of relative gains {mean}",
+        label=f"{style['label']}, mean gain {mean}",
     )  # fmt: skip
     ax.axvline(0.0, color="black", ls=":", label="no gain")
     legend_above(ax, [bars], columns=1)

@@ -325,7 +325,7 @@ def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> No
     counts, _ = np.histogram(100 * relative, edges)
     np.testing.assert_allclose(heights, counts / 50, atol=1e-9)
     assert _lines(axes)["no gain"][0] == [0.0, 0.0]
-    assert _legend(axes) == f"genetic, mean of relative gains {100 * relative.mean():.1f} %"
+    assert _legend(axes) == f"genetic, mean gain {100 * relative.mean():.1f} %"
     assert not axes.texts
     assert axes.get_xlabel() == "relative gain over regular times [%]\n(right: genetic better)"
 
