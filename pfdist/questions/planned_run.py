@@ -30,7 +30,7 @@ from pfdist.problem.calendar import names_dates
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.questions.run_of_job import path_of_run, run_and_job
+from pfdist.questions.run_of_job import built_for_run, path_of_run, run_and_job
 from pfdist.results import Run, open_run
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import job_of, measured_of
@@ -151,11 +151,11 @@ def _run_if_any(
     """
     folder = path_of_run(as_job(job), results)
     why = f"{results} holds no run" if results else ""
-    if folder and (state := open_run(folder).state) != "finished":
-        why = f"{folder} is not finished ({state})"
+    if folder and (run := open_run(folder)).state != "finished":
+        why = f"{folder} is not finished ({run.state})"
     elif folder:
         try:
-            return run_and_job(job, results, changes, say)
+            return run, built_for_run(run, job, changes, say)
         except RunMismatchError as error:
             if results:
                 raise
