@@ -23,7 +23,7 @@ from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.kernels.rules import Thresholds
+from pfdist.kernels.rules import Applied, Thresholds
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.library.linear_gaussian import linear_gaussian
 from pfdist.models.loader import installed_models
@@ -156,7 +156,7 @@ def _calls(case: Case) -> Callable[[], None]:
     if case.series == "rule":
         times, settings = (
             tuple(range(case.horizon + 1)),
-            replace(settings, rule=Thresholds((6.18,))),
+            replace(settings, rule=Applied(Thresholds((6.18,)))),
         )
     once = partial(filter_checked_draws, model, draws, times, 2, settings)
 

@@ -220,9 +220,7 @@ COMMANDS = {
             "pfdist next jobs/plan.toml patient.csv --now 17": (
                 "The same, if nothing was measured since, up to t = 17"
             ),
-            "pfdist next jobs/plan.toml patient.csv --rule": (
-                "Measure by the rule that pfdist rule has tuned"
-            ),
+            "pfdist next jobs/plan.toml patient.csv --rule": "Measure by the run's rule",
         },
     ),
     "status": Command(

@@ -126,7 +126,7 @@ export function mount(element, connection) {
   // --- constraints -------------------------------------------------------------------------------
 
   const many = () => facts.sensors.length; // 1 without sensors
-  const instant = (m) => Math.floor(m / many());
+  const instant = (m) => Math.floor(m / many()) - facts.delays[m % many()]; // it is made
   const time = (m) => facts.times[instant(m)];
   const times = () => own.map((each) => each.m).sort((a, b) => a - b);
   const others = (except) => own.filter((each) => each !== except).map((each) => each.m);
@@ -276,13 +276,14 @@ export function mount(element, connection) {
       width: width() - LEFT - RIGHT + 16 });
     lanes.append(label({ x: LEFT, y: y - 5 }, SETS[set] + (sensor && `: ${sensor}`)), strip);
     facts.times.forEach((_, t) => {
-      const m = t * many() + number, from = (x(Math.max(0, t - 1)) + x(t)) / 2;
+      const arrives = t + facts.delays[number], m = arrives * many() + number;
+      const from = (x(Math.max(0, t - 1)) + x(t)) / 2;
       const box = { x: from, width: (x(t) + x(Math.min(last, t + 1))) / 2 - from };
-      const high = facts.prices ? LANE * 0.8 * facts.prices[m] / Math.max(...facts.prices) : 0;
+      const high = facts.prices ? LANE * 0.8 * (facts.prices[m] ?? 0) / Math.max(...facts.prices) : 0;
       if (facts.prices && mine) {
         lanes.append(draw("rect", { class: "price", ...box, y: y + LANE - high, height: high }));
       }
-      if (facts.forbidden.has(m)) {
+      if (arrives > last || facts.forbidden.has(m)) {
         lanes.append(draw("rect", { class: "forbidden", ...box, y, height: LANE }));
       }
     });

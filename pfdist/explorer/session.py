@@ -117,16 +117,13 @@ class ExplorerSession:
     def state(self) -> dict[str, Any]:
         """All that the page needs once, as JSON values.
 
-        Times are possible measurements. Those of the page are numbered by the instants at which
-        they are made, not at which their values arrive.
+        Times are possible measurements. The page draws each `delays` instants before its value
+        arrives.
         """
         clock, sets = self._points.clock, self.feasible
-        arrive = [self._points.arriving(made) for made in range(self._points.number)]
-        barred = {*sets.forbidden, *range(self._points.number, max(arrive) + 1)}
         budget = f"{'At most ' * sets.smaller}{sets.total} measurements"
         if sets.total_price is not None:
             budget = f"Measurements for a total price of {sets.total_price}"
-        spaced = [None if each.spacing is None else each.spacing.successors for each in sets.limits]
         return {
             "model": self.job.model.name,
             "run": str(self._source or self.run.path) if self.run else "",
@@ -134,18 +131,19 @@ class ExplorerSession:
             "labels": [*map(clock.text, clock.times)],
             "unit": "" if clock.has_dates else clock.unit,  # dates have none
             "sensors": self._points.sensors or ("",),
-            "forbidden": [made for made, point in enumerate(arrive) if point in barred],
-            "required": self._shown(sets.required),
+            "delays": self._points.delays or (0,) * self._points.ways,
+            "forbidden": sets.forbidden,
+            "required": sets.required,
             "after": None if sets.spacing.is_free else sets.spacing.successors,
-            "sensors_after": spaced,
-            "prices": sets.price and [float(sets.price[min(p, sets.possible - 1)]) for p in arrive],
+            "sensors_after": sets.step_limits.own_apart,
+            "prices": sets.price and [*map(float, sets.price)],
             "budget": budget,
             "components": [
                 {"name": each.name, "unit": each.unit} for each in self.played.components
             ],
-            "even": self._shown(self.even),
+            "even": self.even,
             "even_label": self._others[EVEN],
-            "plan": self.plan and self._shown(self.plan),
+            "plan": self.plan,
             "windows": self._windows(),
             "window_percent": STRICT,
             "judged": self.judgements(),
@@ -160,7 +158,7 @@ class ExplorerSession:
         windows = dict[str, list[int]]()
         for each in windows_of(rows, STRICT, self._points.clock):
             (point,) = self._points.read([each.measurement])
-            windows[str(*self._shown((point,)))] = [*each.inside.values()]
+            windows[str(point)] = [*each.inside.values()]
         return windows
 
     # --- an answer --------------------------------------------------------------------------------
@@ -203,7 +201,7 @@ class ExplorerSession:
         }
         typical = {name: self.played.typical(known[name], each) for name, each in found.items()}
         answer = {
-            "times": self._shown(chosen),
+            "times": chosen,
             "draws": yours.draws,
             "finer": finer if yours.draws and draws < most else None,
             "curves": {
@@ -322,7 +320,7 @@ class ExplorerSession:
         rows = [
             {
                 "name": each.name,
-                "times": self._shown(each.times),
+                "times": each.times,
                 "written": points.clock.listed(points.written_of(each.times)),
                 "draws": each.change.draws,
                 "gain": each.change.gain,
@@ -355,8 +353,8 @@ class ExplorerSession:
         """The command that compares named sets with evenly spaced or regular times and the plan."""
         self.job_text(sets)  # checks the names
         is_regular = self._others[EVEN] == _REGULAR_TIMES
-        given = {} if is_regular else {EVEN: self._shown(self.even)}
-        given |= {PLAN: self._shown(self.plan)} if self.plan else {}
+        given = {} if is_regular else {EVEN: self.even}
+        given |= {PLAN: self.plan} if self.plan else {}
         written = {REGULAR: REGULAR} if is_regular else {}
         for name, chosen in {**given, **sets}.items():
             written[name] = ",".join(map(unrounded, self._written(chosen)))
@@ -372,16 +370,7 @@ class ExplorerSession:
         return self._points.written_of(self._checked(times))
 
     def _checked(self, times: Iterable[int]) -> Times:
-        arriving = (
-            self._points.arriving(made) for made in validated(times, self._points.number - 1)
-        )
-        return validated(arriving, self._points.number - 1)
-
-    def _shown(self, points: Times) -> Times:
-        """Points as the page numbers them."""
-        table = self._points
-        made = (table.first(table.made_at(point)) + table.way(point) for point in points)
-        return tuple(sorted(made))
+        return validated(times, self._points.number - 1)
 
 
 def _with_errors(found: Mapping[str, Evaluation]) -> dict[str, str]:

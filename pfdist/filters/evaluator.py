@@ -22,14 +22,14 @@ from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.aspects import ErrorBeside
 from pfdist.filters.beside import errors_beside
-from pfdist.filters.cloud import Gaussian, Prior
+from pfdist.filters.cloud import Gaussian, Indices, Prior
 from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import BATCHED, COMPILED, ENGINES, NUMPY, Engine
 from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
-from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
+from pfdist.filters.scenarios import scenarios_of_draws, stretches
 from pfdist.filters.settings import check_filter_settings, check_fits
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import (
@@ -217,7 +217,7 @@ class Evaluator:
         """The same evaluator with other weights of the instants."""
         return replace(self, weights=tuple(weights), estimations=())
 
-    def scenarios_of(self, stream: int, draws: range) -> Numbers | None:
+    def scenarios_of(self, stream: int, draws: range) -> Indices | None:
         """The number of each draw's scenario, (D,); None without scenarios."""
         if not self.scenarios:
             return None

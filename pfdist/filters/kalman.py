@@ -12,9 +12,9 @@ measurements", International Journal of Control 18, 1973 (the estimates that use
 it inverts no covariance of the state).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, partial, reduce
 from itertools import chain
 from typing import Any
 
@@ -233,10 +233,13 @@ def expected_errors(
         check()
         through, information = _unmeasured(matrices, t, start, covariance)
         for place in points.at(t):
-            here, y = measured[:, place], matrices.measurement[place]
+            here = measured[:, place]
+            gain, observation_matrix, weight, spread, noise = _gain(
+                covariance[here], matrices.measurement[place]
+            )
             if gives_information:
-                errors[here, t - start] -= _information(covariance[here], y)
-            gain, observation_matrix, weight = _gain(covariance[here], y)
+                nats = np.linalg.slogdet(spread)[1] - np.linalg.slogdet(noise)[1]
+                errors[here, t - start] -= nats / 2
             if lag:
                 seen = observation_matrix @ through[here]
                 information[here] += through[here].swapaxes(1, 2) @ weight @ seen
@@ -296,7 +299,7 @@ def _errors_of_wrong_filter(
         check()
         for place in points.at(t):
             here, y, foreseen = measured[:, place], truth.measurement[place], own.measurement[place]
-            gain, h, _ = _gain(covariance[here], foreseen)
+            gain, h, *_ = _gain(covariance[here], foreseen)
             covariance[here] -= gain @ h @ covariance[here]
             into = np.repeat(np.eye(last + 1)[None], len(gain), axis=0)
             into[:, n:last, :n] = gain @ y.matrix[:, :n]
@@ -368,36 +371,12 @@ def filter_checked_draws(
     The filter has no particles. It uses only the prior and the lag of the settings, and no noise. A
     component of y that is NaN in every draw was not measured.
     """
-    instants, points = draws.instants, model.points
-    matrices = cached_matrices(model, instants[-1], draws.start)
-    begin, covariance = _begin(matrices, settings.prior)
-    mean = np.repeat(begin[None], len(draws.index), axis=0)
+    matrices = cached_matrices(model, draws.instants[-1], draws.start)
+    kept, _ = _forward(matrices, model, draws, measurement_times, settings)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
-    kept = list[tuple[Array, ...]]()
-    for k, t in enumerate(instants):
-        through, information = _unmeasured(matrices, k, 0, covariance)
-        pull = np.zeros_like(mean)
-        for point, place, part in zip(points.at(t), points.at(k), model.parts, strict=True):
-            if point not in measurement_times:
-                continue
-            seen, measurement = _seen(draws.y[:, k, part.y], matrices.measurement[place])
-            gain, observation_matrix, weight = _gain(covariance, measurement)
-            innovation = seen - measurement.offset - _times(observation_matrix, mean)
-            if settings.lag:
-                back = through.T @ weight
-                pull += _times(back, innovation)
-                information += back @ observation_matrix @ through
-                through -= gain @ observation_matrix @ through
-            mean = mean + _times(gain, innovation)
-            covariance = covariance - gain @ observation_matrix @ covariance
-        kept.append((mean, covariance, through, information, pull))
-        if t < instants[-1]:
-            step = matrices.transition[k]
-            mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
-            covariance = _propagated(covariance, step)
     means, covariances, maps, gained, pulls = (np.array(each) for each in zip(*kept, strict=True))
     if settings.lag:
-        last_measured = last_used(settings.lag, instants)
+        last_measured = last_used(settings.lag, draws.instants)
         later = _later(maps[:, None], pulls[..., None], last_measured, both=False)
         means += (covariances[:, None] @ later)[..., 0]
         information = _later(maps, gained, last_measured, both=True)
@@ -412,8 +391,46 @@ def filter_checked_draws(
     found = FilterArrays(mse, degenerate, estimate, variance)
     if not trajectories:
         return found
+    mean, covariance, *_ = kept[-1]
     last = np.concatenate([mean[:, :, None], np.tile(covariance, (len(mean), 1, 1))], axis=2)
     return found._replace(cloud=last)
+
+
+def _forward(
+    matrices: LinearGaussian,
+    model: StateSpaceModel,
+    draws: Draws,
+    measurement_times: Iterable[int],
+    settings: Estimation,
+) -> tuple[list[tuple[Array, ...]], list[tuple[Array, Array]]]:
+    """The moments of each instant, and each innovation with its covariance."""
+    instants, points, measured = draws.instants, model.points, {*measurement_times}
+    begin, covariance = _begin(matrices, settings.prior)
+    mean = np.repeat(begin[None], len(draws.index), axis=0)
+    kept, innovations = list[tuple[Array, ...]](), list[tuple[Array, Array]]()
+    for k, t in enumerate(instants):
+        through, information = _unmeasured(matrices, k, 0, covariance)
+        pull = np.zeros_like(mean)
+        for point, place, part in zip(points.at(t), points.at(k), model.parts, strict=True):
+            if point not in measured:
+                continue
+            seen, measurement = _seen(draws.y[:, k, part.y], matrices.measurement[place])
+            gain, observation_matrix, weight, spread, _ = _gain(covariance, measurement)
+            innovation = seen - measurement.offset - _times(observation_matrix, mean)
+            innovations.append((innovation, spread))
+            if settings.lag:
+                back = through.T @ weight
+                pull += _times(back, innovation)
+                information += back @ observation_matrix @ through
+                through -= gain @ observation_matrix @ through
+            mean = mean + _times(gain, innovation)
+            covariance = covariance - gain @ observation_matrix @ covariance
+        kept.append((mean, covariance, through, information, pull))
+        if t < instants[-1]:
+            step = matrices.transition[k]
+            mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
+            covariance = _propagated(covariance, step)
+    return kept, innovations
 
 
 def log_evidence(model: StateSpaceModel, y: Array) -> Array:
@@ -421,28 +438,16 @@ def log_evidence(model: StateSpaceModel, y: Array) -> Array:
 
     Raises `ModelError` if the model is not linear-Gaussian.
     """
-    matrices, parts = cached_matrices(model, y.shape[1] - 1), model.parts
-    begin, covariance = _begin(matrices, None)
-    mean, evidence = np.repeat(begin[None], len(y), axis=0), np.zeros(len(y))
-    for t in range(y.shape[1]):
-        for number, part in enumerate(parts):
-            if np.isnan(y[:, t, part.y]).all():
-                continue
-            seen, measurement = _seen(
-                y[:, t, part.y], matrices.measurement[t * len(parts) + number]
-            )
-            gain, observation_matrix, _ = _gain(covariance, measurement)
-            innovation = seen - measurement.offset - _times(observation_matrix, mean)
-            noise = _square(measurement.matrix[:, mean.shape[1] :])
-            spread = observation_matrix @ covariance @ observation_matrix.T + noise
-            evidence += log_density(innovation, spread)
-            mean = mean + _times(gain, innovation)
-            covariance = covariance - gain @ observation_matrix @ covariance
-        if t + 1 < y.shape[1]:
-            step = matrices.transition[t]
-            mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
-            covariance = _propagated(covariance, step)
-    return evidence
+    draws = Draws(model, range(len(y)), y, y, np.empty((*y.shape[:2], 0)))
+    measured = (
+        point
+        for t in draws.instants
+        for point, part in zip(model.points.at(t), model.parts, strict=True)
+        if not np.isnan(y[:, t, part.y]).all()
+    )
+    matrices = cached_matrices(model, y.shape[1] - 1)
+    _, innovations = _forward(matrices, model, draws, measured, Estimation(1))
+    return reduce(np.add, (log_density(*each) for each in innovations), np.zeros(len(y)))
 
 
 def log_density(innovation: Array, covariance: Array) -> Any:
@@ -493,11 +498,17 @@ def _begin(matrices: LinearGaussian, prior: Prior | None) -> tuple[Array, Array]
     return prior.gaussian.mean, prior.gaussian.covariance
 
 
-def _gain(covariance: Array, measurement: Affine) -> tuple[Array, Array, Array]:
-    """Kalman gain K, observation matrix and inverse(P) K, for one covariance P or many."""
+def _gain(covariance: Array, measurement: Affine) -> tuple[Array, ...]:
+    """Kalman gain K, observation matrix and inverse(P) K, for one covariance P or many.
+
+    Then the covariance of the innovation, and that of the noise.
+    """
     states = covariance.shape[-1]
-    observation_matrix, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
-    innovation_covariance = observation_matrix @ covariance @ observation_matrix.T + _square(noise)
+    observation_matrix, noise = (
+        measurement.matrix[:, :states],
+        _square(measurement.matrix[:, states:]),
+    )
+    innovation_covariance = observation_matrix @ covariance @ observation_matrix.T + noise
     # Without measurement noise this covariance may be singular: hence the pseudo-inverse.
     if innovation_covariance.shape[-1] == 1:  # pinv takes 20 times as long
         some = innovation_covariance != 0.0
@@ -505,17 +516,7 @@ def _gain(covariance: Array, measurement: Affine) -> tuple[Array, Array, Array]:
     else:
         inverse = np.linalg.pinv(innovation_covariance, hermitian=True)
     weight = observation_matrix.T @ inverse
-    return covariance @ weight, observation_matrix, weight
-
-
-def _information(covariance: Array, measurement: Affine) -> Array:
-    """The information of a measurement, in nats, for many covariances; infinite without noise."""
-    states = covariance.shape[-1]
-    observation_matrix = measurement.matrix[:, :states]
-    noise = _square(measurement.matrix[:, states:])
-    spread = observation_matrix @ covariance @ observation_matrix.T + noise
-    information: Array = (np.linalg.slogdet(spread)[1] - np.linalg.slogdet(noise)[1]) / 2
-    return information
+    return covariance @ weight, observation_matrix, weight, innovation_covariance, noise
 
 
 def _propagated(covariance: Array, transition: Affine) -> Array:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times, first_smoothed
 from pfdist.errors import PriorError
+from pfdist.filters.applied_rules import applied
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import filter_blocks
@@ -25,7 +26,7 @@ from pfdist.filters.interface import SUMS, all_or_none, checking, weighed
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import FilterArrays, FilterRequest
-from pfdist.kernels.deciding import ruling_of, with_points
+from pfdist.kernels.deciding import with_points
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
@@ -130,8 +131,7 @@ def _filter(
 ) -> FilterArrays:
     """The results with the sets of a plan; the other arrays that are given are filled, too."""
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
-    sensors, rule = len(model.parts), (settings.rule, settings.follows, settings.flipped)
-    planned, ruling, filled = ruling_of(*rule, planned, draws.index, draws.instants, sensors)
+    planned, ruling, filled = applied(model, draws, planned, settings)
     mse = np.empty((len(draws.index), len(planned.measured)))
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others, **filled)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
@@ -150,7 +150,7 @@ def _filter(
         components_of_state=np.array(components, np.int64),
         is_state=bool(components) and not results.ranks.size,
         is_angle=np.array(truth.is_angle, np.uint8),
-        sensors=sensors,
+        sensors=len(model.parts),
         streams=streams,
         first_draw=draws.index.start,
         start=draws.start,
@@ -184,7 +184,7 @@ def _filter(
     degenerate = results.degenerate.view(np.bool_)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
-    return with_points(results, sensors)._replace(degenerate=degenerate)
+    return with_points(results, len(model.parts))._replace(degenerate=degenerate)
 
 
 def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:

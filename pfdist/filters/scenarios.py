@@ -11,16 +11,14 @@ Source: Cochran, "Sampling techniques", 3rd edition, 1977, chapter 8 (systematic
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
+from pfdist.filters.cloud import Indices
 from pfdist.filters.work import BLOCK
 from pfdist.kernels.variates import TRUTH_INITIAL, variates
 
-Numbers = NDArray[np.int64]
 
-
-def scenarios_of_draws(shares: Sequence[float], stream: int, draws: range) -> Numbers:
+def scenarios_of_draws(shares: Sequence[float], stream: int, draws: range) -> Indices:
     """The number of each draw's scenario, (D,), for shares (C,) with the sum 1."""
     index = np.arange(draws.start, draws.stop)
     block, place = np.divmod(index, BLOCK)
@@ -28,11 +26,11 @@ def scenarios_of_draws(shares: Sequence[float], stream: int, draws: range) -> Nu
     begins, of_block = np.unique(block, return_inverse=True)
     first = variates("uniform", 1, key, begins, 0, TRUTH_INITIAL, 0)[:, 0]
     position = (place / BLOCK + first[of_block]) % 1.0
-    numbers: Numbers = np.searchsorted(np.cumsum(shares)[:-1], position, side="right")
+    numbers: Indices = np.searchsorted(np.cumsum(shares)[:-1], position, side="right")
     return numbers
 
 
-def stretches(numbers: Numbers, first: int) -> Iterator[tuple[int, tuple[int, int]]]:
+def stretches(numbers: Indices, first: int) -> Iterator[tuple[int, tuple[int, int]]]:
     """Yield the runs of successive draws with one scenario: its number, and the range of draws.
 
     >>> list(stretches(np.array([1, 1, 0]), 5))

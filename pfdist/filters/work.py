@@ -20,9 +20,8 @@ from pfdist.kernels.estimators import (
     FILTER_VARIANCE,
     SQUARED_ERROR,
 )
-from pfdist.kernels.left import UNLIMITED, StepLimits
 from pfdist.kernels.prefixes import plan_prefixes
-from pfdist.kernels.rules import Thresholds
+from pfdist.kernels.rules import Applied
 from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
 
 if TYPE_CHECKING:
@@ -52,9 +51,8 @@ class Estimation:
     # instants: the estimate of z(t) uses measurements until t + lag; see `pfdist.kernels.lines`. A
     # tuple, (T+1,), has the lag of each instant
     lag: Lag = 0
-    rule: Thresholds | None = None  # decides at which of the given times each draw is measured
-    flipped: int | None = None  # a point at which the rule decides the opposite
-    follows: StepLimits = UNLIMITED  # what a rule may measure after other measurements
+    rule: Applied | None = None  # decides at which of the given times each draw is measured
+    penalty: float | None = None  # its factor, in errors; see `pfdist.kernels.replicates`
 
     @property
     def carries(self) -> bool:
@@ -71,7 +69,8 @@ class Estimation:
             del recorded["threshold"]
         if self.proposal == PLAIN:
             del recorded["proposal"]
-        recorded |= recorded.pop("follows").recorded
+        if self.rule is not None:
+            recorded |= recorded.pop("rule").recorded
         return recorded
 
     def another(self, estimator: str, resampling: str) -> "Estimation":

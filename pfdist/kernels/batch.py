@@ -148,8 +148,7 @@ class FilterArrays(NamedTuple):
     # (D, (T+1) sensors): whether a rule measures each draw at each point; else empty. In the
     # kernel, bits as in `Plan.measured`
     measured: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
-    # (D,): of a rule that decides the opposite at a point, the deviation with which each draw comes
-    # to it; NaN where the point may not be measured. Else empty
+    # (D,): deviation at a rule's flipped point, NaN where it may not be measured; else empty
     deviation: NDArray[np.float64] = np.empty(0)
 
 
@@ -424,12 +423,10 @@ def measuring(at, s, t):
 
 
 @compiled
-def fill_mean(at, values, mean, weighed):
-    """Fill a row with the weighted mean of each draw's particles, or of draws just weighed."""
+def fill_mean(at, values, mean):
+    """Fill a row with the weighted mean of each draw's particles."""
     request, batch = at.work.request, at.work.batch
     for d in range(at.draws):
-        if weighed and batch.weighs[d] == 0:
-            continue
         origin = d * batch.width
         if batch.weighted[d]:
             value = weighted_sum(batch.weight, values, origin, batch.width)
@@ -439,16 +436,16 @@ def fill_mean(at, values, mean, weighed):
 
 
 @compiled
-def fill_mean_of_z(at, t, mean, weighed):
-    """Fill rows of draws with the weighted mean of each component of z; see `fill_mean`."""
+def fill_mean_of_z(at, t, mean):
+    """Fill rows of draws with the weighted mean of each component of z."""
     request, batch, cloud = at.work.request, at.work.batch, present(at)
     if request.is_state:
         for r in range(request.means):
             values = ahead(cloud, request.components_of_state[r] * batch.stride)
-            fill_mean(at, values, ahead(batch.means, r * batch.row), weighed)
+            fill_mean(at, values, ahead(batch.means, r * batch.row))
     else:
         of_particles(at, QUANTITY, t, cloud, batch.quantity)
-        _fill_means(at, batch.means, request.means, weighed)
+        _fill_means(at, batch.means, request.means)
     of_draws(at, ESTIMATE, t, batch.means, mean)
 
 
@@ -457,16 +454,16 @@ def fill_variances(at, t, mean, variance):
     """Fill rows of draws with the variance of each component of z around a mean."""
     batch = at.work.batch
     with_given(at, DEVIATIONS, t, present(at), batch.quantity, mean, 1, batch.row)
-    _fill_means(at, variance, at.work.request.quantities, False)
+    _fill_means(at, variance, at.work.request.quantities)
 
 
 @compiled
-def _fill_means(at, means, rows, weighed):
+def _fill_means(at, means, rows):
     """Fill rows of draws with the weighted means of z, or of squared deviations."""
     batch = at.work.batch
     for r in range(rows):
         values = ahead(batch.quantity, r * batch.stride)
-        fill_mean(at, values, ahead(means, r * batch.row), weighed)
+        fill_mean(at, values, ahead(means, r * batch.row))
 
 
 @compiled

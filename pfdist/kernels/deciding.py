@@ -22,23 +22,25 @@ from pfdist.kernels.batch import (
     with_given,
 )
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.left import ROUNDING, StepLimits
+from pfdist.kernels.left import ROUNDING
 from pfdist.kernels.memory import ahead, read
 from pfdist.kernels.prefixes import Plan
-from pfdist.kernels.rules import Ruling, Thresholds
+from pfdist.kernels.rules import Applied, Ruling
 
 
 def ruling_of(
-    rule: Thresholds | None, limits: StepLimits, flipped: int | None, planned: Plan, draws: range,
-    instants: range, sensors: int,
+    applied: Applied | None, planned: Plan, draws: range, instants: range, sensors: int, *,
+    is_alone: bool,
 ) -> tuple[Plan, Ruling, dict[str, NDArray[Any]]]:  # fmt: skip
     """A rule for the filter of a plan's only set, that plan, and the results that the rule fills.
 
     The set has the points that may be measured. The filter fills the plan: each draw has a set.
-    Without a rule, the plan stays as it is.
+    Without a rule, the plan stays as it is. With several sensors, or if it must be, each draw is
+    filtered alone, because it has a separate set.
     """
-    if rule is None:
+    if applied is None:
         return planned, Ruling(), {}
+    rule, limits, flipped = applied
     follows = limits.arrays(sensors, instants)
     own = np.unpackbits(planned.measured[0], axis=1, count=sensors, bitorder="little")
     follows = follows._replace(prices=follows.prices * own.ravel())
@@ -55,6 +57,7 @@ def ruling_of(
     size = 2 + sensors + 2 * follows.setups
     ruling = Ruling(
         decide.address,
+        1 if sensors > 1 or is_alone else Ruling().together,
         rule.exponent,
         float(rule.limit),
         thresholds,
@@ -87,7 +90,7 @@ def decide(instant):
     variance = ahead(mean, request.quantities * row)
     width = (request.sensors + 7) // 8
     some = ahead(at.work.plan.measured, (s * request.instants + t) * width)
-    fill_mean_of_z(at, t, mean, False)
+    fill_mean_of_z(at, t, mean)
     for place in range(width):
         some[place] = 0
     has_variance = False

@@ -149,6 +149,8 @@ def _measure(measurement):
     """Weigh the particles by a sensor."""
     steps = measurement.at.work.steps
     call(steps.resample, measurement)
+    if measurement.at.work.rule.replicates.penalise != 0:
+        call(measurement.at.work.rule.replicates.penalise, measurement)
     if is_drawn_again(measurement):
         call(steps.guide, measurement)
     call(steps.weigh, measurement)
@@ -322,8 +324,6 @@ def _tell(instant):
         (1, batch.row),
     )
     for d in range(at.draws):
-        if not is_measured(at, t, d):
-            continue
         origin = d * batch.width
         highest = -np.inf
         for i in range(origin, origin + request.particles):
@@ -428,11 +428,9 @@ def _resample(instant):
 def _estimate(instant):
     """Estimate z(t) of each draw, and add the errors."""
     instant = read(instant)
-    at, s, t, sensors, _ = instant
+    at, s, t, _, _ = instant
     request, steps, batch = at.work.request, at.work.steps, at.work.batch
-    by_rule = at.work.rule.decide != 0  # which has filled the mean of draws that are not measured
-    if sensors != 0 or not by_rule:
-        fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row), by_rule)
+    fill_mean_of_z(at, t, ahead(batch.moments, request.quantities * batch.row))
     if steps.estimate_variance != 0:
         call(steps.estimate_variance, instant)
     add_squared_errors(at, s, t)
@@ -460,8 +458,6 @@ def _rank_truth(instant):
     half = request.draws * request.instants * request.quantities
     of_particles(at, QUANTITY, t, present(at), batch.quantity)
     for d in range(at.draws):
-        if not is_measured(at, t, d):
-            continue
         origin, total = d * batch.width, batch.total[d]
         first = ((at.first + d) * request.instants + t) * request.quantities
         for c in range(request.quantities):
@@ -534,8 +530,7 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    if rule.decide and (request.sensors > 1 or request.rows.size or request.lag):
-        draws = 1  # by a rule, each draw has a separate set
+    draws = min(draws, rule.together)
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
     )
@@ -576,7 +571,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         scheme=ENTRIES[scheme].address,
         estimate=address(_estimate),
         estimate_variance=address(_estimate_variance, _has_variance(request, results)),
-        rank=address(_rank_truth, results.ranks.size > 0),
+        rank=address(_rank_truth, request.holds_truth and results.ranks.size > 0),
         finish=address(_finish),
         keep=address(_keep, results.cloud.size > 0),
     )

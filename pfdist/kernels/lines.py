@@ -49,7 +49,7 @@ def estimate(instant):
     of_particles(at, QUANTITY, t, present(at), z)
     for r in range(lines.rows):
         values = _values(at, z, means, r)
-        fill_mean(at, values, ahead(means, r * batch.row), False)
+        fill_mean(at, values, ahead(means, r * batch.row))
     if sensors == 0:
         return
     for d in range(at.draws):

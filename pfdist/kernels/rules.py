@@ -1,12 +1,12 @@
 """Rules: at each instant, the spread of the particles decides which sensors measure."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.kernels.left import ROUNDING, UNLIMITED, Left, StepArrays
+from pfdist.kernels.left import ROUNDING, UNLIMITED, Left, StepArrays, StepLimits
 
 ALWAYS, NEVER = -1.0, float("inf")
 """Thresholds with which each draw is measured, even if its particles agree; and none."""
@@ -80,10 +80,47 @@ class Thresholds(NamedTuple):
         return self._replace(thresholds=tuple(thresholds))
 
 
+class Applied(NamedTuple):
+    """A rule as a filter applies it."""
+
+    rule: Thresholds
+    follows: StepLimits = UNLIMITED  # what may be measured after other measurements
+    flipped: int | None = None  # a point at which the rule decides the opposite
+
+    @property
+    def recorded(self) -> dict[str, Any]:
+        """The fields by name, without unused ones."""
+        flipped = {} if self.flipped is None else {"flipped": self.flipped}
+        return {"rule": self.rule} | flipped | self.follows.recorded
+
+
+class Replicates(NamedTuple):
+    """Measurements that particles would make, for the compiled filter; by default there are none.
+
+    Rows have 16 particles of each draw.
+    """
+
+    penalise: int = 0  # address of `pfdist.kernels.replicates.penalise`
+    factor: float = 0.0  # by which the penalty counts
+    # the blocks of a simulation, as `pfdist.kernels.blocks.Blocks` has them
+    addresses: NDArray[np.int64] = np.empty(0, np.int64)
+    places: NDArray[np.int64] = np.empty(0, np.int64)
+    table: NDArray[np.float64] = np.empty(0)
+    memory: NDArray[np.float64] = np.empty(0)
+    components: int = 0  # of the measurement noise
+    kinds: NDArray[np.int64] = np.empty(0, np.int64)  # (components,)
+    first_noises: NDArray[np.int64] = np.empty(0, np.int64)  # (sensors,)
+    row: int = 0  # entries of a row
+    states: NDArray[np.float64] = np.empty(0)  # rows of x
+    values: NDArray[np.float64] = np.empty(0)  # rows of y
+    noise: NDArray[np.float32] = np.empty(0, np.float32)
+
+
 class Ruling(NamedTuple):
     """A rule in the form that the compiled filter reads; by default there is none."""
 
     decide: int = 0  # address of `pfdist.kernels.deciding.decide`
+    together: int = 2**31  # draws of a batch, at most
     exponent: float = 0.0
     limit: float = 0.0
     thresholds: NDArray[np.float64] = np.empty(0)  # (T+1, sensors)
@@ -93,3 +130,4 @@ class Ruling(NamedTuple):
     follows: StepArrays = UNLIMITED.arrays(1, range(1))
     left: NDArray[np.float64] = np.empty(0)  # (D, n): records of the draws of a batch
     trial: NDArray[np.float64] = np.empty(0)  # (n,): another one
+    replicates: Replicates = Replicates()

@@ -301,8 +301,10 @@ def recording_of(p: Any, *arguments: Any) -> Recording | None:
     return next((each.recording for each in parts if isinstance(each, Symbol)), None)
 
 
-def trace(formula: Formula, instants: range) -> Traced:
+def trace(formula: Formula, instants: range, earlier: Traced | None = None) -> Traced:
     """A formula traced at successive instants, with as many symbols as possible.
+
+    If it was traced at other instants earlier, and has one program for all, this is only checked.
 
     Raises
     ------
@@ -313,10 +315,11 @@ def trace(formula: Formula, instants: range) -> Traced:
         The formula also fails with numbers.
     """
     for mode in MODES:
-        traced = _symbolic if mode == MODES[0] else _by_instants
         try:
             with _ONE_AT_A_TIME:  # a formula may keep values in an object while it computes
-                return traced(formula, mode, instants)
+                if mode == MODES[0]:
+                    return _symbolic(formula, instants, earlier)
+                return _by_instants(formula, mode, instants)
         except ModelError:
             raise
         except BaseException as error:  # a formula may raise any exception
@@ -334,9 +337,12 @@ class _DiffersError(Exception):
         return "it computes something else with numbers than with symbols"
 
 
-def _symbolic(formula: Formula, mode: str, instants: range) -> Traced:
-    program = _recorded_at(formula, mode, instants[0])
-    _check_same(formula, program, formula.recorded(mode, instants[0]), None)
+def _symbolic(formula: Formula, instants: range, earlier: Traced | None) -> Traced:
+    if earlier and earlier.mode == MODES[0]:
+        program = earlier.programs[0]
+    else:
+        program = _recorded_at(formula, MODES[0], instants[0])
+        _check_same(formula, program, formula.recorded(MODES[0], instants[0]), None)
     _check_numbers(formula, instants, lambda t: (program, 0))
     for t in _divisions_by_zero(formula, program, instants):
         _recorded_at(formula, MODES[-1], t)  # raises the error of Python, if it is one

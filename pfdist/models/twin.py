@@ -34,9 +34,11 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
             return formula.traced.at(instants)
         except ModelError as error:
             raise ModelError(f"model {model.name}: {name}: {error}") from error
-    result: Traced = model.kept(
-        ("traced", name, instants), lambda: trace(formula_of(model, name), instants)
-    )
+    own = formula_of(model, name)
+    first = model.kept(("traced", name), lambda: trace(own, instants))
+    result: Traced = first
+    if first.instants != instants:
+        result = model.kept(("traced", name, instants), lambda: trace(own, instants, first))
     return result
 
 

@@ -26,6 +26,7 @@ from pfdist.pages.panel import (
 from pfdist.pages.style import RED, set_style
 from pfdist.problem.set_key import KINDS, phrase_of
 from pfdist.results import Run, reaching
+from pfdist.results.budget_curve import best_reference
 
 _BOUND: dict[str, Any] = {"color": "black", "label": "lower bound"}
 
@@ -72,7 +73,7 @@ def _is_money(table: pd.DataFrame) -> bool:
 def budget(table: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     """Draw the expected MSE against N with its 95 % intervals, and the lower bound if there is one.
 
-    An arrow shows how many planned measurements do as well as the largest number of evenly spaced
+    An arrow shows how many planned measurements do as well as the best number of evenly spaced
     ones.
 
     Parameters
@@ -116,9 +117,8 @@ def budget(table: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
 
 
 def _mark_spared(ax: Axes, table: pd.DataFrame) -> None:
-    """Draw an arrow from most evenly spaced times to the fewer planned ones that do as well."""
-    rows = table[table["kind"] != "found"].sort_values("budget")
-    number, mse, error = rows[["budget", "expected_mse", "standard_error"]].iloc[-1]
+    """Draw an arrow from the best evenly spaced times to the fewer planned ones that do as well."""
+    number, mse, error = best_reference(table)[["budget", "expected_mse", "standard_error"]]
     least = reaching(table, mse, error)["found"]["measurements"]
     if least is not None and least < number:
         look = {"arrowstyle": "->", "color": RED, "lw": thin(), "shrinkA": 0, "shrinkB": 0}

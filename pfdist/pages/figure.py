@@ -153,11 +153,6 @@ def one_number(run: Run) -> bool:
     return "budget" not in run.job
 
 
-def has_online(run: Run) -> bool:
-    """Whether a run has times that were chosen one after another."""
-    return "online" in run.tables
-
-
 def figure(
     name: str, *, applies: Applies = lambda run: True, each_set: bool = False
 ) -> Callable[[Callable[..., Plot]], Callable[..., Plot]]:

@@ -31,16 +31,16 @@ TITLE = "pfdist: filtered measurements"
 _BANDS = ((5, 95, 0.22), (25, 75, 0.38))  # percentiles and opacity
 _LEVEL, _ROW = 0.035, 0.07  # first row of markers, and distance of two, as shares of the height
 
-
-Times = tuple[Sequence[float | str], ...]
+_Times = tuple[Sequence[float | str], ...]
 """Measured times, planned times that were not measured, measured times that were not planned, and
 planned times after the last measurement. With sensors each is written with its sensor."""
+
 Readings = Mapping[str, Sequence[tuple[float, float]]]
 _NONE: Readings = MappingProxyType({})
 
 
 def filtered_plot(
-    table: pd.DataFrame, times: Times, smoothed: bool = False, readings: Readings = _NONE
+    table: pd.DataFrame, times: _Times, smoothed: bool = False, readings: Readings = _NONE
 ) -> Plot:
     """The plot of each component of z: mean, bands, and the times of measurements.
 
@@ -93,7 +93,7 @@ def belief(
     source: object,
     *,
     component: int = 0,
-    times: Times | None = None,
+    times: _Times | None = None,
     smoothed: bool | None = None,
     readings: Readings | None = None,
     ax: Axes | None = None,

@@ -49,7 +49,8 @@ def gain_figure(tables: Tables, name: str) -> Plot:
         2.4,
         lambda panels: gain(relative, name, reference=reference, sets=labels, ax=panels[0]),
         title=f"How much lower the error is with {phrase_of(labels[name])} than with {reference}, "
-        f"in each of {relative.relative.count:,} draws.",
+        f"in each of {relative.relative.count:,} draws. Answers compare mean errors: "
+        "this is another number than the mean of these gains.",
     )
 
 
@@ -129,7 +130,7 @@ def _draw_gain(ax: Axes, relative: Gain, reference: str, style: Mapping[str, Any
     mean = minus(f"{100 * relative.relative.mean:.1f} %")
     bars = ax.bar(
         100 * EDGES[starts], shares, width, align="edge", color=style["color"], alpha=0.75, lw=0,
-        label=f"{style['label']}, mean gain {mean}",
+        label=f"{style['label']}, mean of relative gains {mean}",
     )  # fmt: skip
     ax.axvline(0.0, color="black", ls=":", label="no gain")
     legend_above(ax, [bars], columns=1)
@@ -147,7 +148,7 @@ def _mark_beyond(ax: Axes, relative: Gain, first: int, last: int) -> None:
         if draws:
             at = 100 * EDGES[index]
             ax.plot(at, 0.0, arrow, color=GREY, ms=marker(1.3), clip_on=False, zorder=5)
-            text = minus(f"{draws:,} draws\n{where} {at:.0f} %")
+            text = minus(f"{draws:,} draw{'s' * (draws > 1)}\n{where} {at:.0f} %")
             x, side = (0.01, "left") if where == "below" else (0.99, "right")
             ax.text(x, 0.98, text, ha=side, va="top", c=GREY, size="small", transform=ax.transAxes)
 

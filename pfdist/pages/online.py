@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
-from pfdist.pages.figure import Plot, Tables, figure, has_online
+from pfdist.pages.figure import Plot, Tables, figure
 from pfdist.pages.panel import (
     axes_for,
     check_kind,
@@ -27,7 +27,7 @@ from pfdist.results.online import OnlineDraws, online_draws
 MOST_ROWS = 200  # draws in the raster: nobody could distinguish more
 
 
-@figure("online_times", applies=has_online)
+@figure("online_times", applies=lambda run: "online" in run.tables)
 def online_times_figure(tables: Tables) -> Plot:
     """Share of the draws that online times measure at each instant, and the planned times."""
     draws = tables.online

@@ -38,7 +38,7 @@ _LONGEST_NAME = 12  # characters of a name with which the legend has two columns
 _ROW, _MOST_ROWS = 0.2, 40  # inches of a row of the comparison; rows up to which a figure grows
 _MARKERS = "osD^vPX<>*"
 _LINEAR = 10.0  # per cent, up to which the axis of errors is linear
-Curve = Callable[[pd.DataFrame], pd.DataFrame]
+_Curve = Callable[[pd.DataFrame], pd.DataFrame]
 
 
 def _by_generation(rows: pd.DataFrame) -> pd.DataFrame:
@@ -73,14 +73,14 @@ def _best_so_far(rows: pd.DataFrame) -> pd.DataFrame:
     return curve.set_index(rows["copies"].cumsum()).dropna()
 
 
-_CURVES: dict[str, Curve] = {
+_CURVES: dict[str, _Curve] = {
     "generations": _by_generation,
     "trials": _one_by_one,
     "best so far": _best_so_far,
 }
 
 
-def curve_of(method: str) -> Curve:
+def curve_of(method: str) -> _Curve:
     """The curves of a search method; those of generations if the method is unknown."""
     return _CURVES[METHODS[method].curve if method in METHODS else "generations"]
 

@@ -53,7 +53,7 @@ _BEST = "best times"
 _PER_CENT = (
     "gain_of_means", "mean_relative_gain", "positive_fraction", "bound_gap", "bound_gap_at_most",
 )  # fmt: skip
-Line = tuple[tuple[Any, ...], list[Average]]
+_Line = tuple[tuple[Any, ...], list[Average]]
 
 
 def against(
@@ -175,7 +175,7 @@ def _text(value: Any) -> str:
     return clipped(formatted_value(value) or "none", _LONGEST_TEXT)
 
 
-def _lines(frame: pd.DataFrame, names: list[str], value: str) -> list[Line]:
+def _lines(frame: pd.DataFrame, names: list[str], value: str) -> list[_Line]:
     """The finite results that share the values of all columns but the first, with these values."""
     lines: dict[tuple[Any, ...], list[Average]] = {}
     for each in averages(frame, names, value):

@@ -20,14 +20,14 @@ SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86_400, "w": 604_800}
 """The length of each unit of a clock with dates."""
 _WEEKDAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
-_NUMBER = re.compile(r"[+-]?\d{1,40}(\.\d{1,40})?")
+NUMBER = re.compile(r"[+-]?\d{1,40}(\.\d{1,40})?")
 _HOUR = re.compile(r"\d\d:\d\d(:\d\d)?")
 _MOMENT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d(\.\d{1,6})?)?(Z|[+-]\d\d:\d\d)?")
 _UNIT = re.compile(rf"({'|'.join(SECONDS)}) since (\d{{4}}-\d\d-\d\d(?:T\S+)?)(?: (\S+))?")
 _DATED = re.compile(r"\.\.|\d{4}-\d\d-\d\d")
 _WITH_SPACE = re.compile(r"(?<=\d{4}-\d\d-\d\d) (?=\d\d:\d\d)")
 _AROUND_DOTS = re.compile(r"\s*\.\.\s*")
-OWN_DATES = "dates and times of the clock"
+OWN_DATES, DAYS_OF_YEAR = "dates and times of the clock", "days of the year"
 _NUMBERED = {  # number, of how many seconds, that 1970 has: numbers that are dates
     "seconds since 1970": ("1", "0"),
     "milliseconds since 1970": ("1e-3", "0"),
@@ -104,7 +104,7 @@ class Calendar:
 
         def number(name: str, text: str) -> float:
             size, origin = map(Fraction, _NUMBERED[name])
-            since_1970 = (Fraction(_matched(_NUMBER.pattern, text)[0]) - origin) * size
+            since_1970 = (Fraction(_matched(NUMBER.pattern, text)[0]) - origin) * size
             return float(round(since_1970 - Fraction(_in_utc(self.start).timestamp()), 6)) / own
 
         def written(name: str, text: str) -> float:
@@ -114,7 +114,7 @@ class Calendar:
             return self.time(self.read(f"{y}-{m:0>2}-{d:0>2}T{at}"))
 
         def day_of_year(text: str) -> float:
-            day = float(_matched(_NUMBER.pattern, text)[0])
+            day = float(_matched(NUMBER.pattern, text)[0])
             if not 1 <= day < 367:
                 raise ValueError(f"must be a day of the year, got {text}")
             starts = (self.start.replace(year=self.start.year + k, month=1, day=1) for k in (0, 1))
@@ -126,7 +126,7 @@ class Calendar:
         found |= {name: partial(number, name) for name in _NUMBERED}
         found |= {name: partial(written, name) for name in _WRITTEN}
         if last * own < 365 * SECONDS["d"]:
-            found["days of the year"] = day_of_year
+            found[DAYS_OF_YEAR] = day_of_year
         return found
 
     def in_year_of_start(self, moments: Sequence[float]) -> list[float]:
@@ -162,7 +162,7 @@ class Calendar:
         """The time of a written date or number; raises `MeasurementTimesError`."""
         word = _WITH_SPACE.sub("T", text)
         try:
-            return float(word) if _NUMBER.fullmatch(word) else self.time(self.read(word))
+            return float(word) if NUMBER.fullmatch(word) else self.time(self.read(word))
         except ValueError as error:
             raise MeasurementTimesError(f"t {error}") from error
 
@@ -170,7 +170,7 @@ class Calendar:
         """The time that a word names: a date with its hour, or a number; None for other words."""
         if _MOMENT.fullmatch(word):
             return self.time(self.read(word))
-        return float(word) if _NUMBER.fullmatch(word) else None
+        return float(word) if NUMBER.fullmatch(word) else None
 
     def condition(self, word: str, dates: Sequence[datetime]) -> Callable[[datetime], bool]:
         """Whether a date fulfils a word: a date, a weekday, or a range of dates, hours or weekdays.

@@ -6,7 +6,6 @@ and instants become times when they are shown.
 
 import contextlib
 import math
-import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,14 @@ from pfdist.common.measurement_times import CLOCK, DATES, Times
 from pfdist.common.parsing import MOST_NUMBERS, as_text
 from pfdist.common.rounding import unrounded
 from pfdist.errors import MeasurementTimesError, shown
-from pfdist.problem.calendar import OWN_DATES, SECONDS, Calendar, groups
+from pfdist.problem.calendar import (
+    DAYS_OF_YEAR,
+    NUMBER,
+    OWN_DATES,
+    SECONDS,
+    Calendar,
+    groups,
+)
 
 Time = int | float
 T = TypeVar("T")
@@ -33,7 +39,6 @@ _ROUNDING = 1e-11
 _FLOAT_ROUNDING = 1e-15
 """A sum of floats differs from the true sum by about this part of it."""
 _LONG_RUN = 8  # instants in a row that answers show as a range
-_NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")  # in a text
 _EXACT = 2**53
 """Whole floats below this are exact."""
 
@@ -291,6 +296,10 @@ class Clock:
         away = {name: self._away(times) for name, times in read.items()}
         fits = [name for name, distance in away.items() if distance <= self.slack]
         both = " or ".join(f"{self.text(read[name][0])} ({name})" for name in fits)
+        if OWN_DATES in fits:
+            if read[OWN_DATES] != read[fits[-1]]:
+                note(f"t of the table is time since the start: {shown(texts[0])} could be {both}")
+            return read[OWN_DATES]
         if len(fits) > 1:
             got = f"{shown(texts[0])}, which is {both}"
             raise ValueError(f"t must be one date, as 2026-04-01, got {got}")
@@ -300,9 +309,8 @@ class Clock:
         nearest = min(read, key=lambda name: (outside[name], away[name]))
         if not fits:
             return self._in_other_reading(nearest, read, texts, any_year * [note])
-        if nearest != OWN_DATES:
-            at = self.text(read[nearest][0])
-            note(f"t of the table is read as {nearest}: {shown(texts[0])} is {at}")
+        at = self.text(read[nearest][0])
+        note(f"t of the table is read as {nearest}: {shown(texts[0])} is {at}")
         return read[nearest]
 
     def _away(self, times: Iterable[float]) -> float:
@@ -312,10 +320,13 @@ class Clock:
     def _each_reading(self, texts: Sequence[str]) -> tuple[dict[str, list[float]], str]:
         """The times of a column in each possible reading, and why the best of the others is not.
 
-        If they lie in the horizon as times and dates of the clock, no other reading is tried.
+        If they lie in the horizon as times and dates of the clock, only days of the year, which are
+        as small, are tried besides.
         """
-        read, rows, why = dict[str, list[float]](), -1, ""
+        read, rows, why, is_own = dict[str, list[float]](), -1, "", False
         for name, reader in cast("Calendar", self.calendar).readings(self.times[-1]).items():
+            if is_own and name != DAYS_OF_YEAR:
+                continue
             times = list[float]()
             try:
                 times.extend(map(reader, texts))
@@ -325,8 +336,7 @@ class Clock:
                     why = f"t {str(error).removeprefix('t ')} (row {rows + 1})"
                 continue
             read[name] = times
-            if name == OWN_DATES and self._away(times) <= self.slack:
-                break
+            is_own |= name == OWN_DATES and self._away(times) <= self.slack
         return read, why
 
     def _in_other_reading(
@@ -368,7 +378,7 @@ class Clock:
         """The readings of a column in which the same days of the year of the start are all here."""
         found = dict[str, list[float]]()
         for name, times in read.items():
-            if name == OWN_DATES and all(map(_NUMBER.fullmatch, texts)):  # elapsed time has no year
+            if name == OWN_DATES and all(map(NUMBER.fullmatch, texts)):  # elapsed time has no year
                 continue
             with contextlib.suppress(ValueError, OverflowError):
                 own = cast("Calendar", self.calendar).in_year_of_start(times)

@@ -23,14 +23,6 @@ from pfdist.problem.spacing import Spacing
 
 
 @dataclass(frozen=True)
-class Limit:
-    """Constraints on the measurements of one sensor."""
-
-    most: int | None = None  # the largest number of its measurements in a set
-    spacing: Spacing | None = None  # which instants are far enough apart for it
-
-
-@dataclass(frozen=True)
 class Constraints:
     """The constraints on a set of N times in 0..T, or on a set that a total price pays for.
 
@@ -50,10 +42,8 @@ class Constraints:
     # largest price of all measurements together; given with `price`, in place of N
     total_price: Money | None = None
     points: Points = None  # type: ignore[assignment]  # by default instants are counted
-    # Constraints on each sensor alone; none if no sensor has any
-    limits: tuple[Limit, ...] = ()
     cheapest: int = 0  # number of the sensor that measures at regular times
-    shared: tuple[Shared, ...] = ()  # prices and limits that measurements share
+    shared: tuple[Shared, ...] = ()  # prices and limits of several measurements together
     # Whether N or the money is only the most that may be spent, even nothing. One more measurement
     # does no harm, in expectation, to a filter that knows the truth, so a best set spends what it
     # can. To a filter that is wrong it may do harm; and under limits nothing may be left to buy.
@@ -73,11 +63,6 @@ class Constraints:
         """Whether N is the largest number of measurements of a set."""
         return self.measurement_budget is not None and self.smaller
 
-    @property
-    def is_limited(self) -> bool:
-        """Whether sets with allowed times, a spacing and a sum of prices may break a limit."""
-        return bool(self.limits or self.shared)
-
     @cached_property
     def spacing(self) -> Spacing:
         """The spacing of times; 0 allows several measurements at one instant."""
@@ -88,13 +73,7 @@ class Constraints:
     @cached_property
     def setups(self) -> tuple[Setup, ...]:
         """All that has a price beside those of measurements, or a largest number."""
-        every, way = range(self.possible), self.points.way
-        own = (
-            Setup(tuple((point + 1) * (way(point) == sensor) for point in every), most=limit.most)
-            for sensor, limit in enumerate(self.limits)
-            if limit.most is not None
-        )
-        return (*own, *chain.from_iterable(each.setups for each in self.shared))
+        return tuple(chain.from_iterable(each.setups for each in self.shared))
 
     @cached_property
     def most(self) -> dict[int, int]:
@@ -109,12 +88,7 @@ class Constraints:
     @property
     def relaxed(self) -> tuple[str, ...]:
         """The constraints that the bound relaxes, so that it may be lower than necessary."""
-        constraints = {
-            "minimum_spacing of single sensors": any(each.spacing for each in self.limits),
-            "most of single sensors": any(each.most is not None for each in self.limits),
-        }
-        own = [name for name, is_there in constraints.items() if is_there]
-        return (*own, *filter(None, (each.relaxed for each in self.shared)))
+        return tuple(chain.from_iterable(each.relaxed for each in self.shared))
 
     @property
     def possible(self) -> int:
@@ -183,27 +157,13 @@ class Constraints:
 
     def _beyond_limits(self, times: Iterable[int]) -> Iterator[str]:
         """Yield a sentence for each limit that these sorted times break."""
-        chosen, points = tuple(times), self.points
+        chosen = tuple(times)
         for each in self.shared:
-            yield from each.broken(points, chosen)
-        for sensor, limit in enumerate(self.limits):
-            own, name = self.points.of_way(sensor, chosen), f"sensors.{self.points.sensor(sensor)}"
-            if limit.most is not None and len(own) > limit.most:
-                yield f"{name}.most is {limit.most}, got {len(own)} measurements"
-            if limit.spacing is not None and not limit.spacing.apart(own):
-                yield f"{name}.minimum_spacing is broken"
+            yield from each.broken(self.points, chosen)
 
     def beyond_limits(self, times: Times) -> list[int]:
         """The points that break a limit if they follow these times."""
-        points = self.points
-        beyond = [point for each in self.shared for point in each.beyond(points, times)]
-        for sensor, limit in enumerate(self.limits):
-            own, every = points.of_way(sensor, times), points.alike(sensor)
-            if limit.most is not None and len(own) >= limit.most:
-                beyond += every
-            elif own and limit.spacing is not None:
-                beyond += every[own[-1] : limit.spacing.after(own[-1])]
-        return beyond
+        return [point for each in self.shared for point in each.beyond(self.points, times)]
 
     def allows(self, times: Iterable[int]) -> bool:
         """Whether these and the required times are compatible and can be paid for."""
@@ -282,7 +242,7 @@ class Constraints:
             for time in (self.optional if left > 0 else ())
             if self.units[time] <= left
             and time not in near
-            and (not self.is_limited or self._fits(sorted({*complete, time})))
+            and (not self.shared or self._fits(sorted({*complete, time})))
         ]
 
     def distance(self, time: int, times: Times) -> int:
@@ -299,7 +259,7 @@ class Constraints:
     def capacity(self, times: Iterable[int]) -> int:
         """The largest number of compatible times that contain these and the required times."""
         complete = self.with_required(times)
-        if self.limits:
+        if self.shared:
             return len(complete) + len(self.fitting(complete, self.allowed))
         gaps = pairwise((-1, *complete, self.possible))  # every time is far from both ends
         return len(complete) + sum(self.capacity_between(first, last) for first, last in gaps)
@@ -311,20 +271,12 @@ class Constraints:
         return self._capacities[first, last]
 
     def fitting(self, times: Times, among: Times) -> Times:
-        """A largest subset of some allowed times that fits beside these; all are sorted.
-
-        With limits, sensors do not depend on each other, because limits exclude a common spacing.
-        """
-        if not self.limits:
+        """A largest subset of some allowed times that fits beside these; all are sorted."""
+        if not self.shared:
             return self.spacing.fitting(times, among)
-        chosen = list[int]()
-        for sensor, limit in enumerate(self.limits):
-            own, spacing = self.points.of_way(sensor, times), limit.spacing
-            spacing = spacing or Spacing.constant(1, self.horizon)
-            new = spacing.fitting(own, self.points.of_way(sensor, among))
-            left = len(new) if limit.most is None else max(0, limit.most - len(own))
-            chosen += [self.points.alike(sensor)[t] for t in new[:left]]
-        return tuple(sorted(chosen))
+        for each in self.shared:
+            among = each.fitting(self.points, times, among)
+        return among
 
     @cached_property
     def unit(self) -> Fraction:
@@ -391,7 +343,7 @@ def _check_limits(constraints: Constraints) -> None:
     How many measurements fit beside others would depend on all sensors together. Money needs no
     such number, because it may be left over.
     """
-    if constraints.limits and constraints.counted and not constraints.spacing.is_free:
+    if constraints.shared and constraints.counted and not constraints.spacing.is_free:
         raise MeasurementTimesError(
             "minimum_spacing must be left out if a sensor has most or minimum_spacing, unless "
             f"total_price is given, got {constraints.minimum_spacing}: give each sensor its own"

@@ -181,7 +181,7 @@ class EvenSets:
         whole = differ & kept[:, 0] & kept[:, -1]
         if feasible.counted:
             whole &= kept.sum(axis=1) == feasible.total - len(feasible.required)
-        is_free = feasible.counted and feasible.spacing.is_free and not feasible.is_limited
+        is_free = feasible.counted and feasible.spacing.is_free and not feasible.shared
         found: list[Times | None] = [None] * len(lines)
         for place in np.flatnonzero(whole).tolist():
             times = feasible.with_required(chosen[place, kept[place]].tolist())
@@ -226,13 +226,11 @@ def _lines(family: EvenFamily, most: float) -> list[tuple[float, float, float]]:
         if len(lines) > most:
             break
     if not lines or len(lines) > most:
-        return _spread(family, most, shortest, longest)
+        return _spread(family, most, shortest)
     return lines
 
 
-def _spread(
-    family: EvenFamily, most: float, shortest: float, longest: float
-) -> list[tuple[float, float, float]]:
+def _spread(family: EvenFamily, most: float, shortest: float) -> list[tuple[float, float, float]]:
     """About `most` lines whose first and last targets lie at equal distances."""
     low, high = family.edges[[0, -1]].tolist()
     steps = family.targets - 1

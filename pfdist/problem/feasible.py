@@ -19,8 +19,7 @@ from pfdist.common.measurement_times import Times, random, random_below, regular
 from pfdist.errors import MeasurementTimesError
 from pfdist.kernels.left import Left, StepLimits
 from pfdist.problem.affordable import Affordable, Completions, nearest
-from pfdist.problem.constraints import Constraints, Limit, check_constraints
-from pfdist.problem.spacing import Spacing
+from pfdist.problem.constraints import Constraints, check_constraints
 
 _MOST_COUNTED = 1_000_000  # sets that are counted one by one
 
@@ -55,7 +54,7 @@ class Feasible(Constraints):
         if self._free:
             return comb(len(self.optional), self.total - len(self.required))
         size = sum(completions.size for completions in self._completions)
-        return size if not self.is_limited or size > _MOST_COUNTED else sum(1 for _ in self.every())
+        return size if not self.shared or size > _MOST_COUNTED else sum(1 for _ in self.every())
 
     def every(self) -> Iterator[Times]:
         """All feasible sets, in lexicographic order."""
@@ -70,8 +69,8 @@ class Feasible(Constraints):
 
         Sets that break limits are repaired, so the probabilities then differ.
         """
-        if self.is_limited:
-            unlimited = replace(self, limits=(), shared=())
+        if self.shared:
+            unlimited = replace(self, shared=())
             return [self.repair(times, rng) for times in unlimited.random(sets, rng)]
         if self._free:
             number = self.total - len(self.required)
@@ -121,10 +120,10 @@ class Feasible(Constraints):
             return []
         lacking = {*self.required} - {*times}
         new = sorted({*lacking, *self.affordable(times)})
-        if self.counted and not self._free and not self.limits:
+        if self.counted and not self._free and not self.shared:
             new = self._leaving_capacity(times, new)
         larger = [tuple(sorted({*times, time})) for time in new]
-        return [*filter(self._can_be_completed, larger)] if self.limits else larger
+        return [*filter(self._can_be_completed, larger)] if self.shared else larger
 
     def removals(self, times: Times) -> list[Times]:
         """The sets with one time fewer that still contain a feasible set."""
@@ -146,8 +145,8 @@ class Feasible(Constraints):
         if not self.counted:
             followers = (completions.extensions(times) for completions in self._completions)
             after = sorted(set().union(*followers))
-            return [t for t in after if self.allows((*times, t))] if self.is_limited else after
-        if self.limits:
+            return [t for t in after if self.allows((*times, t))] if self.shared else after
+        if self.shared:
             return [t for t in self.allowed if self._may_follow(times, t)]
         left, last = self.total - len(times), times[-1] if times else -1
         required = self.required[bisect_right(self.required, last) :]
@@ -221,20 +220,15 @@ class Feasible(Constraints):
     @cached_property
     def step_limits(self) -> StepLimits:
         """The constraints in the order of time."""
-        points, spacing, ways = self.points, self.spacing, self.points.ways
-        firsts, most, apart = range(0, self.possible, ways), list[int](), list[Times]()
-        for limit in self.limits:
-            most.append(self.possible if limit.most is None else limit.most)
-            apart.append(limit.spacing.successors if limit.spacing else (0,) * len(firsts))
+        points, spacing = self.points, self.spacing
+        firsts = range(0, self.possible, points.ways)
         shared = {name: value for e in self.shared for name, value in e.steps(points).items()}
         return StepLimits(
             () if spacing.is_free else tuple(points.instant(spacing.after(t)) for t in firsts),
             tuple(map(float, self.price or (1,) * self.possible)),
             points.delays,
             self.required,
-            tuple(most) if {*most} - {self.possible} else (),
-            tuple(apart) if any(limit.spacing for limit in self.limits) else (),
-            points.repeats,
+            alike=points.repeats,
             **shared,
         )
 
@@ -274,7 +268,7 @@ class Feasible(Constraints):
         """
         if first > self.horizon or not (first or taken or in_flight):
             return None if first else self
-        points, start, limits = self.points, self.points.first(first), list[Limit]()
+        points, start = self.points, self.points.first(first)
         left = self.left(taken, first, in_flight)
         required = {*in_flight, *left.required()}
         usable = {
@@ -282,12 +276,6 @@ class Feasible(Constraints):
         }
         if not usable:
             return None
-        for sensor, limit in enumerate(self.limits):
-            spacing = limit.spacing
-            if spacing is not None:
-                spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
-            own = len(points.of_way(sensor, taken))
-            limits.append(Limit(None if limit.most is None else max(0, limit.most - own), spacing))
         make = partial(
             replace,
             self,
@@ -295,7 +283,6 @@ class Feasible(Constraints):
             forbidden=tuple({*range(self.possible - start)} - {time - start for time in usable}),
             required=tuple(sorted(time - start for time in required)),
             points=points.since(first),
-            limits=tuple(limits),
             shared=tuple(filter(None, (each.since(start, taken) for each in self.shared))),
         )
         if self.price is not None and self.total_price is not None:
@@ -323,7 +310,7 @@ class Feasible(Constraints):
     @property
     def _free(self) -> bool:
         """Whether all sets of N allowed times that contain the required times are feasible."""
-        return self.counted and self.spacing.is_free and not self.limits
+        return self.counted and self.spacing.is_free and not self.shared
 
     @cached_property
     def _negative_capacities(self) -> list[int]:

@@ -171,8 +171,8 @@ def read_measurements(
             )
         for name, value in kept.items():
             _check_parameter(name, columns.get(name), value, times, clock)
-        wanted = next(names for names in allowed if names[-1] in columns)
-        wanted = [each for each in wanted if each not in ("t", "sensor")]
+        header = next(names for names in allowed if names[-1] in columns)
+        wanted = [each for each in header if each not in ("t", "sensor")]
         for name in {*below} & {*columns}:  # an empty cell, known to be below
             censored = np.isnan(columns[below[name]]) & (columns[name] == 1.0)
             if censored.any():
@@ -185,9 +185,8 @@ def read_measurements(
             name: given_at(name, columns[name], instants, of_rows, own_values)
             for name in reading.given
         }
-        of_sensors = columns.get("sensor", np.zeros(len(times))).astype(int)
-        names = [sensors[k] if "sensor" in columns else "" for k in of_sensors]
-        ways = [*sensors_of_rows(zip(instants, names, strict=True), model, reading)]
+        named = [sensors[int(k)] for k in columns.get("sensor", ())] or [""] * len(times)
+        ways = [*_sensors_of_rows(zip(instants, named, strict=True), model, reading)]
         arrivals = [
             t + reading.sensings.by_way(way).delay for t, way in zip(instants, ways, strict=True)
         ]
@@ -198,6 +197,7 @@ def read_measurements(
         raise MeasurementsError(f"{where}: {error}") from error
     except OSError as error:
         raise MeasurementsError(f"cannot read {path}: {error.strerror or error}") from error
+    _tell_not_given({name: columns[name] for name in reading.given}, ways, table, reading)
     measured, repeats = sorted({t for t, _, _ in values}), 1 + max(k for *_, k in [(0,), *values])
     reading.repeated(sum(k > 0 for *_, k in values), instants)
     place = {t: k for k, t in enumerate(measured)}
@@ -227,7 +227,7 @@ def read_measurements(
     )
 
 
-def sensors_of_rows(
+def _sensors_of_rows(
     rows: Iterable[tuple[int, str]], model: StateSpaceModel, reading: Reading
 ) -> Iterable[int]:
     """The sensor of each row, an instant and a name: of repeats, the first without a row then."""
@@ -333,6 +333,18 @@ def given_at(
         )
         raise MeasurementsError(f"{error}{remedy * bool(np.isfinite(values).all())}") from error
     return tuple(np.where(np.isnan(series), np.array(own[name]), series).tolist())
+
+
+def _tell_not_given(
+    given: Mapping[str, Array], ways: Sequence[int], table: Array, reading: Reading
+) -> None:
+    """Tell readings without a value that comes with other readings of the same sensor."""
+    has_value = ~np.isnan(table).all(axis=1)
+    for name, values in given.items():
+        with_it = np.isin(ways, np.asarray(ways)[~np.isnan(values)])
+        if without := int(np.sum(has_value & with_it & np.isnan(values))):
+            rows = f"{without} row{'s' * (without > 1)}"
+            reading.note(f"{name} is empty in {rows} with a reading: there the job's value counts")
 
 
 def series_at(name: str, values: Array, at: Sequence[int], clock: Clock) -> Array:

@@ -87,10 +87,6 @@ class Points(PointNumbers):
             count[first] += 1
         return tuple(sorted(found))
 
-    def arriving(self, made: int) -> int:
-        """The point whose measurement is made at the instant of a point, by the same sensor."""
-        return made + self.first(self.delay(self.way(made)))
-
     def made(self, points: Iterable[int]) -> Times:
         """The instants at which some points are measured, sorted and each once."""
         return tuple(sorted({*map(self.made_at, points)}))

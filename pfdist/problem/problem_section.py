@@ -28,7 +28,6 @@ from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import calendar_of
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.clock_section import ClockSection, without_units
-from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.sections import (
@@ -46,7 +45,7 @@ from pfdist.problem.sensor_section import (
     SensorSection,
     priced,
 )
-from pfdist.problem.shared import Money, Shared, Together, money
+from pfdist.problem.shared import Limit, Money, OfSensors, Shared, Together, money
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.visits import Installs
 from pfdist.problem.visits_section import VisitsSection
@@ -319,7 +318,7 @@ class ProblemSection(JobSection):
                 "minimum_spacing must be left out with sensors of different delays, got "
                 f"{spacing:g}: give each sensor its own"
             )
-        points, limits, shared = self.points, self._limits, tuple(self._shared)
+        points, shared = self.points, tuple(self._shared)
         paid = [each.priced for each in shared if any(setup.price for setup in each.setups)]
         if self.total_price is None and paid:
             raise MeasurementTimesError(f"{paid[-1]} needs total_price and prices of measurements")
@@ -334,8 +333,7 @@ class ProblemSection(JobSection):
             total_price=None if self.total_price is None else money(self.total_price),
             points=points,
             # To sets within limits, nothing may be left to buy.
-            smaller=bool((limits and self.total_price is not None) or shared),
-            limits=limits,
+            smaller=any(self.total_price is not None or not each.is_exact for each in shared),
             shared=shared,
             cheapest=prices.index(min(prices)),  # the first sensor if none has a price
         )
@@ -356,13 +354,13 @@ class ProblemSection(JobSection):
             if sensor.allowed is not None:
                 others = instants_written(sensor.allowed, clock, f"sensors.{name}.allowed")
                 barred.update({*range(clock.horizon + 1)} - {*others})
-            arrive = (points.arriving(points.first(t) + way) for t in barred)
+            arrive = (points.first(t + points.delay(way)) + way for t in barred)
             times.update(point for point in arrive if point < points.number)
         return tuple(sorted(times))
 
     @property
-    def _limits(self) -> tuple[Limit, ...]:
-        limits = []
+    def _limits(self) -> Iterator[Limit]:
+        """The limits of each sensor alone."""
         for name, sensor in self.each_sensor.items():
             spacing = sensor.minimum_spacing
             if spacing is not None and not 0 < spacing < np.inf:
@@ -370,13 +368,14 @@ class ProblemSection(JobSection):
                     f"sensors.{name}.minimum_spacing must be above 0, got {spacing:g}"
                 )
             apart = None if spacing is None else Spacing(self.clock.successors(spacing))
-            limits.append(Limit(sensor.most, apart))
-        return tuple(limits) if any(limit != Limit() for limit in limits) else ()
+            yield Limit(sensor.most, apart)
 
     @property
     def _shared(self) -> Iterator[Shared]:
-        """The prices and limits that measurements share."""
-        groups, points = dict[str, list[Times]](), self.points
+        """The prices and limits of several measurements together."""
+        groups, points, limits = dict[str, list[Times]](), self.points, [*self._limits]
+        if any(limit != Limit() for limit in limits):
+            yield OfSensors.on(points, limits)
         sensors = [*zip((self.sensors or {}).values(), points.sensor_ways, strict=False)]
         if self.visits:
             yield self.visits.on(points)
@@ -470,7 +469,7 @@ class ProblemSection(JobSection):
     def is_constrained(self) -> bool:
         """Whether a constraint excludes sets of the same number of measurements or price."""
         sets = self.feasible
-        limited = bool(sets.forbidden or sets.required or sets.is_limited)
+        limited = bool(sets.forbidden or sets.required or sets.shared)
         return limited or not sets.spacing.is_free
 
     def by_parts(self, times: Iterable[Time | str]) -> str:

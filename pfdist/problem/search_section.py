@@ -1,7 +1,7 @@
 """A section [[search]] of a job file: the method, its settings, and how it evaluates sets."""
 
 import re
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
@@ -9,7 +9,6 @@ from pydantic_core import PydanticCustomError
 from pfdist.common.section import JobSection
 from pfdist.kernels.schemes import Resampling
 
-AUTO: Final = "auto"
 _FEWEST_PARTICLES, _SHARE = 100, 5  # a search uses one fifth of the job's particles, at least 100
 
 

@@ -79,7 +79,7 @@ Parameter = Annotated[
     ),
 ]
 """A number, or a number for each instant; `covariates.with_columns` reads a column of a table."""
-Text = Annotated[str, Field(max_length=_LONGEST_TEXT, pattern=r"^[^\x00]*$")]
+_Text = Annotated[str, Field(max_length=_LONGEST_TEXT, pattern=r"^[^\x00]*$")]
 
 
 def _criterion_name(written: str) -> str:
@@ -90,7 +90,7 @@ def _criterion_name(written: str) -> str:
     return written
 
 
-CriterionName = Annotated[Text, AfterValidator(_criterion_name)]
+CriterionName = Annotated[_Text, AfterValidator(_criterion_name)]
 """A name of `pfdist.filters.criterion.criterion_named`."""
 _SetName = Annotated[str, Field(max_length=LONGEST_SET_NAME), AfterValidator(is_name)]
 _SetTimes = Annotated[
@@ -125,7 +125,7 @@ class FilterModel(JobSection):
         Values that replace parameters of the filter's model.
     """
 
-    name: Text = ""
+    name: _Text = ""
     parameters: dict[str, Parameter] = Field(default_factory=dict)
 
 
@@ -146,7 +146,7 @@ class Model(JobSection):
         with these columns.
     """
 
-    name: Text = "ungm"
+    name: _Text = "ungm"
     parameters: dict[str, Parameter] = Field(default_factory=dict)
     filter: FilterModel = FilterModel()
     events: dict[str, Annotated[Listed[_Event], _OfEvents]] | None = None
@@ -358,5 +358,5 @@ class Execution(JobSection):
 
     pool: PoolName = AUTO_POOL
     workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    address: Text = ""
+    address: _Text = ""
     failures: Annotated[int, Field(ge=0, lt=2**63)] = 3

@@ -1,16 +1,17 @@
-"""Prices and limits that several measurements of a set share: visits, installations, groups.
+"""Prices and limits of several measurements together: of sensors, visits, installations, groups.
 
 `Constraints`, searches and the bound loop over all that a job has, and know none of them by name.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from pfdist.common.measurement_times import Times
 from pfdist.problem.points import Points
+from pfdist.problem.spacing import Spacing
 
 if TYPE_CHECKING:
     from pfdist.problem.even_sets import EvenSets
@@ -41,6 +42,8 @@ class Setup:
     price: Money = 0
     most: int | None = None
     open_until: int = 0  # points before this one share what has begun
+    key: str = ""  # of the job, that gives the largest number
+    things: str = "measurements"  # what is counted
 
     def firsts(self, times: Iterable[int]) -> Times:
         """The sorted times that begin it."""
@@ -79,9 +82,9 @@ class Shared:
     setups: tuple[Setup, ...] = field(default=(), kw_only=True)
 
     @property
-    def relaxed(self) -> str:
-        """The limit that the bound relaxes, as a sentence calls it; empty: none."""
-        return ""
+    def relaxed(self) -> tuple[str, ...]:
+        """The limits that the bound relaxes, as a sentence calls them."""
+        return ()
 
     @property
     def priced(self) -> str:
@@ -90,7 +93,9 @@ class Shared:
 
     def broken(self, points: Points, times: Times) -> Iterator[str]:
         """A sentence for each limit that some sorted times break."""
-        return iter(())
+        for each in self.setups:
+            if each.most is not None and (number := each.number(times)) > each.most:
+                yield f"{each.key} is {each.most}, got {number} {each.things}"
 
     def beyond(self, points: Points, times: Times) -> Iterable[int]:
         """The points that break a limit if they follow some sorted times."""
@@ -103,6 +108,13 @@ class Shared:
     def steps(self, points: Points) -> dict[str, Any]:
         """Its fields of `StepLimits`."""
         return {}
+
+    is_exact: ClassVar[bool] = False
+    """Whether sets can have exactly N measurements; then `fitting` finds the measurements."""
+
+    def fitting(self, points: Points, times: Times, among: Times) -> Times:
+        """A largest subset of some points that fits beside sorted times; all are sorted."""
+        return among
 
     # --- measurements that belong together --------------------------------------------------------
 
@@ -126,6 +138,92 @@ class Shared:
         return None
 
 
+class Limit(NamedTuple):
+    """Constraints on the measurements of one sensor."""
+
+    most: int | None = None  # the largest number of its measurements in a set
+    spacing: Spacing | None = None  # which instants are far enough apart for it
+
+
+@dataclass(frozen=True)
+class OfSensors(Shared):
+    """The largest number of measurements of each sensor, and their spacing."""
+
+    spacings: tuple[Spacing | None, ...]
+    is_exact: ClassVar[bool] = True
+
+    @classmethod
+    def on(cls, points: Points, limits: Sequence[Limit]) -> Self:
+        """The limits of each sensor."""
+        every = range(points.number)
+        setups = tuple(
+            Setup(
+                tuple((point + 1) * (points.way(point) == way) for point in every),
+                most=limit.most,
+                key=f"sensors.{points.sensor(way)}.most",
+            )
+            for way, limit in enumerate(limits)
+            if limit.most is not None
+        )
+        return cls(tuple(limit.spacing for limit in limits), setups=setups)
+
+    @property
+    def relaxed(self) -> tuple[str, ...]:
+        """The limits that the bound relaxes."""
+        spaced = ("minimum_spacing of single sensors",) * any(self.spacings)
+        return (*spaced, *("most of single sensors",) * bool(self.setups))
+
+    def broken(self, points: Points, times: Times) -> Iterator[str]:
+        """A sentence for each limit that some sorted times break."""
+        yield from super().broken(points, times)
+        for way, spacing in enumerate(self.spacings):
+            if spacing is not None and not spacing.apart(points.of_way(way, times)):
+                yield f"sensors.{points.sensor(way)}.minimum_spacing is broken"
+
+    def beyond(self, points: Points, times: Times) -> Iterator[int]:
+        """The points that break a limit if they follow some sorted times."""
+        yield from super().beyond(points, times)
+        for way, spacing in enumerate(self.spacings):
+            own = points.of_way(way, times)
+            if spacing is not None and own:
+                yield from points.alike(way)[own[-1] : spacing.after(own[-1])]
+
+    def since(self, first: int, taken: Times) -> Self:
+        """The same from a point on, after some measurements; points count from there."""
+        instant = first // len(self.spacings)
+        spacings = tuple(each and each.since(instant) for each in self.spacings)
+        setups = tuple(each.since(first, taken) for each in self.setups)
+        return replace(self, setups=setups, spacings=spacings)
+
+    def steps(self, points: Points) -> dict[str, Any]:
+        """The largest number of each sensor, and its first instants after each."""
+        most = (
+            next((each.most or 0 for each in self.setups if each.ends[way]), points.number)
+            for way in range(points.ways)
+        )
+        never = (0,) * len(points.clock.times)
+        apart = tuple(each.successors if each else never for each in self.spacings)
+        return {
+            "most": tuple(most) if self.setups else (),
+            "own_apart": apart if any(self.spacings) else (),
+        }
+
+    def fitting(self, points: Points, times: Times, among: Times) -> Times:
+        """A largest subset of some points that fits beside sorted times; all are sorted.
+
+        Sensors do not depend on each other, because these limits exclude a common spacing.
+        """
+        chosen = list[int]()
+        for way, spacing in enumerate(self.spacings):
+            own = spacing or Spacing.constant(1, points.clock.horizon)
+            new = own.fitting(points.of_way(way, times), points.of_way(way, among))
+            for each in self.setups:
+                left = (each.most or 0) - each.number(times)
+                new = new[: max(0, left)] if each.ends[way] else new
+            chosen += [points.alike(way)[t] for t in new]
+        return tuple(sorted(chosen))
+
+
 @dataclass(frozen=True)
 class Together(Shared):
     """Groups of sensors, of which at most one measures at an instant."""
@@ -133,9 +231,9 @@ class Together(Shared):
     groups: tuple[tuple[Times, ...], ...]  # each with its sensors, and these with their ways
 
     @property
-    def relaxed(self) -> str:
+    def relaxed(self) -> tuple[str, ...]:
         """The limit that the bound relaxes."""
-        return "together"
+        return ("together",)
 
     def broken(self, points: Points, times: Times) -> Iterator[str]:
         """A sentence for each two sensors of a group that measure at an instant."""

@@ -34,6 +34,10 @@ class Spacing:
         """Whether all instants are far enough apart, so that spacing does not constrain."""
         return all(later == t + 1 for t, later in enumerate(self.successors))
 
+    def since(self, first: int) -> "Spacing":
+        """The same from an instant on; instants count from there."""
+        return Spacing(tuple(later - first for later in self.successors[first:]))
+
     def after(self, time: int) -> int:
         """The first instant that is far enough after a time.
 

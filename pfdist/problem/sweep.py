@@ -21,7 +21,7 @@ START_SECONDS = 10.0
 """Rough time that a process on a new node needs to load and compile everything."""
 
 
-Part = Annotated[Listed[Whole], Field(min_length=2, max_length=2)]
+SweepPart = Annotated[Listed[Whole], Field(min_length=2, max_length=2)]
 """Part K of N of a sweep, as (K, N)."""
 
 
@@ -59,7 +59,7 @@ class SweepJob:
         """How all points are computed: they share the workers."""
         return next(iter(self.jobs.values())).execution
 
-    def part(self, part: Part | None) -> "SweepJob":
+    def part(self, part: SweepPart | None) -> "SweepJob":
         """Part k of n: every n-th point, from the k-th; None is the whole sweep.
 
         Raises

@@ -61,7 +61,7 @@ class Visits(Shared):
     @classmethod
     def on(cls, ends: Times, price: Money = 0, most: int | None = None) -> Self:
         """Visits from the first point after the visit that begins at each point."""
-        return cls(setups=(Setup(ends, price, most),))
+        return cls(setups=(Setup(ends, price, most, key="visits.most", things="visits"),))
 
     @property
     def setup(self) -> Setup:
@@ -69,15 +69,9 @@ class Visits(Shared):
         return self.setups[0]
 
     @property
-    def relaxed(self) -> str:
+    def relaxed(self) -> tuple[str, ...]:
         """The limit that the bound relaxes."""
-        return "most of visits" * (self.setup.most is not None)
-
-    def broken(self, points: Points, times: Times) -> Iterator[str]:
-        """A sentence if some sorted times begin too many visits."""
-        most = self.setup.most
-        if most is not None and (number := self.setup.number(times)) > most:
-            yield f"visits.most is {most}, got {number} visits"
+        return ("most of visits",) * (self.setup.most is not None)
 
     def steps(self, points: Points) -> dict[str, Any]:
         """The end of the visit that begins at each point, its price, and the largest number."""

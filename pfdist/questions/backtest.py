@@ -35,6 +35,7 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import USED, Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.evaluate import OneSet, instants_evaluated
+from pfdist.questions.filter_measurements import IMPROBABLE
 from pfdist.questions.options import Chosen, Names, Options, following, with_options
 from pfdist.questions.planned_run import (
     Columns,
@@ -68,7 +69,6 @@ Array = NDArray[np.float64]
 BEST = "the best evenly spaced times"
 SHOWN = 4
 """Replicates that a report shows in full."""
-IMPROBABLE = 0.01
 
 
 class ShownReplicate(NamedTuple):

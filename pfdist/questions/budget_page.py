@@ -11,7 +11,7 @@ from pfdist.common.percent import particle_loss_text
 from pfdist.common.rounding import with_interval
 from pfdist.problem.set_key import KINDS
 from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of_times
-from pfdist.results.budget_curve import FOUND
+from pfdist.results.budget_curve import FOUND, best_reference
 from pfdist.results.columns import COLUMNS, Row
 
 _ERROR = COLUMNS["expected_mse"]
@@ -51,19 +51,21 @@ def budget_section(subject: Subject) -> Section | None:
 
 
 def _answer(subject: Subject) -> list[Text]:
-    """How many chosen measurements do as well as the largest number of evenly spaced ones."""
+    """How many chosen measurements do as well as the best number of evenly spaced ones."""
     kind = subject.reference_row.kind
-    others = [row for row in subject.rows.values() if row.kind == kind]
-    most = max(others, key=lambda row: int(row.budget))
-    if most.expected_mse is None or math.isinf(most.expected_mse):
+    best, most = best_reference(subject.sets), int(subject.sets["budget"].max())
+    if not math.isfinite(best["expected_mse"]):
         return []
-    reached = subject.reaching(most.expected_mse, most.standard_error)["found"]
+    budget = int(best["budget"])
+    reached = subject.reaching(best["expected_mse"], best["standard_error"])["found"]
     if reached["measurements"] is None:
         return []
-    number, even = reached["measurements"], f"{most.budget} {KINDS[kind]} ones"
+    number, even = reached["measurements"], f"{budget} {KINDS[kind]} ones"
     if _is_money(subject):
-        even = f"{KINDS[kind]} ones for {most.budget}"
-    if number < most.budget:
+        even = f"{KINDS[kind]} ones for {budget}"
+    if budget < most:
+        even += f" (more, up to {most}, are no better)"
+    if number < budget:
         chosen = _amount(subject, number, "chosen ")
         do = "does" if chosen.startswith("1 ") else "do"
         chosen = f"{chosen[0].upper()}{chosen[1:]}"

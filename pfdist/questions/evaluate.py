@@ -52,7 +52,7 @@ UNNAMED = ""
 """Name of a set to which the user gives no name."""
 
 OneSet = Iterable[Time | str] | str
-Written = OneSet | Mapping[str, OneSet]
+SetsWritten = OneSet | Mapping[str, OneSet]
 
 
 @overload
@@ -83,7 +83,7 @@ def evaluate(
 
 def evaluate(
     job: JobSource,
-    measurement_times: Written,
+    measurement_times: SetsWritten,
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
@@ -135,7 +135,7 @@ def evaluate(
     return compute() if _are_named(measurement_times) else compute()[UNNAMED]
 
 
-def _are_named(written: Written) -> bool:
+def _are_named(written: SetsWritten) -> bool:
     """Whether sets have names: in a mapping, or in texts ``NAME=TIMES``."""
     texts = [written] if isinstance(written, str) else written
     is_list = isinstance(texts, list | tuple) and is_list_of([*texts], str)
@@ -144,7 +144,7 @@ def _are_named(written: Written) -> bool:
 
 def prepare_evaluation(
     job: JobSource,
-    measurement_times: Written,
+    measurement_times: SetsWritten,
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,

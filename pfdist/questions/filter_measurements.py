@@ -30,7 +30,7 @@ from pfdist.filters.cloud import Prior
 from pfdist.filters.filter_estimate import FEW, FilterEstimate, few_particles
 from pfdist.models.base import StateSpaceModel, within_half_turn
 from pfdist.problem.clock import Clock, Time
-from pfdist.problem.measurements import Measurements, read_measurements, sensors_of_rows
+from pfdist.problem.measurements import Measurements, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.planned_run import (
     Columns,
@@ -267,7 +267,7 @@ def filter_measurements(
     of_job, believed = plan.built.job.problem.points, plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
-    check_files(files, time_columns(of_job).schema(schema), filtered.TITLE)
+    check_files(files, time_columns(of_job).table(schema.empty_table()).schema, filtered.TITLE)
     filtering = filter_of(plan.built, plan.prior)
     reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, of_job.clock, filtering.now.t, reading)
@@ -278,12 +278,9 @@ def filter_measurements(
     made = rows.made_with(believed)
     # A planned time was measured if the nearest instant of the job to a measurement is that.
     places = [clock.instant(t) for t in of_job.clock.times]
-    wanted = [points.first(places[of_job.instant(t)]) + of_job.way(t) for t in plan.times]
-    wanted = [t for t in wanted if t >= points.first(filtering.now.t)]
-    if names := reading.sensings.names:  # which of its repeats measures does not matter
-        at = [(points.instant(t), names[points.way(t)]) for t in wanted]
-        both = zip(at, sensors_of_rows(at, believed, reading), strict=True)
-        wanted = [points.first(t) + way for (t, _), way in both]
+    moved = [points.first(places[of_job.instant(t)]) + of_job.way(t) for t in plan.times]
+    # Which of its repeats measures does not matter.
+    wanted = points.canonical(t for t in moved if t >= points.first(filtering.now.t))
     nearest = of_job.clock.nearest(clock.times[points.instant(t)] for t in made)
     meant = [points.first(places[k]) + points.way(t) for k, t in zip(nearest, made, strict=True)]
     filtered_estimates, lag = [*_estimates(filtering, rows)], plan.built.evaluator.lag

@@ -296,7 +296,7 @@ def _next_by_plan(
     is_own = is_own and not rows.given
     late = (point for point in made if points.made_at(point) < points.instant(point))
     rest = planner.rest
-    rest.in_flight = tuple(sorted({*rest.in_flight, *rows.in_flight, *late}))
+    rest.count(in_flight=(*rows.in_flight, *late))
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
         last, surprise = _tell(planner, rows) if is_own else (-1, None)
         if not is_own:
@@ -355,8 +355,7 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     missed = ((t, None) for t in rows.missed)
     instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=itemgetter(0))
     for t, y in instants:
-        failed = (point for point in rows.failed if points.instant(point) == t)
-        planner.rest.taken = tuple(sorted({*planner.rest.taken, *failed}))
+        planner.rest.count(point for point in rows.failed if points.instant(point) == t)
         if y is None:
             planner.missed(clock.time(t))
         else:

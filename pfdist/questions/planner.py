@@ -178,12 +178,11 @@ class Planner:
             The filter of the system, with all measurements that have arrived before t. If a
             measurement was not made, the filter moves to t - 1.
         t : int
-            An instant after the last one that was asked about.
 
         Returns
         -------
         list of str
-            Names of the sensors that measure now; "y" for the only one of a model without sensors.
+            The sensors that measure now, as `pfdist.Rule.decide` names them.
 
         Raises
         ------

@@ -242,7 +242,8 @@ def _as_good(subject: Subject, row: Row) -> str:
     """How many evenly spaced measurements do as well, by a quick estimate."""
     if not row.evenly_spaced or row.evenly_spaced == row.measurements:
         return ""
-    draws = int(subject.run.table("evenly_spaced")["draws"].max())
+    judged = subject.run.table("evenly_spaced").set_index("measurements")["draws"]
+    draws = int(judged[row.evenly_spaced])
     estimated = f" (quick estimate on {draws:,} of these draws)" * bool(draws)
     return f"{as_good_text(row)}{estimated}."
 

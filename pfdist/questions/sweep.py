@@ -14,7 +14,7 @@ from pfdist.common.section import checked
 from pfdist.errors import ArgumentError, JobError, ModelError, SweepError
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.sweep import Part, SweepJob, read_sweep
+from pfdist.problem.sweep import SweepJob, SweepPart, read_sweep
 from pfdist.problem.sweep_points import Values
 from pfdist.questions.at_work import at_work
 from pfdist.questions.model_checks import seconds_a_step
@@ -102,7 +102,7 @@ def sweep(
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     bound_draws: DrawsOrNone = 0,
-    part: Part | None = None,
+    part: SweepPart | None = None,
     **options: Unpack[Options],
 ) -> Sweep:
     """Run a job at every point of a sweep, or resume the sweep where it stopped.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _KINDS = {".csv": b"measurement,t", ".ics": b"PRODID:-//pfdist//"}  # and the beginnings of files
 _START = 100  # bytes that hold these
 _LINE = 75  # octets of a line of iCalendar
-Rows = list[dict[str, Any]]
+_Rows = list[dict[str, Any]]
 
 
 def checked_export(path: str | Path, clock: Clock) -> Path:
@@ -60,9 +60,9 @@ def export_plan(run: "Run", path: str | Path) -> Path:
     return file
 
 
-def _rows(run: "Run", measured: Times) -> Rows:
+def _rows(run: "Run", measured: Times) -> _Rows:
     """A row for each measurement of the plan, in order of time."""
-    best, rows, problem = run.best, Rows(), problem_of(run)
+    best, rows, problem = run.best, _Rows(), problem_of(run)
     points, clock = problem.points, problem.clock
     windows = dict[int, dict[str, Any]]()
     if "sampling_windows" in run.tables:
@@ -90,7 +90,7 @@ def _rows(run: "Run", measured: Times) -> Rows:
 # --- iCalendar ------------------------------------------------------------------------------------
 
 
-def _in_icalendar(run: "Run", rows: Rows, dates: Sequence[datetime], by_days: bool) -> str:
+def _in_icalendar(run: "Run", rows: _Rows, dates: Sequence[datetime], by_days: bool) -> str:
     started = datetime.fromisoformat(provenance_of(run)["started"])
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//pfdist//plan//EN"]
     for row, moment in zip(rows, dates, strict=True):

@@ -18,7 +18,7 @@ from pfdist.store import WINDOW_PERCENTS
 
 INSIDE, OPEN, OUTSIDE = "inside", "open", "outside"
 """States of a loss against a level: at most the level, undecided, and above the level."""
-Rows = Iterable[Mapping[Hashable, Any]]
+_Rows = Iterable[Mapping[Hashable, Any]]
 TWO_SIDED = 2 * CONFIDENCE - 1  # its ends are one-sided limits of the confidence
 _LONGEST_LIST = 2  # successive instants that are listed singly
 STRICT, WIDE = min(WINDOW_PERCENTS), max(WINDOW_PERCENTS)
@@ -75,7 +75,7 @@ class SamplingWindow:
         return f"{inside} (undecided: {spelled(self.open, self.clock)})" if self.open else inside
 
 
-def windows_of(rows: Rows, percent: int, clock: Clock) -> list[SamplingWindow]:
+def windows_of(rows: _Rows, percent: int, clock: Clock) -> list[SamplingWindow]:
     """The sampling windows of a set's measurements, in order of time.
 
     Parameters

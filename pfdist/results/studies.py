@@ -17,7 +17,7 @@ SEED = "seed"
 SET = "set"
 
 _ERRORS = {"expected_mse": "standard_error", "reference_mse": "reference_standard_error"}
-Values = tuple[Any, ...]
+_Values = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Average:
         The value of each seed.
     """
 
-    point: Values
+    point: _Values
     mean: float
     low: float
     high: float
@@ -111,7 +111,7 @@ def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Aver
     list of Average
         In the order in which the combinations come in the table.
     """
-    groups = dict[Values, dict[Any, Mapping[Any, Any]]]()
+    groups = dict[_Values, dict[Any, Mapping[Any, Any]]]()
     for row in frame.to_dict("records"):
         if not is_missing(row[value]):
             at = tuple(plain(row[name]) for name in names)
@@ -120,7 +120,7 @@ def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Aver
     return [_average(at, list(rows.values()), value, has_replicates) for at, rows in groups.items()]
 
 
-def formatted_point(names: Sequence[str], values: Values, keys: Sequence[str]) -> str:
+def formatted_point(names: Sequence[str], values: _Values, keys: Sequence[str]) -> str:
     """Values of columns as text, with the shortest names that are clear among all keys.
 
     Examples
@@ -137,7 +137,7 @@ def formatted_point(names: Sequence[str], values: Values, keys: Sequence[str]) -
 
 
 def _average(
-    at: Values, rows: Sequence[Mapping[Any, Any]], value: str, has_replicates: bool
+    at: _Values, rows: Sequence[Mapping[Any, Any]], value: str, has_replicates: bool
 ) -> Average:
     each = tuple(float(row[value]) for row in rows)
     if has_replicates:
@@ -154,7 +154,7 @@ def _own_interval(row: Mapping[Any, Any], value: str) -> tuple[float, float]:
 
 def _is_determined(frame: pd.DataFrame, name: str, names: Sequence[str]) -> bool:
     """Whether rows with the same values of some columns have the same value of another."""
-    values = dict[Values, Any]()
+    values = dict[_Values, Any]()
     rows = ([plain(row[each]) for each in (*names, name)] for row in frame.to_dict("records"))
     return all(values.setdefault(tuple(at), value) == value for *at, value in rows)
 

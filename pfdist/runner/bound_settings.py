@@ -17,8 +17,8 @@ MEMORY = 1024  # MiB
 _BYTES = 400  # memory of one error of a window at an instant, with all groups of draws
 _BYTES_A_WINDOW = 50_000  # memory of an added window: its moves, its programmes, and its times
 
-Draws = Annotated[Whole, Field(ge=LEAST_DRAWS, le=100_000)]
-DrawsOrNone = Literal[0] | Draws
+_Draws = Annotated[Whole, Field(ge=LEAST_DRAWS, le=100_000)]
+DrawsOrNone = Literal[0] | _Draws
 """Number of draws of the bound of a run; 0 for no bound."""
 
 
@@ -38,7 +38,7 @@ class BoundSettings(Arguments):
 
     error: ClassVar = JobError
 
-    draws: Draws | None = None
+    draws: _Draws | None = None
     within: Annotated[Number, Field(gt=0, lt=1)] | None = None
     particles: Annotated[Whole, Field(ge=1, le=32_000)] | None = None
     window: Annotated[Whole, Field(ge=1, le=6)] = WINDOW

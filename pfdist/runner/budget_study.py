@@ -52,9 +52,13 @@ class BudgetStudy(Study):
 
     @property
     def usual(self) -> int:
-        """The geometric mean of the smallest and the largest number of measurements."""
-        numbers = (self._each[end].measurements for end in (min(self._each), max(self._each)))
-        return round(math.sqrt(math.prod(numbers)))
+        """The geometric mean of the smallest and the largest number of measurements.
+
+        If the estimate uses later measurements, the smallest, whose gaps are the longest: errors in
+        longer gaps than those that are known count as less than they are.
+        """
+        least, most = (self._each[end].measurements for end in (min(self._each), max(self._each)))
+        return least if self.job.problem.instants_of_lag else round(math.sqrt(least * most))
 
     def spent(self, relaxation: Relaxation, name: str, times: Times) -> int:
         """The sum of the bound for a set: that of its number, or of its total price."""

@@ -178,7 +178,7 @@ def evaluator_of(
     job's instants to the next, and all instants have one weight.
     """
     problem, on = job.problem, clock or job.problem.clock
-    _check_sensors(job, model, problem.points.sensors)
+    _check_sensors(model, problem.points.sensors)
     scenarios = () if job.scenarios is None else job.scenarios.of_draws
     if clock is not None:
         from pfdist.problem.measurements import parameters_at  # noqa: PLC0415  needs pandas
@@ -224,7 +224,7 @@ def evaluator_of(
         raise ModelError(f"scenarios.parameters: {error}") from error
 
 
-def _check_sensors(job: Job, model: StateSpaceModel, named: tuple[str, ...]) -> None:
+def _check_sensors(model: StateSpaceModel, named: tuple[str, ...]) -> None:
     """Raise a `JobError` unless the job names the sensors of the model, in their order."""
     sensors = tuple(model.sensors)
     if named != sensors:
@@ -401,7 +401,7 @@ def _with_given(job: Job, model: StateSpaceModel) -> StateSpaceModel:
 def _sensed(job: Job, models: Models) -> Models:
     """The models whose sensors have limits, fail, or repeat, as the job says."""
     model = models[0]
-    _check_sensors(job, model, tuple(job.problem.sensors or ()))
+    _check_sensors(model, tuple(job.problem.sensors or ()))
     key = "problem.sensors" if model.sensors else "problem.sensor"
     with _naming(key):
         models = both(models, partial(sensed, sensings=job.problem.sensings))
@@ -516,14 +516,9 @@ def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
 
 def _check_draws(job: Job, evaluator: Evaluator) -> None:
     """Raise a `ModelError` if a few draws of a user's model are not finite, or formulas fail."""
-    if not _ships(job.model.name):
-        for part in reversed(evaluator.model.parts):
-            few_draws(part.model, evaluator.horizon)
-
-
-def _ships(name: str) -> bool:
-    home, _ = installed_models().get(name, ("", ""))
-    return home.startswith("pfdist.")
+    home, _ = installed_models().get(job.model.name, ("", ""))
+    for part in () if home.startswith("pfdist.") else reversed(evaluator.model.parts):
+        few_draws(part.model, evaluator.horizon)
 
 
 def _compiled_or_batched(evaluator: Evaluator) -> str:

@@ -11,7 +11,7 @@ from pfdist.filters.draws import Draws, are_possible, not_finite
 from pfdist.models import StateSpaceModel
 
 Array = NDArray[np.float64]
-Look = Callable[[StateSpaceModel, Draws], tuple[str, str]]
+_Look = Callable[[StateSpaceModel, Draws], tuple[str, str]]
 _INSTANTS = 500
 _DRAWS = 10
 
@@ -67,7 +67,7 @@ def _finite(
     return values
 
 
-def looked(look: Look, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+def looked(look: _Look, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """State and text of one check; an error in a formula gives the state "wrong"."""
     try:
         with np.errstate(all="ignore"):

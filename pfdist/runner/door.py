@@ -54,7 +54,7 @@ from pfdist.filters.work import FilterWork, Result, sum_of_draws, whole_block
 from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
-from pfdist.runner.progress import Reporter, Show
+from pfdist.runner.progress import Reporter, Say, Show
 from pfdist.search.programme import Programme
 from pfdist.store import QUESTIONS, Store, schema
 
@@ -67,7 +67,6 @@ EVALUATIONS = "evaluations"
 
 StoredResults = Iterator[tuple[FilterWork, Result]]
 Learn = Callable[[FilterWork, Result], None]
-Say = Callable[[str], Any]
 Part = Literal[
     "search", "opponent", "comparison", "other estimate", "statistics", "scan", "proof",
     "likelihood", "online", "rule", "why",

@@ -81,9 +81,8 @@ def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, f
     foreseen["online"] = online_steps(built)
     if prover is not None:
         foreseen["proof"], foreseen["likelihood"] = prover.steps, prover.rank_steps
-        allowed = SHARE * core_steps(built, prover)
-        foreseen["scan"] = scan_steps(built, allowed)
-        _, foreseen["rule"] = look_work(built, allowed)
+        foreseen["scan"] = scan_steps(built, SHARE * core_steps(built, prover))
+        _, foreseen["rule"] = look_work(built, SHARE * core_steps(built, prover))
     return {part: steps for part, steps in foreseen.items() if steps}
 
 

@@ -112,9 +112,7 @@ def time_columns(points: Points) -> TimeColumns:
     if points.sensors or clock.has_dates:
         written = points.written_of(range(points.number))
     elif points.delays:
-        written = [
-            float(clock.times[max(0, points.made_at(each))]) for each in range(points.number)
-        ]
+        written = [*map(float, points.written_of(range(points.number)))]
     dates = map(clock.text, clock.times) if clock.has_dates else ()
     return TimeColumns(clock.times, clock.time_unit, tuple(written), tuple(dates), clock.counts)
 

@@ -48,6 +48,7 @@ _KEPT, _UNTIL = 12, 600  # sets that are kept until so many draws
 _WHOLE_RACE = 23_000  # draws of all sets of such a race, about; they share much
 _COARSE_DRAWS = BLOCK  # of an evaluation from coarse to fine
 _OF_RANKING, _OF_REFINING = 0.35, 0.4  # of the work, at most; the race takes what is left
+_GAPS = 2  # mean gaps that must be known, if errors in longer ones count as less than they are
 _LEAST_SPREAD, _MOST_SPREAD = 16, 400  # sets with which an evaluation from coarse to fine begins
 
 
@@ -197,6 +198,9 @@ class EvenSearch:
         except JobError:
             return None
         if relaxation.offsets[-1] > most and not built.evaluator.exact:
+            return None
+        usual_gap = (feasible.horizon + 1) / (study.usual + 1)
+        if built.evaluator.lag and relaxation.longest_gap < _GAPS * usual_gap:
             return None
         counted = np.flatnonzero(np.diff(relaxation.offsets)).tolist()
         errors = yield from phase.sums(relaxation.counted(counted)).means(blocks, session)

@@ -193,6 +193,11 @@ class Replanning:
         left = tuple(point for point in self.plan if point >= first)
         self.plan = self.replanner.plan(now, self.taken, left, self.draw, self.in_flight)
 
+    def count(self, taken: Iterable[int] = (), in_flight: Iterable[int] = ()) -> None:
+        """Count further measurements as taken, or as in flight."""
+        self.taken = tuple(sorted({*self.taken, *taken}))
+        self.in_flight = tuple(sorted({*self.in_flight, *in_flight}))
+
     def keep(self, plan: Times) -> None:
         """Replace the plan by another of what is left; what is in flight stays in it."""
         self.plan = tuple(sorted({*self.in_flight, *plan}))

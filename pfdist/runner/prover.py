@@ -40,7 +40,8 @@ from pfdist.runner.ranks import RankWork, wrong_likelihood
 from pfdist.search import Counted
 from pfdist.search.first_windows import WINDOW, relaxation_for
 from pfdist.search.gaps import gaps_for
-from pfdist.search.relaxation import Indices, Relaxation
+from pfdist.search.relaxation import Relaxation
+from pfdist.search.setups import Indices
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
 

@@ -23,7 +23,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, weighed
 from pfdist.filters.work import FilterWork, Result
 from pfdist.kernels.left import ROUNDING, Left
-from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
+from pfdist.kernels.rules import ALWAYS, NEVER, Applied, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES
 from pfdist.results import Moments
@@ -81,7 +81,8 @@ class RuleWork(FilterWork):
 
     def result(self, evaluator: Evaluator) -> Result:
         """For E ends, the MSE of each draw, and what the rule spends for it: (D, 2 E)."""
-        if evaluator.scenarios:
+        applied = self.estimation.rule
+        if evaluator.scenarios or applied is None:
             return evaluator.filtered(self)
         draws = evaluator.draws(range(*self.draws), self.draws_stream)
         ends, wanted = self.ends[: len(self.ids) // 2], EACH_DRAW if len(self.ids) > 3 else ""
@@ -92,9 +93,7 @@ class RuleWork(FilterWork):
         if wanted:
             sums = np.cumsum(weighed(found.errors[:, 0], draws.instant_weights), axis=1)
             columns = [sums[:, [end - evaluator.start for end in ends]] / sums.shape[1]]
-        left = Left(
-            self.estimation.follows, points.ways, (), evaluator.horizon + 1, draws=len(found.mse)
-        )
+        left = Left(applied.follows, points.ways, (), evaluator.horizon + 1, draws=len(found.mse))
         measured = [*enumerate(found.measured.T, points.first(evaluator.start))]
         for before, end in pairwise((-1, *ends)):
             for point, each in measured:
@@ -102,7 +101,7 @@ class RuleWork(FilterWork):
                     left.take(point, each > 0)
             spent.append(left.spent)
         columns += [np.transpose(spent), found.deviation]
-        values = np.column_stack(columns[: 2 + (self.estimation.flipped is not None)])
+        values = np.column_stack(columns[: 2 + (applied.flipped is not None)])
         return Result(values, degenerate=np.repeat(found.degenerate, len(self.ids), axis=1))
 
 
@@ -128,8 +127,8 @@ def work_of(
         for role in (["filter", "rule"], ["draws"])
     )
     estimation = replace(
-        built.comparing, rule=rule, follows=feasible.step_limits,
-        particles=particles or built.comparing.particles, flipped=flipped,
+        built.comparing, rule=Applied(rule, feasible.step_limits, flipped),
+        particles=particles or built.comparing.particles,
     )  # fmt: skip
     parts = feasible.allowed, noise, of_draws
     # A work is stored or lacking as a whole, so no other work has one of its ids.
@@ -157,7 +156,8 @@ class RuledDraw(NamedTuple):
 
 def followed(evaluator: Evaluator, work: RuleWork, draw: int) -> RuledDraw:
     """One draw of a work, with the spread that its filter sees before each measurement."""
-    rule, (noise, *_) = work.estimation.rule or Thresholds(()), work.filter_streams
+    rule, follows, _ = work.estimation.rule or Applied(Thresholds(()))
+    noise, *_ = work.filter_streams
     numbers = evaluator.scenarios_of(work.draws_stream, range(draw, draw + 1))
     own = evaluator if numbers is None else evaluator.of_scenarios[numbers[0]]
     draws, points = own.draws(range(draw, draw + 1), work.draws_stream), own.points
@@ -167,7 +167,7 @@ def followed(evaluator: Evaluator, work: RuleWork, draw: int) -> RuledDraw:
     ends, first, end = [*arrive, own.horizon + 1], own.start, own.horizon + 1
     sets = [tuple(p for p in chosen if points.instant(p) < end) for end in ends]
     path, variances, levels = list[int](), list[Array](), list[list[float]]()
-    left, delays = Left(estimation.follows, points.ways, (), end), estimation.follows.delays
+    left, delays = Left(follows, points.ways, (), end), follows.delays
     made_at = [points.instant(p) - (delays[points.way(p)] if delays else 0) for p in chosen]
     filters = replace(own, lag=0).filter_each(draws, sets, [noise] * len(sets), estimation)
     for end, each in zip(ends, filters, strict=True):
@@ -457,7 +457,7 @@ class _Search:
         """
         evaluator, feasible = self._built.evaluator, self._built.feasible
         points, window = feasible.points, evaluator.horizon + 1
-        if not (rule.limit or evaluator.lag or feasible.shared or feasible.step_limits.most):
+        if not (rule.limit or evaluator.lag or feasible.setups or feasible.step_limits.group):
             window = math.ceil(_GAPS * (window - evaluator.start) / self._number)
         return [min(evaluator.horizon, points.instant(p) + window - 1) for p in self._every]
 

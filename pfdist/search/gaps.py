@@ -10,8 +10,8 @@ first of them, and all from the last one on. Its errors count in the gap before 
 measurement; in the relaxation for filters they count after it. The end of the horizon follows the
 last gap of a set. Windows grow in the same way, and the same programme finds the best set.
 
-A gap that is not known consists of known gaps: if everything outside of a part counts as measured,
-the errors in the part are still at most their own.
+In a gap that is not known, each instant has its error in a known gap around it: if everything
+outside of a part counts as measured, the errors in the part are still at most their own.
 
 The sources are those of `pfdist.search.relaxation`; see also `pfdist.kernels.lines`.
 """
@@ -34,13 +34,13 @@ from pfdist.search.relaxation import (
     NOTHING,
     START,
     Array,
-    Indices,
     Relaxation,
     Window,
     followers,
     in_order,
     keeps_limits,
 )
+from pfdist.search.setups import Indices
 
 LOOKAHEAD = 6
 """Instants after a gap that a search filters. A bound that leaves measurements out is none."""
@@ -114,8 +114,10 @@ class GapSums:
     def __call__(self, windows: Indices, times: Indices) -> Array:
         """Sums of errors from the last measurement of each window to just before a time."""
         after = self.relaxation.after[windows, times]
-        sizes, last = self._sizes[after], self.relaxation.last[windows]
-        sums = np.where(sizes > 1, self._own[after], self._of_pairs[last + 1, times])
+        last = np.broadcast_to(self.relaxation.last[windows], after.shape)
+        sums, unknown = self._own[after], self._sizes[after] == 1
+        times = np.broadcast_to(times, after.shape)
+        sums[unknown] = self._unknown(last[unknown], times[unknown])
         return np.where(after >= 0, sums, np.inf)
 
     @cached_property
@@ -134,35 +136,105 @@ class GapSums:
         ]
         return np.array(sums)
 
-    @cached_property
-    def _of_pairs(self) -> Array:
-        """The sum of errors between a last time, or none, and each time and the end, (T+3, T+2).
+    def _unknown(self, last: Indices, times: Indices) -> Array:
+        """Sums of errors in n gaps that are not known, between last times, or none, and times.
 
-        It is the largest sum over parts of the gap, each a known gap or measured throughout.
+        Each instant counts with its error in a known gap that is a part of the gap: in that around
+        the instant, or near an end in the longest one from there.
         """
-        relaxation, end = self.relaxation, self.relaxation.end
-        instants = relaxation.constraints.points.instant(np.arange(end + 1))
-        measured = np.concatenate([[0.0], np.cumsum(self._of_start)])[instants]
-        known = np.full((end + 2, end + 1), -np.inf)
-        for number, window in enumerate(relaxation.windows):
-            if len(window) == 2 and relaxation.passable[number]:
-                known[window[0] + 1, window[1]] = self._own[number]
-        sums = np.full((end + 2, end + 1), -np.inf)
-        sums[0, 0] = 0.0
-        for time in range(end + 1):
-            if time > 0:
-                sums[:, time] = sums[:, time - 1] + measured[time] - measured[time - 1]
-            sums[[0, time + 1], time] = np.maximum(sums[[0, time + 1], time], [known[0, time], 0.0])
-            last = np.flatnonzero(known[1:, time] > -np.inf)
-            parts = sums[:, last] + known[last + 1, time]
-            sums[:, time] = np.maximum(sums[:, time], parts.max(axis=1, initial=-np.inf))
+        parts, instant = self._parts, self.relaxation.constraints.points.instant
+        begin, end = instant(np.maximum(last, 0)), instant(times)
+        middle = np.searchsorted(parts.before, last), np.searchsorted(parts.after, times, "right")
+        left, right = (np.clip(each, begin, end) for each in middle)
+        half = np.clip((begin + end) // 2, right, np.maximum(left, right))
+        left, right = (np.where(left > right, half, each) for each in (left, right))
+        beside = parts.from_last(last, times, left) + parts.to_time(last, times, right)
+        sums: Array = parts.around[right] - parts.around[left] + beside
         return sums
 
-    @property
-    def _of_start(self) -> Array:
-        """The error of each instant if everything is measured, (T+1,)."""
-        start = self.relaxation.index[START]
-        return np.split(self.errors, self.relaxation.offsets[start : start + 2])[1]
+    @cached_property
+    def _parts(self) -> "_Parts":
+        return _Parts(self.relaxation, self.errors)
+
+
+class _Parts:
+    """The errors of known gaps that are not too long, of which unknown gaps consist.
+
+    These gaps do not grow, so an unknown gap keeps its sum.
+    """
+
+    def __init__(self, relaxation: GapRelaxation, errors: Array) -> None:
+        instants, points = relaxation.horizon + 1, relaxation.constraints.points
+        self._instant = points.instant
+        errors_of = np.split(errors, relaxation.offsets[1:-1])
+        measured = errors_of[relaxation.index[START]]
+        self._measured = np.concatenate([[0.0], np.cumsum(measured)])  # before each instant
+        longest = min(relaxation.longest_gap, instants)
+        self._last = np.full(relaxation.end + 1, relaxation.end)  # from where the longest gap comes
+        self._next = np.full(relaxation.end + 2, NOTHING)  # where the longest gap ends
+        self._from_last = np.zeros((relaxation.end + 2, longest + 1))
+        self._to_time = np.zeros((relaxation.end + 1, longest + 1))
+        sizes, lasts = relaxation.until - relaxation.first, list[int]()
+        for number, window in enumerate(relaxation.windows):  # by the end; of each, the first wins
+            size = int(sizes[number])
+            if len(window) != 2 or not 0 < size <= longest or not relaxation.passable[number]:
+                continue
+            (last, time), own = window, errors_of[number][:size]
+            self._next[last + 1] = time
+            self._from_last[last + 1] = _added_up(own, longest)
+            if last < self._last[time]:
+                self._last[time] = last
+                self._to_time[time] = _added_up(own[::-1], longest)
+        # Gaps that are part of no other, in order: both of their ends ascend.
+        found = NOTHING
+        for last in range(NOTHING, relaxation.end):
+            if self._next[last + 1] > found:
+                found = self._next[last + 1]
+                lasts.append(last)
+        begins, ends = self._ends(np.array(lasts, np.int64))
+        self.after = points.first(1) * np.arange(1, instants + 1)
+        self.before = self.after - 1
+        around, reached = measured.copy(), 0
+        for place, (last, first, until) in enumerate(zip(lasts, begins, ends, strict=True)):
+            reached, stop = max(reached, first), until
+            if place + 1 < len(lasts):  # up to the middle between the middles of both gaps
+                stop = min(stop, (first + until + begins[place + 1] + ends[place + 1] + 3) // 4)
+            if reached < stop:
+                here = slice(reached, stop)
+                self.before[here], self.after[here] = last, self._next[last + 1]
+                around[here] = np.diff(self._from_last[last + 1])[reached - first : stop - first]
+                reached = stop
+        self.around = np.concatenate([[0.0], np.cumsum(around)])
+
+    def _ends(self, lasts: Indices) -> tuple[list[int], list[int]]:
+        begins = self._instant(np.maximum(lasts, 0))
+        return begins.tolist(), self._instant(self._next[lasts + 1]).tolist()
+
+    def from_last(self, last: Indices, times: Indices, until: Indices) -> Array:
+        """The sums from last times, or none, to instants, in the longest gaps from there, (n,)."""
+        begin, following = self._instant(np.maximum(last, 0)), self._next[last + 1]
+        is_part = (following > NOTHING) & (following <= times)
+        reached = np.where(is_part, np.minimum(self._instant(following), until), begin)
+        rest = self._measured[until] - self._measured[reached]
+        sums: Array = self._from_last[last + 1, reached - begin] + rest
+        return sums
+
+    def to_time(self, last: Indices, times: Indices, since: Indices) -> Array:
+        """The sums from instants to times, in the longest gaps that end there, (n,)."""
+        end, before = self._instant(times), self._last[times]
+        is_part = (before < times) & (before >= last)
+        reached = np.where(is_part, np.maximum(self._instant(np.maximum(before, 0)), since), end)
+        rest = self._measured[reached] - self._measured[since]
+        sums: Array = self._to_time[times, end - reached] + rest
+        return sums
+
+
+def _added_up(errors: Array, size: int) -> Array:
+    """The sum of the first 0, 1, ... errors, (size+1,)."""
+    sums = np.zeros(size + 1)
+    sums[1 : errors.size + 1] = np.cumsum(errors)
+    sums[errors.size + 1 :] = sums[errors.size]
+    return sums
 
 
 def gaps_with(

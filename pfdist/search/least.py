@@ -4,7 +4,8 @@ For fixed sets, the errors of windows are averaged, and the programme takes the 
 least sum is taken in each draw and then averaged, no strategy that sees the measurements does
 better, whatever it computes: whether its set is s depends on y at s and on independent noise alone,
 so given these, further measurements keep their law, and the relaxed error of s is at most its own
-on the draws that choose s. See ``docs/bound.md``.
+on the draws that choose s. The minimum of a draw knows its future, so each measurement has a
+penalty, of mean 0 for every strategy. See ``docs/bound.md``.
 
 Source: Brown, Smith, Sun, "Information relaxations and duality in stochastic dynamic programs",
 Operations Research 58, 2010.
@@ -32,9 +33,11 @@ def least_of_draw(relaxation: Relaxation, errors: Array, most: int) -> Array:
 def best_price(least: Array, number: float) -> float:
     """The price of a measurement for which the bound of some draws is largest.
 
-    `least` (D, most+1) is that of `least_of_draw` for each draw.
+    `least` (D, most+1) is that of `least_of_draw` for each draw: infinite for numbers that the
+    constraints forbid.
     """
-    steepest = float(np.max(least[:, :1] - least.min(axis=1, keepdims=True), initial=0.0))
+    fewest = int(np.isfinite(least).any(axis=0).argmax())
+    steepest = float(np.max(least[:, fewest] - least.min(axis=1)))
     prices = np.concatenate([[0.0], np.geomspace(1e-4 * steepest or 1.0, steepest or 1.0, _PRICES)])
     return float(max(prices, key=lambda price: bounds_of_draws(least, number, price).mean()))
 

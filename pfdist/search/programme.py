@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.stopping import check
-from pfdist.search.relaxation import NOTHING, START, Indices, Moves, Relaxation, Window
+from pfdist.search.relaxation import NOTHING, START, Moves, Relaxation, Window
+from pfdist.search.setups import Indices
 
 Array = NDArray[np.float64]
 

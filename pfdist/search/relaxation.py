@@ -31,7 +31,7 @@ from pfdist.common.measurement_times import ManySets, Times
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.constraints import Constraints
 from pfdist.search.base import Counted
-from pfdist.search.setups import Setups
+from pfdist.search.setups import Indices, Setups
 
 NOTHING = -1
 """First entry of a window before which nothing is measured: the window is a whole beginning."""
@@ -46,7 +46,6 @@ Window = tuple[int, ...]
 START: Window = (NOTHING,)
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 States = NDArray[np.int32]
 
 
@@ -377,7 +376,7 @@ class Relaxation:
     def _within_limits(self) -> tuple[NDArray[np.bool_], Indices]:
         """Which times keep the limits, (M, T+2), and the row of the times after each window."""
         rows, row_of = dict[Times, int](), list[int]()
-        for window in self.windows if self.constraints.is_limited else ():
+        for window in self.windows if self.constraints.shared else ():
             beyond = self.constraints.beyond_limits(measured_in(self.constraints, window))
             row_of.append(rows.setdefault(tuple(beyond), len(rows)))
         within = np.ones((max(1, len(rows)), self.end + 1), np.bool_)

@@ -268,11 +268,11 @@ class StateSpaceRelaxation:
         feasible, unit, whole, tried = self.feasible, self._start.unit, list[Times](), paths
         if feasible.counted and self.sought:
             feasible = replace(feasible, measurement_budget=spent)
-        if feasible.counted and not feasible.is_limited:
+        if feasible.counted and not feasible.shared:
             return paths
         most = min(feasible.total, spent * unit) if self.sought else feasible.total
         while True:
-            if feasible.is_limited:
+            if feasible.shared:
                 whole += [feasible.repair(times, np.random.default_rng(0)) for times in tried]
             else:
                 whole += map(feasible.completed, filter(feasible.allows, tried))

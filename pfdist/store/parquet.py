@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
 _ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing the files that are read
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 _Change = tuple[set[Path], set[Path], list[Path]]  # files that are new, files and parts that go
 
 
@@ -82,7 +82,7 @@ class Store:
 
     def own_schema(self, schema: pa.Schema) -> pa.Schema:
         """Schema that a table has in this store, with times in place of instants."""
-        return schema if self._columns is None else self._columns.schema(schema)
+        return self.timed(schema.empty_table()).schema
 
     def recover(self) -> None:
         """Remove leftovers of killed processes, and mark a run that has lost a file as unfinished.
@@ -411,7 +411,7 @@ class Store:
 
         return self._again(look)
 
-    def _again(self, look: Callable[[], Value]) -> Value:
+    def _again(self, look: Callable[[], _Value]) -> _Value:
         """The value of a function that reads files; it starts again if a file was published."""
         for _ in range(_ATTEMPTS):
             try:

@@ -470,15 +470,6 @@ class TimeColumns:
                     rows = rows.add_column(index + 1, _DATE, _valued(column, self.dates))
         return rows
 
-    def schema(self, schema: pa.Schema) -> pa.Schema:
-        """Schema of such a table."""
-        for field in schema:
-            if self._is_changed(field):
-                schema = schema.set(schema.get_field_index(field.name), self._field(field))
-                if self.dates and field.name == "t":
-                    schema = schema.insert(schema.get_field_index("t") + 1, _DATE)
-        return schema
-
     def _is_written(self, field: pa.Field) -> bool:
         return field.name in _MEASUREMENTS and bool(self.written)
 

@@ -175,6 +175,18 @@ def test_weights_leave_the_curve_in_the_unit_of_z() -> None:
     assert facts_of(plain, MINE, 48)["expected MSE"] != facts_of(weighted, MINE, 48)["expected MSE"]
 
 
+def test_a_late_value_is_a_point_when_it_arrives() -> None:
+    """The points 5 and 6 are measured at t = 3 and 4; 0 and 1 would have been measured before 0."""
+    late = ExplorerSession(job_of("problem.sensor.delay=2", "problem.forbidden=[9]"))
+    state = late.state()
+    assert ([*state["delays"]], [*state["forbidden"]]) == ([2], [0, 1, 11])
+    assert "mine=3,4" in late.command_line({"mine": [5, 6]})
+    late.played = FilteredSets(late.built, stream_of("evaluate", late.job.seed))
+    known = pfdist.evaluate(late.job, {"a": (3, 4)}, draws=240)["a"].expected_mse
+    found = float(own(facts_of(late, (5, 6), 240)["expected MSE"]).split(" ± ")[0])
+    assert found == pytest.approx(known, rel=0.02)
+
+
 def test_the_worst_scenario_decides() -> None:
     scenarios = "scenarios={parameters=[{step_sd=1.0}, {step_sd=9.0}], criterion='worst'}"
     model = "model.name=random_walk"

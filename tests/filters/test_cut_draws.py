@@ -22,7 +22,7 @@ from pfdist.kernels import rules
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.left import StepLimits
-from pfdist.kernels.rules import Thresholds
+from pfdist.kernels.rules import Applied, Thresholds
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL
 from pfdist.models.sensed import sensed
 
@@ -94,7 +94,7 @@ def possible(sensing: str, **given: Any) -> bool:
     weights = ESTIMATORS[given["estimator"]].weights
     if weights.evidence and (given["lag"] != 0 or given["threshold"] < ALWAYS):
         return False
-    if given["rule"] and ESTIMATORS[given["estimator"]].filters > 1:
+    if given["rule"] and (ESTIMATORS[given["estimator"]].filters > 1 or weights.evidence):
         return False
     if not given["rule"] and (given["follows"] != "anything" or given["flipped"]):
         return False
@@ -139,15 +139,15 @@ def check_settings(sensing: str, **given: Any) -> None:
     model = sensed(WALK if "" in each else TWO, each)
     evaluator = Evaluator(model, HORIZON, lag=given.pop("lag"))
     of_parts = [each for each in each.values() for _ in range(each.repeats)]
-    ways, follows = len(of_parts), FOLLOWS[given.pop("follows")]
-    if limits := follows(ways):
+    ways, limits, flipped = len(of_parts), StepLimits(), given.pop("flipped")
+    if own_limits := FOLLOWS[given.pop("follows")](ways):
         alike = tuple(map(of_parts.index, of_parts))
         delays = tuple(part.delay for part in of_parts)
-        given["follows"] = StepLimits(**limits, alike=alike, delays=delays)
+        limits = StepLimits(**own_limits, alike=alike, delays=delays)
     if given["rule"] is not None:
         levels = tuple(np.repeat(given["rule"].thresholds, ways).tolist())
-        given["rule"] = given["rule"]._replace(thresholds=levels)
-        given["flipped"] = given["flipped"] and ways * given["flipped"]
+        rule = given["rule"]._replace(thresholds=levels)
+        given["rule"] = Applied(rule, limits, flipped and ways * flipped)
     settings = Estimation(40, **given)
     try:
         check(evaluator.for_estimation(settings, knows_truth=False), settings)

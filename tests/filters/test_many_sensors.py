@@ -12,7 +12,7 @@ from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import GUIDED, Estimation
 from pfdist.kernels.prefixes import plan_prefixes
-from pfdist.kernels.rules import Thresholds
+from pfdist.kernels.rules import Applied, Thresholds
 
 MOST = 64
 SETS = (
@@ -93,7 +93,7 @@ def test_the_ninth_sensor_guides_and_is_chosen_by_a_rule_as_any_other() -> None:
     apart = np.mean((guided.estimate - exact.estimate) ** 2)
     assert apart < 5 * np.mean(exact.variance) / 4000
     rule = Thresholds((infinite,) * 8 + (1.5,))
-    found = filter_checked_draws(model, draws, range(54), 5, Estimation(70, rule=rule))
+    found = filter_checked_draws(model, draws, range(54), 5, Estimation(70, rule=Applied(rule)))
     for draw, own in enumerate(found.measured):
         chosen = tuple(np.flatnonzero(own).tolist())
         assert chosen

@@ -19,8 +19,8 @@ from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
-from pfdist.kernels.left import UNLIMITED, StepLimits
-from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
+from pfdist.kernels.left import StepLimits
+from pfdist.kernels.rules import ALWAYS, NEVER, Applied, Thresholds
 from pfdist.models.learned import learned
 
 INSTANTS = tuple(range(13))
@@ -59,7 +59,7 @@ def test_both_engines_decide_alike_and_as_filters_with_the_sets_that_they_choose
 ) -> None:
     draws, candidates = simulate(ungm, 12, range(5, 9), 17), INSTANTS[1:]
     apart = tuple(t + 2 for t in INSTANTS) if rule.limit == 4 else ()
-    settings = Estimation(70, "systematic", rule=rule, lag=lag, follows=StepLimits(apart))
+    settings = Estimation(70, "systematic", rule=Applied(rule, StepLimits(apart)), lag=lag)
     found = check_against_plain(ungm, draws, candidates, settings)
     assert not found.measured[:, 0].any()
     assert found.measured.any(axis=1).all()
@@ -76,7 +76,7 @@ EACH = Thresholds((ALWAYS, 3.0, NEVER, 2.0, 6.0, ALWAYS, 4.0, NEVER, 1.0, 5.0, A
 def test_thresholds_of_instants_decide_as_in_the_plain_filter(
     ungm: StateSpaceModel, rule: Thresholds
 ) -> None:
-    draws, settings = simulate(ungm, 12, range(5, 9), 17), Estimation(70, rule=rule)
+    draws, settings = simulate(ungm, 12, range(5, 9), 17), Estimation(70, rule=Applied(rule))
     found = check_against_plain(ungm, draws, INSTANTS, settings)
     check_against_fixed_sets(ungm, draws, found, settings)
     measured = found.measured.astype(np.bool_)
@@ -93,7 +93,7 @@ def test_a_set_of_times_is_a_rule_even_where_all_particles_agree(ungm: StateSpac
     rule = Thresholds(tuple(ALWAYS if t in times else NEVER for t in INSTANTS), 0.5, 4)
     for model in (ungm, collapsed):
         draws = simulate(model, 12, range(5, 9), 17)
-        found = filter_checked_draws(model, draws, INSTANTS, 3, Estimation(70, rule=rule))
+        found = filter_checked_draws(model, draws, INSTANTS, 3, Estimation(70, rule=Applied(rule)))
         assert (found.measured == np.isin(INSTANTS, times)).all()
         fixed = filter_checked_draws(model, draws, times, 3, Estimation(70))
         assert (found.mse == fixed.mse).all()
@@ -105,8 +105,8 @@ def test_a_flipped_point_is_decided_the_other_way_and_all_before_it_as_usual(
 ) -> None:
     draws, point = simulate(ungm, 12, range(40), 17), 6
     given = ungm, draws, [INSTANTS], [12], 3
-    usual = filter_checked_sets(*given, Estimation(70, rule=rule))
-    flipped = filter_checked_sets(*given, Estimation(70, rule=rule, flipped=point))
+    usual = filter_checked_sets(*given, Estimation(70, rule=Applied(rule)))
+    flipped = filter_checked_sets(*given, Estimation(70, rule=Applied(rule, flipped=point)))
     is_open = np.isfinite(flipped.deviation)
     assert is_open.all() or rule.limit
     assert (flipped.measured[:, :point] == usual.measured[:, :point]).all()
@@ -121,7 +121,7 @@ def test_a_flipped_point_is_decided_the_other_way_and_all_before_it_as_usual(
 def test_a_guided_filter_decides_as_filters_with_the_sets_that_it_chooses(
     ungm: StateSpaceModel, rule: Thresholds
 ) -> None:
-    draws, settings = simulate(ungm, 12, range(5, 9), 17), Estimation(70, rule=rule)
+    draws, settings = simulate(ungm, 12, range(5, 9), 17), Estimation(70, rule=Applied(rule))
     settings = replace(settings, proposal="guided")
     found = filter_checked_draws(ungm, draws, INSTANTS, 3, settings)
     check_against_fixed_sets(ungm, draws, found, settings)
@@ -139,7 +139,7 @@ def test_a_guided_filter_decides_as_filters_with_the_sets_that_it_chooses(
 def test_any_spread_and_any_weights_decide_as_in_the_plain_filter(
     model: StateSpaceModel, level: float, settings: Estimation
 ) -> None:
-    settings = replace(settings, rule=Thresholds((level,)))
+    settings = replace(settings, rule=Applied(Thresholds((level,))))
     found = check_against_plain(model, simulate(model, 12, range(4), 17), INSTANTS, settings)
     assert 0 < found.measured.sum() < found.measured.size
 
@@ -155,7 +155,7 @@ def test_without_a_spread_that_depends_on_y_a_rule_is_a_fixed_set() -> None:
             times += (t,) * int(deviation > level)
             gap = min(gap, abs(deviation / level - 1))
         found = filter_checked_draws(
-            model, draws, INSTANTS, 2, Estimation(4000, rule=Thresholds((level,)))
+            model, draws, INSTANTS, 2, Estimation(4000, rule=Applied(Thresholds((level,))))
         )
         wrong = (found.measured != np.isin(INSTANTS, times)).any(axis=1).mean()
         assert gap > 0.06  # more than 5 standard errors of a deviation of 4,000 particles
@@ -182,7 +182,7 @@ def test_sensors_decide_alike_in_both_engines_and_as_filters_with_their_sets(
     model, prices = SYSTEMS[0].as_model(), (1.0, 0.25, 2.0)
     draws, candidates = simulate(model, HORIZON, range(5, 9), 17), tuple(range(1, 3 * HORIZON))
     apart = () if several else tuple(range(1, HORIZON + 2))
-    settings = Estimation(70, rule=rule, follows=StepLimits(apart, prices * (HORIZON + 1)))
+    settings = Estimation(70, rule=Applied(rule, StepLimits(apart, prices * (HORIZON + 1))))
     found = check_against_plain(model, draws, candidates, settings)
     each = found.measured.reshape(4, HORIZON + 1, 3)
     assert each.any(axis=(0, 1)).tolist() == [True, True, rule.thresholds[2] < np.inf]
@@ -216,9 +216,9 @@ def test_the_compiled_filter_asks_what_may_follow_as_the_plain_one(name: str, li
         simulate(model, HORIZON, range(5, 9), 17),
         Thresholds((0.25, 0.3, 0.28), 0.5, limit),
     )
-    settings = Estimation(70, rule=rule, follows=follows)
+    settings = Estimation(70, rule=Applied(rule, follows))
     found = check_against_plain(model, draws, candidates, settings)
-    free = check_against_plain(model, draws, candidates, replace(settings, follows=UNLIMITED))
+    free = check_against_plain(model, draws, candidates, replace(settings, rule=Applied(rule)))
     assert (found.measured != free.measured).any(axis=1).sum() > 2  # the constraints bind
     assert found.measured[:, list(follows.required)].all()
     check_against_fixed_sets(model, draws, found, settings)
@@ -229,7 +229,7 @@ def test_with_two_sensors_a_rule_is_the_fixed_set_of_its_thresholds() -> None:
     apart = tuple(range(1, watched.HORIZON + 2))
     for thresholds in ((1.55, 1.85), (1.6, 1.3), (1.2, np.inf), (np.inf, 1.55)):
         error, price, points, near = watched.of_thresholds(thresholds)
-        settings = Estimation(4000, rule=Thresholds(thresholds), follows=StepLimits(apart))
+        settings = Estimation(4000, rule=Applied(Thresholds(thresholds), StepLimits(apart)))
         every = tuple(range(2 * watched.HORIZON + 2))
         found = filter_checked_draws(watched.WALK, draws, every, 2, settings)
         assert near > 0.05, thresholds  # more than 4 standard errors of a deviation
@@ -244,7 +244,7 @@ def test_what_is_not_known_of_a_learned_parameter_counts_as_spread() -> None:
     model = learned(WALK, {"drift": {"normal": (0.0, 0.3)}})
     draws, t = simulate(model, 12, range(8), 1), np.arange(13.0)
     found = filter_checked_draws(
-        model, draws, INSTANTS, 2, Estimation(4000, rule=Thresholds((2.0,)))
+        model, draws, INSTANTS, 2, Estimation(4000, rule=Applied(Thresholds((2.0,))))
     )
     deviation = np.sqrt(1.0 + SD**2 * t + (1.0 + t**2) * 0.3**2)  # before a measurement
     first = int(np.argmax(deviation > 2.0))
@@ -277,7 +277,7 @@ def test_on_a_chain_of_two_states_the_best_rule_is_worse_than_the_plan_and_than_
     # The particle filter finds the same error: the best rule's decisions leave room for its noise.
     draws = simulate(beliefs.CHAIN, beliefs.HORIZON, range(2000), 1)
     found = filter_checked_draws(
-        beliefs.CHAIN, draws, tuple(instants), 2, Estimation(500, rule=rule)
+        beliefs.CHAIN, draws, tuple(instants), 2, Estimation(500, rule=Applied(rule))
     )
     error = found.mse.std() / np.sqrt(found.mse.size)
     assert abs(found.mse.mean() - best) < 4 * error

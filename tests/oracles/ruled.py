@@ -11,23 +11,20 @@ from pfdist.filters import plain
 from pfdist.filters.draws import Draws
 from pfdist.filters.work import Estimation
 from pfdist.kernels.left import Left
-from pfdist.kernels.rules import Thresholds
+from pfdist.kernels.rules import Applied, Thresholds
 
 
 def filter_by_rule(
     model: StateSpaceModel, draws: Draws, candidates: Times, stream: int, settings: Estimation
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Whether each draw is measured at each point, and the MSE of each draw."""
-    rule, fixed, end = (
-        settings.rule or Thresholds(()),
-        replace(settings, rule=None),
-        draws.instants.stop,
-    )
+    rule, follows, _ = settings.rule or Applied(Thresholds(()))
+    fixed, end = replace(settings, rule=None), draws.instants.stop
     every = range(model.points.first(end))
     sets, errors = list[Times](), list[float]()
     for place in range(len(draws.index)):
         alone, times = draws[place : place + 1], Times()
-        left = Left(settings.follows, model.points.ways, candidates, end, rule.limit)
+        left = Left(follows, model.points.ways, candidates, end, rule.limit)
         for t in range(end):
             left.wait(t)
             arrived = tuple(p for p in times if model.points.instant(p) < t)

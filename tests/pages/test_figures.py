@@ -35,6 +35,7 @@ from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Gain, Run, open_run
+from pfdist.results.budget_curve import best_reference
 from pfdist.results.online import OnlineDraws
 from pfdist.results.over_time import errors_over_time_of, ranges_of
 from pfdist.results.stored_run import statistics_of
@@ -324,7 +325,7 @@ def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> No
     counts, _ = np.histogram(100 * relative, edges)
     np.testing.assert_allclose(heights, counts / 50, atol=1e-9)
     assert _lines(axes)["no gain"][0] == [0.0, 0.0]
-    assert _legend(axes) == f"genetic, mean gain {100 * relative.mean():.1f} %"
+    assert _legend(axes) == f"genetic, mean of relative gains {100 * relative.mean():.1f} %"
     assert not axes.texts
     assert axes.get_xlabel() == "relative gain over regular times [%]\n(right: genetic better)"
 
@@ -484,6 +485,15 @@ def test_an_arrow_says_how_many_measurements_the_plan_spares(curve: pd.DataFrame
     worse = curve.assign(**{key: curve[key] + 9 * (curve["kind"] == "found") for key in errors})
     texts = [text.get_text() for text in budget(worse, ax=_axes()).texts]
     assert not any("as good" in text for text in texts)
+
+
+def test_the_arrow_begins_at_the_best_number_of_evenly_spaced_times(curve: pd.DataFrame) -> None:
+    """More evenly spaced times may do worse; then the plan is compared with fewer."""
+    assert best_reference(curve)["budget"] == 5
+    last = (curve["kind"] != "found") & (curve["budget"] == 5)
+    worse = curve.assign(expected_mse=curve["expected_mse"].where(~last, 99.0))
+    best = best_reference(worse)
+    assert (best["budget"], best["expected_mse"]) == (3, 7.0)
 
 
 def test_a_figure_of_twenty_searches_has_room_for_curves_and_legend() -> None:

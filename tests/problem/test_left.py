@@ -9,10 +9,9 @@ import pytest
 from pfdist.common.measurement_times import Times
 from pfdist.kernels.left import Left
 from pfdist.problem.clock import Clock
-from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
-from pfdist.problem.shared import Together
+from pfdist.problem.shared import Limit, OfSensors, Together
 from pfdist.problem.spacing import Spacing
 from pfdist.problem.visits import Installs, Visits
 
@@ -20,16 +19,19 @@ LAST = 6
 TWO = Points(Clock.counting(3), ("cheap", "sharp"))
 THREE = Points(Clock.counting(2), ("a", "b_a", "b_b"), repeats=(0, 1, 1))
 LATE = Points(Clock.counting(3), ("meter", "lab"), (0, 2))
+FAR = Limit(spacing=Spacing.constant(2, 3))
 WITHIN = Visits.on(tuple(range(3, LAST + 4)), price=2, most=2)
 SLOTS = Visits.on((2, 2, 4, 4, 7, 7, 7), most=2)
 EACH = {
     "budget": Feasible(LAST, 3),
     "spacing, forbidden, required": Feasible(LAST, 3, (1,), (4,), 2),
     "prices": Feasible(LAST, price=(1, 2, 3, 1, 2, 3, 1), total_price=5, required=(5,)),
-    "most": Feasible(3, 3, points=TWO, limits=(Limit(1), Limit(2)), minimum_spacing=0),
+    "most": Feasible(
+        3, 3, points=TWO, shared=(OfSensors.on(TWO, (Limit(1), Limit(2))),), minimum_spacing=0
+    ),
     "spacing of a sensor": Feasible(
-        3, 3, required=(5,), points=TWO, minimum_spacing=0, limits=(
-            Limit(2), Limit(spacing=Spacing.constant(2, 3))),
+        3, 3, required=(5,), points=TWO, minimum_spacing=0,
+        shared=(OfSensors.on(TWO, (Limit(2), FAR)),),
     ),
     "one sensor at a time": Feasible(3, 3, points=TWO, minimum_spacing=1),
     "together": Feasible(
@@ -45,7 +47,7 @@ EACH = {
     "visits in slots": Feasible(LAST, 4, forbidden=(3,), shared=(SLOTS,), required=(0, 5)),
     "late values": Feasible(
         3, 3, forbidden=(1, 3), required=(7,), points=LATE, minimum_spacing=0,
-        limits=(Limit(2), Limit(spacing=Spacing.constant(2, 3))),
+        shared=(OfSensors.on(LATE, (Limit(2), FAR)),),
     ),
 }  # fmt: skip
 

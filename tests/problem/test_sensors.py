@@ -9,20 +9,24 @@ import pytest
 from oracles.in_turn import in_turn
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
-from pfdist.problem.constraints import Limit
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
+from pfdist.problem.shared import Limit, OfSensors
 from pfdist.problem.spacing import Spacing
 
 POINTS = Points(Clock.counting(4), ("ct", "x-ray"))
 FREE = Feasible(4, 3, minimum_spacing=0, points=POINTS)
-LIMITED = replace(
-    FREE, limits=(Limit(most=1), Limit(spacing=Spacing.constant(2, 4))), forbidden=(3,)
-)
+ONE, TWO, FAR = Limit(most=1), Limit(most=2), Limit(spacing=Spacing.constant(2, 4))
+LIMITS = {
+    OfSensors.on(POINTS, limits): limits
+    for limits in [(ONE, FAR), (TWO, Limit()), (TWO, ONE), (FAR, Limit())]
+}
+ONE_FAR, TWO_FREE, TWO_ONE, FAR_FREE = LIMITS
+LIMITED = replace(FREE, shared=(ONE_FAR,), forbidden=(3,))
 PRICED = Feasible(
     4, None, minimum_spacing=0, points=POINTS, price=(1, 3) * 5, total_price=5, cheapest=0
 )
-LIMITED_MONEY = replace(PRICED, limits=(Limit(most=2), Limit()), smaller=True)
+LIMITED_MONEY = replace(PRICED, shared=(TWO_FREE,), smaller=True)
 
 
 def _by_definition(feasible: Feasible, times: tuple[int, ...]) -> bool:
@@ -33,7 +37,8 @@ def _by_definition(feasible: Feasible, times: tuple[int, ...]) -> bool:
     far = feasible.minimum_spacing
     if any(abs(a - b) < far for (a, _), (b, _) in combinations(pairs, 2)):
         return False
-    for sensor, limit in enumerate(feasible.limits):
+    limits = (limit for each in feasible.shared for limit in LIMITS[each])
+    for sensor, limit in enumerate(limits):
         own = [t for t, s in pairs if s == sensor]
         if limit.most is not None and len(own) > limit.most:
             return False
@@ -53,10 +58,10 @@ EACH = {
     "limited money": LIMITED_MONEY,
     "limited money, one sensor at a time": replace(LIMITED_MONEY, minimum_spacing=1),
     "limited money, all apart": replace(
-        LIMITED_MONEY, minimum_spacing=2, limits=(Limit(most=2), Limit(most=1)), total_price=6
+        LIMITED_MONEY, minimum_spacing=2, shared=(TWO_ONE,), total_price=6
     ),
     "spaced money, one sensor at a time": replace(
-        LIMITED_MONEY, minimum_spacing=1, limits=(Limit(spacing=Spacing.constant(2, 4)), Limit())
+        LIMITED_MONEY, minimum_spacing=1, shared=(FAR_FREE,)
     ),
 }
 

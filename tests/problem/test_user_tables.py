@@ -192,6 +192,20 @@ def test_times_are_read_in_the_one_way_in_which_they_lie_in_the_horizon(
     assert [f"read as {said}: " in note for note in notes] == [True] * bool(said)
 
 
+def test_days_since_the_start_that_could_be_days_of_the_year_are_told(
+    tmp_path: Path, ship: StateSpaceModel
+) -> None:
+    """100 days after 1 April is 10 July; day 100 of the year is 10 April."""
+    clock = replace(Clock.regular(213, 1, "d"), calendar=Calendar.starting("2026-04-01", "d"))
+    for cells, said in (([100, 150], "'100' could be 2026-07-10"), ([10, 150], ""), ([0, 99], "")):
+        path, notes = _written(tmp_path / "ship.csv", {"t": cells, "y0": 1.0, "y1": 2.0}), [""]
+        assert read_measurements(path, ship, clock, reading=Reading(note=notes.append)).t == (
+            *cells,
+        )
+        assert said in notes[-1]
+        assert bool(notes[1:]) == bool(said)
+
+
 def test_numbers_since_an_epoch_are_in_utc(tmp_path: Path, ship: StateSpaceModel) -> None:
     """In April, midnight in Chicago is 5:00 in UTC; dates without an offset are local."""
     clock = replace(HOURLY, calendar=CHICAGO)

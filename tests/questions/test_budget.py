@@ -53,6 +53,18 @@ def found(exact: pfdist.Run) -> pd.DataFrame:
     return table[table["kind"] == "found"].set_index("measurements")
 
 
+def test_few_measurements_are_as_good_in_a_wide_range_for_a_smoothed_estimate(
+    exact_job: Job, tmp_path: Path
+) -> None:
+    """Errors in gaps longer than those that are known only begin to count (brute force)."""
+    job = exact_job.with_changes(["problem.estimate=smoothed", "problem.horizon=30"])
+    run = pfdist.budget(job, {2, 24}, tmp_path / "run", bound_draws=0, figures=False)
+    table = run.table("sets").query("kind == 'found'").set_index("measurements")
+    every = [*Feasible(30, 2).every()]
+    least = expected_mse(WALK, 30, every, lag=30).min()
+    assert table["expected_mse"][2] == pytest.approx(least, rel=1e-9)
+
+
 @pytest.fixture(scope="module")
 def optima() -> "pd.Series[float]":
     """The least expected MSE of all sets of 1 to 6 times, by brute force."""

@@ -233,6 +233,16 @@ def test_readings_of_one_time_are_their_weighted_mean() -> None:
     assert [found["mean_0"], found["sd_0"]] == pytest.approx(_posterior(U), rel=1e-12)
 
 
+def test_a_reading_without_its_error_has_that_of_the_job_and_a_line_says_so(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    table = pd.DataFrame({"t": [0, 2, 5], "y0": Y, "error": [0.3, 0.5, math.nan]})
+    found = pfdist.filter_measurements(_problem(), table, report=False, say=print).table.iloc[-1]
+    assert [found["mean_0"], found["sd_0"]] == pytest.approx(_posterior([0.3, 0.5, 0.2]), rel=1e-12)
+    line = "u is empty in 1 row with a reading: there the job's value counts"
+    assert line in capsys.readouterr().out
+
+
 def test_it_names_a_parameter_of_the_model_and_a_column_once() -> None:
     with pytest.raises(JobError, match="a column for each parameter, got 'error' twice"):
         as_job(_problem(given={"u": "error", "sd": "error"}))

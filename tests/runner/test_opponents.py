@@ -18,6 +18,7 @@ from oracles.even import even_instants, spaced_around
 from oracles.in_turn import in_turn
 from pfdist import Sensor, StateSpaceModel
 from pfdist.common.streams import stream_of
+from pfdist.filters import kalman
 from pfdist.problem.job import Job
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.run_of_job import searched_by
@@ -198,6 +199,27 @@ def test_on_a_long_horizon_few_sets_are_tried_for_a_twentieth_of_the_work(
     done = steps_by_part(run)
     assert 0 < done["opponent"] <= 0.05 * (done["search"] + done["comparison"])
     assert re.search(r"best of \d evenly spaced sets\s+that were tried", str(answer_of(run)))
+
+
+def test_little_work_gives_no_ranking_by_gaps_that_are_not_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With short known gaps of a smoother, a set that crowds together seemed the best.
+
+    Few sets race then, and regular times are among them (exact errors of all).
+    """
+    monkeypatch.setattr("pfdist.runner.opponent._LEAST_STEPS", 1e7)
+    problem = pfdist.Problem(
+        "random_walk", horizon=40, measurement_budget=8, particles=100, estimate="smoothed"
+    )
+    job = problem.job(seed=1).with_changes(
+        ["comparison.draws=100"], sections={"search": [{"method": "random", "evaluations": 10}]}
+    )
+    run = pfdist.run(job, tmp_path, figures=False, pool="serial")
+    opponent = job.problem.points.read(run.sets["evenly_spaced"])
+    model = pfdist.load_model("random_walk")
+    exact = kalman.expected_mse(model, 40, [opponent, *_around(job, 8)], lag=40)
+    assert exact[0] <= 1.1 * exact[1:].min()
 
 
 def test_no_plan_is_clearly_worse_than_its_opponent(

@@ -12,9 +12,10 @@ from pfdist import Sensor, StateSpaceModel
 from pfdist.common.measurement_times import Lag, Times
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.clock import Clock
-from pfdist.problem.constraints import Constraints, Limit
+from pfdist.problem.constraints import Constraints
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
+from pfdist.problem.shared import Limit, OfSensors
 from pfdist.problem.spacing import Spacing
 from pfdist.runner.proof import Sums, prove
 from pfdist.search.first_windows import relaxation_with
@@ -41,7 +42,8 @@ limits = pytest.mark.parametrize(
 
 def _constraints(name: str, *, money: bool) -> Constraints:
     points = Points(Clock.counting(HORIZON), SENSORS)
-    given = {"points": points, "minimum_spacing": 0.0, "limits": LIMITS[name]}
+    shared = (OfSensors.on(points, LIMITS[name]),)
+    given = {"points": points, "minimum_spacing": 0.0, "shared": shared}
     if money:
         return Feasible(HORIZON, price=PRICES, total_price=6, smaller=True, **given)
     return Feasible(HORIZON, 4, **given)
@@ -279,7 +281,7 @@ def test_exact_gaps_of_the_manual(name: str) -> None:
     every = list(free.every())
     mse, counts = expected_mse(model, horizon, every), np.stack([*map(_counts, every)])
     optimum = mse[(counts <= most).all(axis=1)].min()
-    limited = replace(free, limits=tuple(map(Limit, most)))
+    limited = replace(free, shared=(OfSensors.on(points, [*map(Limit, most)]),))
     gaps_found = list[float]()
     for constraints in (free, limited):
         relaxation = relaxation_with(constraints, 2, horizon + 1)
