@@ -297,9 +297,13 @@ class Clock:
         fits = [name for name, distance in away.items() if distance <= self.slack]
         both = " or ".join(f"{self.text(read[name][0])} ({name})" for name in fits)
         if OWN_DATES in fits:
-            if read[OWN_DATES] != read[fits[-1]]:
-                note(f"t of the table is time since the start: {shown(texts[0])} could be {both}")
-            return read[OWN_DATES]
+            own, other = (read[name] for name in (OWN_DATES, fits[-1]))
+            if self._days_apart(own, other) > 1:  # counted from 0, days differ by one
+                note(
+                    f"t of the table is read as time since the start: {shown(texts[0])} is "
+                    f"{self.text(own[0])}; as a day of the year it would be {self.text(other[0])}"
+                )
+            return own
         if len(fits) > 1:
             got = f"{shown(texts[0])}, which is {both}"
             raise ValueError(f"t must be one date, as 2026-04-01, got {got}")
@@ -312,6 +316,12 @@ class Clock:
         at = self.text(read[nearest][0])
         note(f"t of the table is read as {nearest}: {shown(texts[0])} is {at}")
         return read[nearest]
+
+    def _days_apart(self, times: Iterable[Time], others: Iterable[Time]) -> int:
+        """The largest number of days between the dates of two readings of a column."""
+        date = cast("Calendar", self.calendar).date
+        pairs = zip(times, others, strict=True)
+        return max(abs((date(a).date() - date(b).date()).days) for a, b in pairs)
 
     def _away(self, times: Iterable[float]) -> float:
         """How far the furthest of some times lies outside the horizon."""

@@ -84,7 +84,7 @@ class FilteredMeasurements(Shown):
         Times with a measurement, on the clock, as all times below.
     missing, extra, to_come : tuple of int or float
         Planned times up to the last measurement that were not measured, measured times that were
-        not planned, and planned times after the last measurement.
+        not planned, failed ones, too, and planned times after the last measurement.
     table : DataFrame
         A row for each instant, with the columns of `pfdist.store.filtered_schema`.
     log_evidence : float or None
@@ -281,8 +281,9 @@ def filter_measurements(
     moved = [points.first(places[of_job.instant(t)]) + of_job.way(t) for t in plan.times]
     # Which of its repeats measures does not matter.
     wanted = points.canonical(t for t in moved if t >= points.first(filtering.now.t))
-    nearest = of_job.clock.nearest(clock.times[points.instant(t)] for t in made)
-    meant = [points.first(places[k]) + points.way(t) for k, t in zip(nearest, made, strict=True)]
+    tried = sorted({*made, *rows.failed})
+    nearest = of_job.clock.nearest(clock.times[points.instant(t)] for t in tried)
+    meant = [points.first(places[k]) + points.way(t) for k, t in zip(nearest, tried, strict=True)]
     filtered_estimates, lag = [*_estimates(filtering, rows)], plan.built.evaluator.lag
     smoothed = list[FilterEstimate]()
     if len(filtered_estimates) <= filtering.unmeasured.most_smoothed:
@@ -291,15 +292,14 @@ def filter_measurements(
     estimates = time_columns(points).table(estimates)
     collapsed = filtering.now.collapsed
     after = points.first(max((*rows.t, *rows.missed), default=-1) + 1)
-    spent = {*meant, *rows.failed}
-    extra = [t for t, m in zip(made, meant, strict=True) if plan.run and m not in wanted]
+    extra = [t for t, m in zip(tried, meant, strict=True) if plan.run and m not in wanted]
     result = FilteredMeasurements(
         plan.path,
         plan.built.job.path.stem,
         Path("measurements") if isinstance(table, pd.DataFrame) else table,
         plan.name,
         tuple(points.written_of(made)),
-        tuple(points.written_of(t for t in wanted if t < after and t not in spent)),
+        tuple(points.written_of(t for t in wanted if t < after and t not in meant)),
         tuple(points.written_of(extra)),
         tuple(points.written_of(t for t in wanted if t >= after and t not in meant)),
         frame_of(estimates),
@@ -424,9 +424,11 @@ def _few_ancestors(answer: FilteredMeasurements) -> str:
     rows = answer.table[answer.table[_SMOOTHED_SIZE] < _FEW_ANCESTORS]
     if not len(rows):
         return ""
-    least, last = rows[_SMOOTHED_SIZE].min(), answer.clock.listed([rows["t"].iloc[-1]])
+    least = rows.iloc[rows[_SMOOTHED_SIZE].argmin()]
+    at = answer.clock.listed([least["t"]])
     return (
-        f"few ancestors until t = {last}, at least {least:.0f}: more particles help, or problem.lag"
+        f"few ancestors: {least[_SMOOTHED_SIZE]:.0f} at t = {at}; more particles help, or "
+        "problem.lag"
     )
 
 

@@ -73,11 +73,16 @@ class NextByRule(Shown):
         return Page("", "", [Section("", blocks)], alarms=self.doubts)
 
 
-def next_in_words(clock: Clock, time: Time | str) -> str:
-    """When to measure next; dates have weekdays, as those of a plan."""
+def next_in_words(clock: Clock, time: Time | str, *, is_last: bool = True) -> str:
+    """When to measure next; dates have weekdays, as those of a plan.
+
+    Beside sensors, the unit of time stands at the end: with later times, unless it is the last.
+    """
+    each = time.split(", ") if isinstance(time, str) else [time]
     if clock.has_dates:
-        return f"on {', '.join(clock.in_words(str(time).split(', ')))}"
-    return f"at t = {time if isinstance(time, str) else clock.listed([time])}"
+        return f"on {', '.join(clock.in_words(each))}"
+    is_bare = isinstance(time, str) and not is_last
+    return f"at t = {time if is_bare else clock.listed(each)}"
 
 
 def next_by_rule(
@@ -94,7 +99,7 @@ def next_by_rule(
     at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
     passed = max([start - 1, *(k for k in range(len(clock.times)) if at[k] <= last)])
     if now is not None:
-        passed = instant_now(now, max(passed, start), clock)
+        passed = instant_now(now, max(passed, start), clock, reading.note)
     waiting = tuple(point for point in rows.in_flight if points.instant(point) > passed)
     left = feasible.left(taken, passed + 1, waiting, rule.limit)
     following, spread, level = None, math.nan, math.nan

@@ -1,7 +1,7 @@
 """The time to measure next, from a run and the measurements so far."""
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import chain
@@ -158,7 +158,7 @@ class NextTime(Shown):
         facts, every = [("expected MSE", self._expected(self.expected))], list[tuple[str, str]]()
         if self.plan:
             following, *later = self._chosen
-            said = f"Measure next {next_in_words(clock, following)}"
+            said = f"Measure next {next_in_words(clock, following, is_last=not later)}"
             if later:
                 at = "on about" if clock.has_dates else "at about"
                 said += f"; then {at} {self._listed(later[:_SHOWN])}"
@@ -300,9 +300,9 @@ def _next_by_plan(
     with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
         last, surprise = _tell(planner, rows) if is_own else (-1, None)
         if not is_own:
-            last, surprise = _tell_all(planner, plan, rows, now)
+            last, surprise = _tell_all(planner, plan, rows, now, reading.note)
         elif now is not None:
-            instant = instant_now(now, max(last, start), clock)
+            instant = instant_now(now, max(last, start), clock, reading.note)
             if instant > last:
                 planner.missed(clock.time(instant))
             last = instant
@@ -364,7 +364,7 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
 
 
 def _tell_all(
-    planner: Planner, plan: PlannedRun, rows: Measurements, now: Any
+    planner: Planner, plan: PlannedRun, rows: Measurements, now: Any, note: Callable[[str], Any]
 ) -> tuple[int, float | None]:
     """Add measurements whose clock has further instants, or that are repeated; as `_tell`.
 
@@ -375,8 +375,10 @@ def _tell_all(
     until = len(clock.between(clock.times[0], end))
     if passed := abs(clock.times[until - 1] - end) <= clock.slack:
         until -= 1
-    if now is not None and (instant := instant_now(now, until - (not passed), clock)) >= until:
-        until, passed = instant, True
+    if now is not None:
+        instant = instant_now(now, until - (not passed), clock, note)
+        if instant >= until:
+            until, passed = instant, True
     filtering, taken, _ = system_of_table(plan, rows)
     estimates = planner._follow(filtering, rows, taken, until, passed=passed)
     return until - (not passed), surprise_of(estimates)

@@ -1,5 +1,6 @@
 """Real measurements: the run that planned them, if any, the tables of a user, and the filter."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -20,6 +21,7 @@ from pfdist.errors import (
     MeasurementsError,
     MeasurementTimesError,
     RunMismatchError,
+    StoreError,
     relative,
     shown,
 )
@@ -30,7 +32,7 @@ from pfdist.problem.calendar import names_dates
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.questions.run_of_job import path_of_run, run_and_job
+from pfdist.questions.run_of_job import built_for_run, path_of_run, run_and_job
 from pfdist.results import Run, open_run
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import job_of, measured_of
@@ -147,18 +149,21 @@ def _run_if_any(
 ) -> tuple[Run | None, Built]:
     """The finished run of a job if it has one, and the job with its models; `say` hears why not.
 
-    Raises a `StoreError` if the user names the folder of a different run.
+    Raises a `StoreError` if the user names the folder of a different run, or of a run that cannot
+    be read.
     """
     folder = path_of_run(as_job(job), results)
     why = f"{results} holds no run" if results else ""
-    if folder and (state := open_run(folder).state) != "finished":
-        why = f"{folder} is not finished ({state})"
-    elif folder:
-        try:
-            return run_and_job(job, results, changes, say)
-        except RunMismatchError as error:
-            if results:
-                raise
+    try:
+        if folder and (run := open_run(folder)).state == "finished":
+            return run, built_for_run(run, job, changes, say)
+        if folder:
+            why = f"{folder} is not finished ({run.state})"
+    except StoreError as error:
+        if results:
+            raise
+        why = str(error).partition("; ")[0]
+        if isinstance(error, RunMismatchError):
             why = f"{folder} holds a different run ({error.differences[0]})"
     if why:
         heard(say, f"{relative(why)}: the answer uses no plan")
@@ -255,16 +260,22 @@ def system_of_table(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times
     return filtering, tuple(taken), tuple(on.written_of(made))
 
 
-def instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
-    """The instant of the last time that has passed, after checking it."""
+def instant_now(
+    now: Time | str | datetime, last: int, clock: Clock, note: Callable[[str], Any]
+) -> int:
+    """The instant of the last time that has passed, after checking it; `note` hears its reading."""
     number: Any = now
-    if clock.has_dates and not isinstance(now, datetime) and not names_dates(f"{now}"):
+    is_number = isinstance(number, Real) and not isinstance(number, bool)
+    may_be_date = isinstance(now, str) or (is_number and not math.isnan(number))
+    if clock.has_dates and may_be_date and not names_dates(f"{now}"):
         try:  # as the column t of a table
-            (number,) = clock.of_table([number])
+            (number,) = clock.of_table(
+                [number], lambda line: note(line.replace("t of the table", "now"))
+            )
+            is_number = True
         except ValueError as error:
             text = str(error).removeprefix("t ").replace(" (row 1)", "")
             raise MeasurementsError(f"now {text}", argument="now") from error
-    is_number = isinstance(number, Real) and not isinstance(number, bool)
     if clock.counts and not (is_number and float(number).is_integer()):
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
     first = clock.times[last]

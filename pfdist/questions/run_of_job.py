@@ -110,12 +110,23 @@ def run_and_job(
         raise _no_run(job, results)
     is_planned = job.origin.is_file and not job.origin.names_searches
     run = finished_run(path, _call(job, results, "plan") if is_planned else "")
+    return run, built_for_run(run, source, changes, say, execution)
+
+
+def built_for_run(
+    run: Run,
+    source: JobSource,
+    changes: Iterable[str],
+    say: Say,
+    execution: Mapping[str, Any] = _AS_DEFAULT,
+) -> Built:
+    """The job of a run with its models; raises a `RunMismatchError` if they are not those."""
     job = _job_of(run, partial(as_job, source, changes, settings={"execution": execution}))
-    check_same_job(path, run.job, job)
+    check_same_job(run.path, run.job, job)
     say_model_files([job], say)
-    built = build(job.with_changes(sections=run.job), path)  # with the draws of the run
-    check_same_models(path, built)
-    return run, built
+    built = build(job.with_changes(sections=run.job), run.path)  # with the draws of the run
+    check_same_models(run.path, built)
+    return built
 
 
 def path_of_run(job: Job, results: str | Path | None = None) -> Path | None:

@@ -55,7 +55,7 @@ from pfdist.filters.settings import check_filter_settings
 from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import PLAIN, Estimation
 from pfdist.kernels.schemes import threshold_of
-from pfdist.models import StateSpaceModel, load_model
+from pfdist.models import StateSpaceModel, installed_models, load_model
 from pfdist.models.base import within_half_turn
 from pfdist.models.recorded import declared
 from pfdist.problem.job import Job
@@ -466,7 +466,8 @@ class Filter(Followed):
 def _is_job(source: Any) -> bool:
     """Whether this is a job, its file or the folder of its run, and not a model or its name."""
     if isinstance(source, str):
-        return source.endswith(".toml") or holds_run(Path(source))
+        is_run = source not in installed_models() and holds_run(Path(source))
+        return source.endswith(".toml") or is_run
     return isinstance(source, Problem | Job | Path)
 
 

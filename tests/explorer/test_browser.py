@@ -14,6 +14,7 @@ import pytest
 
 import pfdist
 from oracles.explored import SMALL, served
+from oracles.three_sensors import SYSTEMS
 from pfdist import load_job
 from pfdist.explorer import server
 from pfdist.explorer.session import ExplorerSession, reply
@@ -273,6 +274,32 @@ def test_each_sensor_has_a_strip_and_its_own_forbidden_times(
             page.keyboard.press("ArrowRight")
             assert page.locator(":focus").get_attribute("aria-valuetext") == expected
         assert page.locator("rect.forbidden").count() == 2 * 3
+
+
+def test_spacing_of_a_late_sensor_is_that_of_arrivals(open_page: Open) -> None:
+    """Steps may differ by rounding, so instants that are far enough apart may be, too."""
+    rounding, never = 0.9e-9, {"forbidden": ["0:12"]}
+    problem = pfdist.Problem(
+        SYSTEMS[0].as_model(),
+        times=[0, 1, 2, 3 - rounding, 4 - 2 * rounding, 5 - rounding, *range(6, 13)],
+        measurement_budget=2,
+        engine="kalman",
+        sensors={"near": {"delay": 2, "minimum_spacing": 2}, "far": never, "both": never},
+        required=["2 near"],
+    )
+    session = ExplorerSession(problem)
+    ((held,), sets) = session.feasible.required, session.feasible
+    arrivals = [t for t in range(2, 13) if 3 * t != held]
+    allowed = [t - 2 for t in arrivals if not sets.broken(sorted((held, 3 * t)))]
+    with served(session) as address:
+        page = open_page(address)
+        sliders(page).last.focus()
+        page.keyboard.press("Home")
+        found = [int(page.locator(":focus").get_attribute("aria-valuenow"))]
+        for _ in allowed[1:]:
+            page.keyboard.press("ArrowRight")
+            found.append(int(page.locator(":focus").get_attribute("aria-valuenow")))
+        assert found == allowed
 
 
 def test_prices_are_shown_and_counted(open_page: Open) -> None:

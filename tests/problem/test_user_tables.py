@@ -196,14 +196,32 @@ def test_days_since_the_start_that_could_be_days_of_the_year_are_told(
     tmp_path: Path, ship: StateSpaceModel
 ) -> None:
     """100 days after 1 April is 10 July; day 100 of the year is 10 April."""
+    line = (
+        "t of the table is read as time since the start: '100' is 2026-07-10T00:00; as a day of "
+        "the year it would be 2026-04-10T00:00"
+    )
     clock = replace(Clock.regular(213, 1, "d"), calendar=Calendar.starting("2026-04-01", "d"))
-    for cells, said in (([100, 150], "'100' could be 2026-07-10"), ([10, 150], ""), ([0, 99], "")):
+    for cells, said in (([100, 150], line), ([10, 150], ""), ([0, 99], "")):
         path, notes = _written(tmp_path / "ship.csv", {"t": cells, "y0": 1.0, "y1": 2.0}), [""]
         assert read_measurements(path, ship, clock, reading=Reading(note=notes.append)).t == (
             *cells,
         )
         assert said in notes[-1]
         assert bool(notes[1:]) == bool(said)
+
+
+@in_turn(
+    ("start", "zone"),
+    [("2026-01-01", ""), ("2026-01-01", "Europe/Brussels"), ("2026-01-01T08:00", "")],
+)
+def test_days_counted_from_0_or_1_in_january_are_not_told(
+    tmp_path: Path, ship: StateSpaceModel, start: str, zone: str
+) -> None:
+    calendar = Calendar.starting(start, "d", zone)
+    clock, notes = replace(Clock.regular(300, 1, "d"), calendar=calendar), list[str]()
+    path = _written(tmp_path / "ship.csv", {"t": [100, 150], "y0": 1.0, "y1": 2.0})
+    assert read_measurements(path, ship, clock, reading=Reading(note=notes.append)).t == (100, 150)
+    assert notes == []
 
 
 def test_numbers_since_an_epoch_are_in_utc(tmp_path: Path, ship: StateSpaceModel) -> None:

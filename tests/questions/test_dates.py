@@ -5,6 +5,7 @@ The oracle is the same job with a clock without a start: all numbers must be equ
 
 import csv
 import json
+import math
 import re
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -183,6 +184,28 @@ def test_now_may_be_a_date(folder: Path, now: Any, shown: str) -> None:
     if shown == ON_SUNDAY:
         when = "on Sun 29 Mar 2026 21:00; then on about Mon 30 Mar 2026 15:00."
         assert text.strip().startswith(f"Measure next {when}")
+
+
+def test_how_now_is_read_is_said_and_what_is_no_time_is_an_error() -> None:
+    clock, lines = {"start": "2026-04-01", "step": "1 d"}, list[str]()
+    problem = pfdist.Problem(
+        "random_walk", horizon=60, measurement_budget=2, engine="kalman", clock=clock
+    )
+    table = pd.DataFrame({"t": [0], "y0": [0.5]})
+    for now in (20260501, "20260501"):
+        lines.clear()
+        assert pfdist.next_time(problem, table, now=now, say=lines.append).now == "2026-05-01"
+        assert lines == ["now is read as year month day: '20260501' is 2026-05-01"]
+    between = pd.DataFrame({"t": [0.5], "y0": [0.5]})
+    lines.clear()
+    pfdist.next_time(problem, between, now=20260501, say=lines.append)
+    assert "now is read as year month day: '20260501' is 2026-05-01" in lines
+    for wrong, words in (
+        (True, "now must be times, got True"),
+        (math.nan, "now must lie in 2026-04-01..2026-05-31, got nan"),
+    ):
+        with pytest.raises(MeasurementsError, match=re.escape(words)):
+            pfdist.next_time(problem, table, now=wrong)
 
 
 def test_all_times_of_a_long_plan_are_there_if_details_are(tmp_path: Path) -> None:

@@ -375,11 +375,30 @@ def test_failed_measurements_and_few_ancestors_are_counted() -> None:
     text = repr(found._page())
     assert "('failed', '2 of 6, t = 20, 40')" in text
     sizes = found.table["smoothed_effective_sample_size"]
-    last = int(np.flatnonzero(sizes < 20)[-1])
-    few = f"few ancestors until t = {last}, at least {sizes.min():.0f}: more particles help, or"
-    assert few in text
+    least = f"{sizes.min():.0f} at t = {sizes.argmin()}"
+    assert f"few ancestors: {least}; more particles help, or problem.lag" in text
     better = replace(found, table=found.table.assign(smoothed_effective_sample_size=20.0))
     assert "few ancestors" not in repr(better._page())
+
+
+def test_a_failed_measurement_off_the_clock_is_the_planned_one_nearest_to_it(
+    tmp_path: Path,
+) -> None:
+    walk = pfdist.load_model("random_walk")
+    walk = replace(
+        walk,
+        transition=lambda x, t, w, p: (x[0] + p.step_sd * np.sqrt(p.dt[t]) * w[0],),
+    )
+    problem = pfdist.Problem(
+        walk, horizon=12, measurement_budget=3, particles=30, sensor={"fails": 0.1}, time_step=1
+    )
+    changes = ["comparison.draws=20", "comparison.sets.mine=[3, 6, 10]"]
+    run = pfdist.plan(problem, tmp_path / "run", figures=False, changes=changes)
+    table = pd.DataFrame({"t": [0.9, 3.1, 6.2, 7.9, 9.9], "y0": [0.1, math.nan] * 2 + [math.nan]})
+    found = pfdist.filter_measurements(run, table, planned="mine")
+    assert found.failed == (3.1, 7.9, 9.9)
+    assert (found.missing, found.to_come) == ((), ())
+    assert found.extra == (0.9, 7.9)
 
 
 def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:

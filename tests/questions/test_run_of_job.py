@@ -162,6 +162,43 @@ def test_measurements_need_no_run(ask: Callable[..., Any], finished: Callable[..
     assert before == {each: each.read_bytes() for each in before}
 
 
+@pytest.mark.usefixtures("there")
+def test_a_folder_with_the_name_of_a_model_is_not_taken_for_it(
+    finished: Callable[..., Path],
+) -> None:
+    shutil.copytree(finished(*QUICK), "ungm")
+    assert pfdist.Filter("ungm").model.name == "ungm"
+    for folder in (Path("ungm"), "./ungm"):
+        assert pfdist.Filter(folder).model.name == "random_walk"
+
+
+@in_turn("ask", [pfdist.filter_measurements, pfdist.next_time])
+@pytest.mark.usefixtures("there")
+def test_measurements_need_no_run_that_cannot_be_read(
+    ask: Callable[..., Any], finished: Callable[..., Path]
+) -> None:
+    shutil.rmtree("results")
+    shutil.copytree(finished(*QUICK), "results/small")
+    file, lines = Path("results/small/run.json").absolute(), list[str]()
+    content = json.loads(file.read_text())
+    options = {"changes": QUICK, "say": lines.append}
+    options |= {"report": False} if ask is pfdist.filter_measurements else {}
+    older = json.dumps({**content, "schema_version": 2})
+    for write, why in (
+        (lambda: file.write_text("{"), "results/small/run.json is damaged: "),
+        (lambda: rewrite(file, older), "results/small is of schema version 2, which pfdist 0.2 r"),
+    ):
+        write()
+        lines.clear()
+        assert ask("jobs/small.toml", "y.csv", **options).run is None
+        (line,) = lines
+        assert line.startswith(why)
+        assert line.endswith(": the answer uses no plan")
+        assert ";" not in line
+        with pytest.raises(StoreError, match=why):
+            ask("jobs/small.toml", "y.csv", results="results/small", **options)
+
+
 def test_a_question_leaves_the_draws_of_the_run_as_they_are(there: Path) -> None:
     before = Path("results/small/job.toml").read_bytes()
     for draws in (10, 100):

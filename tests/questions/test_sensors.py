@@ -5,6 +5,7 @@ from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import pfdist
@@ -38,6 +39,18 @@ def _problem(system: ThreeSensors, **keys: object) -> pfdist.Problem:
 def _numbers(written: object) -> tuple[int, ...]:
     pairs = (str(each).split() for each in written)
     return tuple(int(t) * 3 + NAMES.index(sensor) for t, sensor in pairs)
+
+
+def test_the_next_measurement_has_the_unit_unless_later_ones_do() -> None:
+    problem = _problem(SYSTEMS[0], measurement_budget=2, time_step=1, time_unit="h")
+    rows = pd.DataFrame([(0, NAMES[0], 0.5)], columns=["t", "sensor", "y0"])
+    for table, later in ((rows, []), (rows[:0], ["; then at about "])):
+        found = pfdist.next_time(problem, table)
+        said, *then = re.split("(; then at about )", " ".join(lines_of(found._page())).strip())
+        end = ["(t in h)"] * (not later)
+        assert said.split(".")[0] == " ".join([f"Measure next at t = {found.next}", *end])
+        assert then[:1] == later
+        assert "".join(then).split(".")[0].endswith("(t in h)" * bool(later))
 
 
 @pytest.mark.parametrize("resampling", ["systematic", "multinomial"])
