@@ -53,7 +53,8 @@ def budget_section(subject: Subject) -> Section | None:
 def _answer(subject: Subject) -> list[Text]:
     """How many chosen measurements do as well as the best number of evenly spaced ones."""
     kind = subject.reference_row.kind
-    best, most = best_reference(subject.sets), int(subject.sets["budget"].max())
+    best, budgets = best_reference(subject.sets), subject.sets.groupby("kind")["budget"]
+    most = int(budgets.max()[kind])
     if not math.isfinite(best["expected_mse"]):
         return []
     budget = int(best["budget"])

@@ -182,6 +182,7 @@ class Budget:
 
     clock = SimpleNamespace(listed=str)
     distinct = property(lambda self: self.rows)
+    sets = property(lambda self: pd.DataFrame([vars(row) for row in self.rows.values()]))
 
     def typical_errors(self, row: SimpleNamespace) -> str:
         return f"{row.budget} g/L"
