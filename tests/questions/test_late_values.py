@@ -175,19 +175,19 @@ def test_online_times_of_a_linear_system_are_those_of_the_plan(tmp_path: Path) -
     assert [[*each] for each in run.table("online")["measurement_times"]] == [best] * 3
 
 
-def test_late_measurements_are_moved_by_the_times_at_which_they_are_made() -> None:
+def test_late_measurements_are_numbered_by_the_arrival_of_their_values() -> None:
     problem = Problem(late_walk(), horizon=8, measurement_budget=2, sensor={"delay": 3},
                       engine="kalman", forbidden=[1])  # fmt: skip
     session = ExplorerSession(problem)
-    assert session.state()["forbidden"] == [1, 6, 7, 8]
-    answer = session.answer((2, 4))
+    assert session.state()["forbidden"] == (0, 1, 2, 4)  # by arrival
+    answer = session.answer((5, 7))
     mse = pfdist.evaluate(problem, [2, 4]).expected_mse
-    assert (answer["times"], answer["broken"]) == ([2, 4], [])
+    assert (answer["times"], answer["broken"]) == ([5, 7], [])
     curve = np.square(answer["curves"]["yours"][0])
     assert curve.mean() == pytest.approx(mse) == pytest.approx(of_late_walk((2, 4), 3, 8))
-    assert session.answer((1, 4))["broken"] == ["forbidden: 1 is measured"]
-    assert session.judge("mine", (2, 4))[0]["times"] == [2, 4]
-    assert "'mine': '2,4'" in session.command_line({"mine": (2, 4)})
+    assert session.answer((4, 7))["broken"] == ["forbidden: 1 is measured"]
+    assert session.judge("mine", (5, 7))[0]["times"] == [5, 7]
+    assert "'mine': '2,4'" in session.command_line({"mine": (5, 7)})
 
 
 @pytest.mark.filterwarnings("ignore::pfdist.errors.PfdistWarning")
