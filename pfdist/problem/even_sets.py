@@ -208,7 +208,7 @@ def _cut(times: Array, instants: NDArray[np.int64]) -> Array:
 def _lines(family: EvenFamily, most: float) -> list[tuple[float, float, float]]:
     """The first target and the step of lines of a family, and their distance from others."""
     edges, targets = family.edges, family.targets
-    if targets > family.positions.size:
+    if not 1 <= targets <= family.positions.size:
         return []
     if targets == 1:
         return [(a, 0.0, 0.0) for a in family.positions.tolist()]

@@ -201,6 +201,17 @@ def test_on_a_long_horizon_few_sets_are_tried_for_a_twentieth_of_the_work(
     assert re.search(r"best of \d evenly spaced sets\s+that were tried", str(answer_of(run)))
 
 
+def test_a_budget_of_required_times_alone_has_one_set(tmp_path: Path) -> None:
+    problem = pfdist.Problem(
+        "random_walk", horizon=12, measurement_budget=3, required=[3, 6, 10], particles=50
+    )
+    changes = ["comparison.draws=100"]
+    run = pfdist.plan(
+        problem, tmp_path, changes=changes, bound_draws=0, figures=False, pool="serial"
+    )
+    assert {*map(tuple, run.sets.values())} == {(3, 6, 10)}
+
+
 def test_little_work_gives_no_ranking_by_gaps_that_are_not_known(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
