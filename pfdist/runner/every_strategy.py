@@ -11,6 +11,7 @@ import numpy as np
 from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError
+from pfdist.filters.engines import COMPILED
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, weighed
 from pfdist.filters.work import PLAIN, FilterWork, Result, with_truth
@@ -55,7 +56,7 @@ class LeastWork(FilterWork):
             errors = map(windows.of_instants, each)
             least += [least_of_draw(relaxation, own, len(self.ids) - 1) for own in errors]
         values = np.array(least)
-        return Result(values, degenerate=np.zeros(values.shape, np.bool_))
+        return Result(values, degenerate=np.isnan(values))
 
     @property
     def steps_a_draw(self) -> int:
@@ -70,7 +71,8 @@ def bound_of_strategies(
 
     A strategy has at most so many measurements on average, or in each draw. Windows, the price of a
     measurement and the factor of its penalty are chosen on separate draws: on its own draws, the
-    largest bound is too high. None if no bound is known, or if its windows are too many.
+    largest bound is too high. None if no bound is known, if its windows are too many, or if a draw
+    is degenerate or infinite.
     """
     built, relaxations = session.built, list[Relaxation]()
     evaluator, usual = built.evaluator, built.study.usual
@@ -79,8 +81,9 @@ def bound_of_strategies(
         with contextlib.suppress(JobError):
             relaxations.append(relaxation_for(built.feasible, window, usual, _MOST_CELLS))
     best: tuple[float, float, Relaxation | None, float] = -math.inf, math.nan, None, 0.0
-    is_plain = built.job.filter.proposal == PLAIN  # guided particles are redrawn for the true y
-    for each, penalty in product(relaxations, PENALTIES if is_plain else PENALTIES[:1]):
+    # Guided particles are redrawn for the true y; other engines draw no replicates.
+    has_penalty = built.job.filter.proposal == PLAIN and evaluator.truth.computed_by is COMPILED
+    for each, penalty in product(relaxations, PENALTIES if has_penalty else PENALTIES[:1]):
         least = yield from _least(session, each, penalty, "choice", CHOICE_DRAWS, number, is_hard)
         price = math.inf if is_hard else best_price(least, number)
         value = float(bounds_of_draws(least, number, price).mean())
@@ -89,7 +92,8 @@ def bound_of_strategies(
     if relaxation is None:
         return None
     least = yield from _least(session, relaxation, penalty, "draws", DRAWS, number, is_hard)
-    return Estimate.of_mean(bounds_of_draws(least, number, price))
+    bounds = bounds_of_draws(least, number, price)
+    return Estimate.of_mean(bounds) if np.isfinite(bounds).all() else None
 
 
 def _least(
@@ -107,7 +111,7 @@ def _least(
     particles = max(built.comparing.particles, _LEAST_PARTICLES)
     estimation = with_truth(particles, built.job.filter.proposal)
     estimation = replace(estimation, penalty=penalty or None)
-    stream = stream_of("bound", built.job.seed, "strategies", "filter")
+    stream = stream_of("bound", built.job.seed, "strategies", role, "filter")
     of_draws = stream_of("bound", built.job.seed, "strategies", role)
     truth, windows = built.evaluator.truth, relaxation.sets
     truth.compile(estimation)

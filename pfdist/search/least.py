@@ -25,8 +25,10 @@ _PRICES = 400  # that are tried for the largest bound
 def least_of_draw(relaxation: Relaxation, errors: Array, most: int) -> Array:
     """The least relaxed MSE of a draw with 0..most measurements, (most+1,).
 
-    `errors` (E,) are those of the draw, window by window.
+    `errors` (E,) are those of the draw, window by window; with a NaN, nothing is known.
     """
+    if np.isnan(errors).any():  # the programme would leave out the sets of a window
+        return np.full(most + 1, np.nan)
     return Programme(relaxation, errors, most).mse
 
 
@@ -37,7 +39,8 @@ def best_price(least: Array, number: float) -> float:
     constraints forbid.
     """
     fewest = int(np.isfinite(least).any(axis=0).argmax())
-    steepest = float(np.max(least[:, fewest] - least.min(axis=1)))
+    gains = least[:, fewest] - least.min(axis=1)
+    steepest = float(np.max(gains, initial=0.0, where=np.isfinite(gains)))
     prices = np.concatenate([[0.0], np.geomspace(1e-4 * steepest or 1.0, steepest or 1.0, _PRICES)])
     return float(max(prices, key=lambda price: bounds_of_draws(least, number, price).mean()))
 

@@ -133,6 +133,20 @@ def test_no_policy_of_a_chain_is_below_the_bound(seed: int) -> None:
             assert bound <= lagrangian + 1e-12
 
 
+def test_a_draw_without_the_error_of_a_window_has_no_least_error() -> None:
+    """Left out of the minimum, the sets of the window would make the bound too high."""
+    relaxation = relaxation_with(Feasible(horizon=6, measurement_budget=2), 1, 7)
+    errors = np.full(relaxation.offsets[-1], 1.0)
+    assert np.isfinite(least_of_draw(relaxation, errors, 2)).all()
+    errors[-1] = np.nan
+    assert np.isnan(least_of_draw(relaxation, errors, 2)).all()
+
+
+def test_a_price_is_found_beside_a_draw_that_is_infinite_without_measurements() -> None:
+    least = np.array([[np.inf, 1.0, 0.5], [3.0, 2.5, 2.4], [4.0, 1.0, 0.9]])
+    assert 0.0 < best_price(least, 1.0) < np.inf
+
+
 FACTORS = 0.0, 0.7, -0.5, -1.0, -2.0
 """Of the penalty: any gives a bound."""
 
