@@ -15,12 +15,7 @@ from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import must_be
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
-from pfdist.filters.engines import (
-    AUTO,
-    BATCHED,
-    COMPILED,
-    WITHOUT_FMA,
-)
+from pfdist.filters.engines import AUTO, BATCHED, COMPILED, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
 from pfdist.kernels.lowering import has_fused_multiply_add
