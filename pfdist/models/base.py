@@ -469,7 +469,8 @@ class StateSpaceModel:
                 )
         given = {**self.parameters, **overrides}
         try:
-            if not all(isinstance(each, Programs) for each in self.formulas.values()):
+            formulas = [each for each in self.formulas.values() if each is not squared_error]
+            if not all(isinstance(each, Programs) for each in formulas):
                 return dataclasses.replace(self, parameters=given)
             changed = copy.copy(self)  # programs have as many components with all values
             changed.__dict__.update(parameters=given, components=self.components)
