@@ -213,10 +213,6 @@ class Evaluator:
             estimations=(),
         )
 
-    def with_weights(self, weights: Sequence[float]) -> "Evaluator":
-        """The same evaluator with other weights of the instants."""
-        return replace(self, weights=tuple(weights), estimations=())
-
     def scenarios_of(self, stream: int, draws: range) -> Indices | None:
         """The number of each draw's scenario, (D,); None without scenarios."""
         if not self.scenarios:

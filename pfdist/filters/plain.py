@@ -21,6 +21,7 @@ from pfdist.filters.work import Estimation
 from pfdist.kernels.ancestors import ancestors_of, weights_of
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.log_evidence import log_likelihoods_of
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import (
     FILTER_INITIAL,
@@ -271,22 +272,10 @@ def _weighed(
         new = weights_of(log_likelihood + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
         if ESTIMATORS[settings.estimator].weights.evidence:
-            log_likelihoods += _log_likelihoods(log_likelihood, new)
+            log_likelihoods += log_likelihoods_of(log_likelihood, new)
         weight = np.where(weighs[:, None], new, weight)
         degenerate |= ~weighs
     return x, weight, degenerate, weighs
-
-
-def _log_likelihoods(log_likelihood: Array, weight: Array) -> Array:
-    """The log evidence of a measurement, and the mean log-likelihood of weighted particles: (2, D).
-
-    The particles had equal weights before.
-    """
-    counted = np.where(weight > 0.0, log_likelihood, 0.0)
-    highest = np.where(np.isfinite(log_likelihood), log_likelihood, -np.inf).max(axis=1)
-    evidence = highest + np.log(np.mean(weight, axis=1))
-    mean = np.sum(weight * counted, axis=1) / weight.sum(axis=1)
-    return np.where(np.any(weight > 0.0, axis=1), np.stack([evidence, mean]), [[-np.inf], [0.0]])
 
 
 def _resampled(

@@ -19,7 +19,6 @@ from pfdist.kernels.ancestors import (
     sum_of_weights,
     take_ancestors,
     weigh,
-    weighted_sum,
 )
 from pfdist.kernels.batch import (
     INITIAL,
@@ -40,7 +39,6 @@ from pfdist.kernels.batch import (
     Slot,
     Steps,
     Wanted,
-    add_error,
     add_squared_errors,
     add_variances,
     copy_numbers,
@@ -58,6 +56,7 @@ from pfdist.kernels.batch import (
 from pfdist.kernels.blocks import Compiled, call_block
 from pfdist.kernels.cached import Entry, compiled, entry
 from pfdist.kernels.deciding import is_measured, with_measured
+from pfdist.kernels.log_evidence import add_log_evidence
 from pfdist.kernels.memory import ahead, call, read, zeros
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.rules import Ruling
@@ -303,43 +302,6 @@ def _weigh(instant):
         call(at.work.steps.tell, read(instant))
 
 
-@entry(Instant)
-def _tell(instant):
-    """Add the log evidence of a sensor's measurement, and the particles' mean log-likelihood.
-
-    The filter is resampled before each measurement.
-    """
-    at, s, t, _, _ = read(instant)
-    blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
-    equal = request.log_particles
-    for d in range(at.draws):
-        batch.noise[d] = np.float32(batch.total[d])
-    call_block(
-        blocks,
-        LOGARITHM * request.instants,
-        (batch.distance, batch.row),
-        (batch.cloud, 0),
-        (batch.noise, 0),
-        (batch.means, 0, 0),
-        (1, batch.row),
-    )
-    for d in range(at.draws):
-        origin = d * batch.width
-        highest = -np.inf
-        for i in range(origin, origin + request.particles):
-            if highest < batch.log_weight[i] < np.inf:
-                highest = batch.log_weight[i]
-        rounded = np.float64(batch.noise[d])  # log(r + e) = log(r) + e / r, for a small e
-        evidence = batch.distance[d] + (batch.total[d] - rounded) / rounded - equal
-        information = request.weights.evidence * (evidence + highest)
-        if request.weights.explained != 0.0:
-            mean = weighted_sum(batch.weight, batch.log_weight, origin, batch.width)
-            information += request.weights.explained * mean / batch.total[d]
-        if batch.weighs[d] == 0:  # no particle explains the measurement
-            information = request.weights.evidence * -np.inf
-        add_error(at, s, t, d, information, request.instant_weights[t])
-
-
 @compiled
 def _fill_log_weights(instant):
     """Log-likelihoods, with the logarithms of a proposal and of carried weights."""
@@ -563,7 +525,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         put_truth=address(_put_truth, request.holds_truth),
         forget=address(_forget),
         weigh=address(_weigh),
-        tell=address(_tell, request.weights.evidence != 0.0),
+        tell=address(add_log_evidence, request.weights.evidence != 0.0),
         leave_out=address(guided.leave_out, draws_again),
         set_out=address(_set_out, draws_again),
         guide=address(guided.guide, draws_again),

@@ -20,7 +20,7 @@ from pfdist.results.sets import publish_sets
 from pfdist.runner.bound_settings import MEMORY, BoundSettings
 from pfdist.runner.build import check_pool
 from pfdist.runner.door import RunSession, complete
-from pfdist.runner.information_prover import prover_of
+from pfdist.runner.driver import prover_of
 from pfdist.runner.proof import Gap
 from pfdist.runner.prover import Look
 from pfdist.search.first_windows import WINDOW

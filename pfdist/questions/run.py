@@ -25,10 +25,9 @@ from pfdist.results.stored_run import measured_of, problem_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.door import RunSession, WorkBatch, complete
-from pfdist.runner.driver import core_steps, drive
+from pfdist.runner.driver import core_steps, drive, prover_of
 from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
 from pfdist.runner.identity import is_sealed, opened
-from pfdist.runner.information_prover import prover_of
 from pfdist.runner.opponent import SHARE
 from pfdist.runner.progress import Detail, Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine

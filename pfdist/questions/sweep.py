@@ -32,8 +32,7 @@ from pfdist.results.columns import records_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.door import Loop
-from pfdist.runner.driver import foreseen_by_part, foreseen_steps
-from pfdist.runner.information_prover import prover_of
+from pfdist.runner.driver import foreseen_by_part, foreseen_steps, prover_of
 from pfdist.runner.progress import Progress, Say, Show, silent
 from pfdist.store import holds_run, listed_pages
 from pfdist.store.folder import REPORT, figures_in

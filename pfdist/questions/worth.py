@@ -25,6 +25,7 @@ from pfdist.results import Moments
 from pfdist.results.columns import Results
 from pfdist.results.over_time import Range, joined_ranges, longest_range, profile_of
 from pfdist.results.sampling_windows import OUTSIDE, TWO_SIDED, RelativeLoss, state_of
+from pfdist.runner.by_instant import evaluations_of_groups
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import mean_effective_sizes
@@ -186,7 +187,7 @@ def _judged(
 ) -> Generator[WorkBatch, None, list[Evaluation]]:
     """The evaluation of each set by a criterion other than the expected MSE."""
     built, form = session.built, session.built.job.criterion
-    evaluator, weights = built.evaluator, built.evaluator.relative_weights
+    evaluator = built.evaluator
     exact = evaluator.expected_mse(sets, criterion=form)
     if exact is not None:
         return [*map(Evaluation.exactly, sets, exact.tolist(), repeat(form))]
@@ -195,11 +196,7 @@ def _judged(
     if form.by_instant:
         ranges, size = (yield from _ranges(session, work)), longest_range(draws)
         groups = np.array([each.sums / size for each in ranges if each.draws == size])
-        each_set = groups[:, :, weights > 0.0].swapaxes(0, 1)
-        return [
-            Evaluation(t, np.empty(0), groups=g, criterion=form)
-            for t, g in zip(sets, each_set, strict=True)
-        ]
+        return evaluations_of_groups(built, sets, groups)
     pieces = list[Array]()
     for piece in evaluator.pieces(work, MOST_SECONDS):
         mse, *_ = yield from _mse(session, piece)

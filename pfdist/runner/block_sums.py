@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_of
-from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.runner.build import Built
@@ -118,12 +117,10 @@ class BlockSums:
         total: Array = np.sum(sums, axis=0)
         return total
 
-    def means(
-        self, blocks: int, session: RunSession, groups: "GroupSums | None" = None
-    ) -> Generator[WorkBatch, None, Array]:
+    def means(self, blocks: int, session: RunSession) -> Generator[WorkBatch, None, Array]:
         """Mean errors of the sets at the instants that count, (E,), over the first blocks.
 
-        A set with an infinite draw has NaN. The blocks of draws are also added to `groups`.
+        A set with an infinite draw has NaN.
         """
         exact = self._evaluator.expected_errors(self._counted.sets, weighted=True)
         if exact is not None:
@@ -133,8 +130,6 @@ class BlockSums:
 
         def add(block: int, errors: Array) -> None:
             sums[:] += errors
-            if groups is not None:
-                groups.add(block, errors)
 
         yield from self.added(session, range(blocks), add, more_follows=True)
         return sums / (BLOCK * blocks)
@@ -151,12 +146,6 @@ class GroupSums:
         self.sums[block % GROUPS] += errors
         self.draws[block % GROUPS] += BLOCK
 
-    @property
-    def means(self) -> Array:
-        """Mean errors of each group that has draws, (G, E)."""
-        has = self.draws > 0
-        return self.sums[has] / self.draws[has, None]
-
 
 def evaluated_by_errors(
     candidates: Sequence[Candidate],
@@ -164,12 +153,10 @@ def evaluated_by_errors(
     sums_of: Callable[[Counted], BlockSums],
     blocks: int,
     purpose: str,
-    criterion: Criterion = MEAN,
 ) -> Generator[WorkBatch, None, tuple[list[Evaluation], float]]:
     """Evaluations of candidates from expected errors of instants, and the particle-steps spent.
 
     A candidate with filters comes first; its evaluation has their errors, one filter after another.
-    If the criterion judges instants, whole sets have all errors, in groups of blocks.
     """
     evaluator, others = session.built.evaluator, dict[str, Any]()
     horizon = evaluator.horizon
@@ -179,17 +166,9 @@ def evaluated_by_errors(
     filters = [each.counted for each in candidates if each.counted is not None]
     counted = reduce(add, filters + [of_whole] * bool(whole))
     starts = np.cumsum([*(each.set_of.size for each in filters), *(ends + 1)])[:-1]
-    sums, groups = sums_of(counted), GroupSums(counted) if criterion.by_instant else None
-    errors = yield from sums.means(blocks, session, groups)
+    sums = sums_of(counted)
+    errors = yield from sums.means(blocks, session)
     evaluations = list[Evaluation]()
-    if groups is not None:
-        weights = evaluator.relative_weights
-        of_sets = np.split(groups.means, starts, axis=1)
-        for candidate, each in zip(candidates, of_sets, strict=True):  # whole sets
-            unweighted = each[:, weights > 0.0] / weights[weights > 0.0]
-            others = {"groups": unweighted, "purpose": purpose, "criterion": criterion}
-            evaluations.append(Evaluation(candidate.measurement_times, np.empty(0), **others))
-        return evaluations, sums.steps(blocks)
     for candidate, own in zip(candidates, np.split(errors, starts), strict=True):
         times, mean = candidate.measurement_times, float(own.sum() / (horizon + 1))
         others = {"end": candidate.end, "errors": own, "purpose": purpose}

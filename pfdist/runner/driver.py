@@ -13,6 +13,7 @@ from pfdist.errors import SearchError
 from pfdist.filters.beside import errors_beside
 from pfdist.filters.work import FilterWork, Result, cut
 from pfdist.problem.online_section import Online
+from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import (
     COMPARISON,
@@ -24,6 +25,7 @@ from pfdist.runner.comparison_phase import (
 )
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.evenly_spaced import scan_steps
+from pfdist.runner.information_prover import InformationProver
 from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.opponent import SHARE, best_evenly_spaced, opponent_steps
 from pfdist.runner.phase import unpublished
@@ -63,6 +65,12 @@ def drive(session: RunSession) -> Generator[WorkBatch, None, None]:
         with store.together():
             for phase in (*built.phases, COMPARISON, ONLINE_TIMES):
                 store.settle("timings", phase)
+
+
+def prover_of(built: Built, settings: BoundSettings) -> Prover:
+    """The prover of the job's criterion; raises as `Prover`."""
+    by_gains = built.job.criterion.bound == "submodular"
+    return (InformationProver if by_gains else Prover)(built, settings)
 
 
 def foreseen_steps(built: Built) -> float:

@@ -160,9 +160,3 @@ class InformationProver(Prover):
             name, times, own, "", spent, bound.times(-1.0), (), gap, at_most,
             relaxation=more, estimate=Estimate(0.0), filter_model=Estimate(0.0),
         )  # fmt: skip
-
-
-def prover_of(built: Built, settings: BoundSettings) -> Prover:
-    """The prover of the job's criterion; raises as `Prover`."""
-    by_gains = built.job.criterion.bound == "submodular"
-    return (InformationProver if by_gains else Prover)(built, settings)

@@ -26,6 +26,7 @@ from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.kernels.variates import generator
 from pfdist.runner.block_sums import BlockSums, evaluated_by_errors
 from pfdist.runner.build import Built
+from pfdist.runner.by_instant import evaluated_in_groups
 from pfdist.runner.door import EVALUATIONS, Part, RunSession, WorkBatch
 from pfdist.runner.progress import Reporter
 from pfdist.runner.row_formats import PER_DRAW
@@ -247,9 +248,8 @@ def run_phase(
         if windows:  # the errors of each instant, on the same blocks of draws
             blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
             asked, places = zip(*map(_once, windows), strict=True)
-            by_errors, _ = yield from evaluated_by_errors(
-                asked, session, phase.sums, blocks, phase.purpose, criterion
-            )
+            evaluated = evaluated_in_groups if by_instant else evaluated_by_errors
+            by_errors, _ = yield from evaluated(asked, session, phase.sums, blocks, phase.purpose)
             for candidate, own, evaluation in zip(windows, places, by_errors, strict=True):
                 errors = None if evaluation.errors is None else evaluation.errors[own]
                 record(candidate, replace(evaluation, errors=errors))

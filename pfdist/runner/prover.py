@@ -3,7 +3,7 @@
 import math
 from collections.abc import Collection, Generator, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from pfdist.runner.block_sums import (
 )
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
+from pfdist.runner.by_instant import weighted_instants
 from pfdist.runner.contract import looked
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.gap_parts import gap_parts, steps_of_sets
@@ -41,7 +42,6 @@ from pfdist.search import Counted
 from pfdist.search.first_windows import WINDOW, relaxation_for
 from pfdist.search.gaps import gaps_for
 from pfdist.search.relaxation import Relaxation
-from pfdist.search.setups import Indices
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
 
@@ -50,7 +50,6 @@ _ROUNDS = 1000  # of growing windows, at most
 _PATHS = 16  # whose windows grow in a round
 _THRESHOLD = 0.5  # of its resampling
 _LINES = 1000  # particles of a bound for estimates that use later measurements, at least
-_MOST_GROUPS = 64  # of instants, each with a share in the bound for the worst instant
 _FEWER, _LEAST_GROWING = 4, 50  # particles while windows grow: a fourth of all, and at least
 # Windows grow until the relaxed errors lie below those of the sets by so small a share:
 _GROWN, _GROWN_EXACTLY = 1e-3, 1e-11
@@ -288,12 +287,9 @@ class Prover:
         built, evaluator = self._built, self._built.evaluator
         session.reporter.begin("weights of the bound")
         if built.job.criterion.by_instant:
-            groups = self._groups
-            errors = yield from self._of_groups(session, groups)
-            shares = np.array(best_shares(self.relaxation, errors, spent))
-            sizes = np.bincount(groups[groups >= 0])
-            self.shares = tuple(np.where(groups < 0, 0.0, (shares / sizes)[groups]).tolist())
-            weighted = evaluator.with_weights(self.shares)
+            windows = partial(self._windows, session)
+            weighted = yield from weighted_instants(self.relaxation, spent, evaluator, windows)
+            self.shares = weighted.weights or ()
         else:
             errors = yield from self._of_scenarios(session)
             self.shares = best_shares(self.relaxation, errors, spent)
@@ -309,27 +305,6 @@ class Prover:
                 (yield from self._windows(session, evaluator.with_shares(shares), blocks))
             )
         return np.stack(errors)
-
-    @property
-    def _groups(self) -> Indices:
-        """The group of each instant, (T+1,), whose share it has; -1 if the instant does not count.
-
-        Few groups keep the memory small. On a short horizon, each instant is a group.
-        """
-        counts = self._built.evaluator.relative_weights > 0.0
-        number = counts.sum()
-        groups = (np.cumsum(counts) - 1) * min(number, _MOST_GROUPS) // number
-        return np.where(counts, groups, -1)
-
-    def _of_groups(self, session: RunSession, groups: Indices) -> Generator[WorkBatch, None, Array]:
-        """The errors of all windows at the instants of each group, as means of these, (C, E)."""
-        relaxation, counts = self.relaxation, groups >= 0
-        alone = self._built.evaluator.with_weights(counts.astype(float).tolist())
-        errors = yield from self._windows(session, alone, CHOICE_BLOCKS)
-        ends = zip(relaxation.first.tolist(), relaxation.ends.tolist(), strict=True)
-        at = groups[np.concatenate([np.arange(first, last + 1) for first, last in ends])]
-        parts = counts.sum() / np.bincount(groups[counts])
-        return np.stack([np.where(at == g, errors * part, 0.0) for g, part in enumerate(parts)])
 
     def _windows(
         self, session: RunSession, evaluator: Evaluator, blocks: int

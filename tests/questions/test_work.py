@@ -18,8 +18,7 @@ from pfdist.results.stored_run import steps_by_part
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.door import Part
-from pfdist.runner.driver import core_steps, foreseen_by_part
-from pfdist.runner.information_prover import prover_of
+from pfdist.runner.driver import core_steps, foreseen_by_part, prover_of
 from pfdist.runner.likelihood import VALUES
 
 
