@@ -34,10 +34,8 @@ def evaluated_in_groups(
     counted = Counted(tuple(sets), first, first + evaluator.horizon)
     sums, groups = sums_of(counted), GroupSums(counted)
     yield from sums.added(session, range(blocks), groups.add, more_follows=True)
-    means = (groups.sums[:blocks] / groups.draws[:blocks, None]).reshape(
-        -1, len(sets), weights.size
-    )
-    errors = means / np.where(weights > 0.0, weights, 1.0)
+    means = groups.sums[:blocks] / groups.draws[:blocks, None]  # block b is in group b, modulo 20
+    errors = means.reshape(-1, len(sets), weights.size) / np.where(weights > 0.0, weights, 1.0)
     return evaluations_of_groups(session.built, sets, errors, purpose), sums.steps(blocks)
 
 
