@@ -262,7 +262,7 @@ def test_the_bound_of_the_worst_instant_has_shares_of_few_groups_on_a_long_horiz
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Instants of a group have equal shares, those without weight none: still a lower bound."""
-    monkeypatch.setattr("pfdist.runner.prover._MOST_GROUPS", 3)
+    monkeypatch.setattr("pfdist.runner.by_instant._MOST_GROUPS", 3)
     counted = slice(2, None)
     problem = pfdist.Problem(
         RESTLESS, horizon=HORIZON, measurement_budget=2, engine="kalman", criterion="worst_instant",
