@@ -187,7 +187,7 @@ def _judged(
 ) -> Generator[WorkBatch, None, list[Evaluation]]:
     """The evaluation of each set by a criterion other than the expected MSE."""
     built, form = session.built, session.built.job.criterion
-    evaluator = built.evaluator
+    evaluator, weights = built.evaluator, built.evaluator.relative_weights
     exact = evaluator.expected_mse(sets, criterion=form)
     if exact is not None:
         return [*map(Evaluation.exactly, sets, exact.tolist(), repeat(form))]
@@ -196,7 +196,7 @@ def _judged(
     if form.by_instant:
         ranges, size = (yield from _ranges(session, work)), longest_range(draws)
         groups = np.array([each.sums / size for each in ranges if each.draws == size])
-        return evaluations_of_groups(built, sets, groups)
+        return evaluations_of_groups(form, sets, groups[:, :, weights > 0.0])
     pieces = list[Array]()
     for piece in evaluator.pieces(work, MOST_SECONDS):
         mse, *_ = yield from _mse(session, piece)

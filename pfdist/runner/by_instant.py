@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from pfdist.common.measurement_times import Times
+from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.runner.block_sums import CHOICE_BLOCKS, Array, BlockSums, GroupSums
-from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.proof import best_shares
 from pfdist.search import Candidate, Counted
@@ -22,6 +22,7 @@ _MOST_GROUPS = 64  # of instants, each with a share in the bound for the worst i
 
 
 def evaluated_in_groups(
+    criterion: Criterion,
     candidates: Sequence[Candidate],
     session: RunSession,
     sums_of: Callable[[Counted], BlockSums],
@@ -36,18 +37,17 @@ def evaluated_in_groups(
     yield from sums.added(session, range(blocks), groups.add, more_follows=True)
     means = groups.sums[:blocks] / groups.draws[:blocks, None]  # block b is in group b, modulo 20
     errors = means.reshape(-1, len(sets), weights.size) / np.where(weights > 0.0, weights, 1.0)
-    return evaluations_of_groups(session.built, sets, errors, purpose), sums.steps(blocks)
+    found = evaluations_of_groups(criterion, sets, errors[:, :, weights > 0.0], purpose)
+    return found, sums.steps(blocks)
 
 
 def evaluations_of_groups(
-    built: Built, sets: Sequence[Times], errors: Array, purpose: str = "search"
+    criterion: Criterion, sets: Sequence[Times], errors: Array, purpose: str = "search"
 ) -> list[Evaluation]:
-    """Evaluations of S sets from the mean errors of G groups of draws, (G, S, T+1)."""
-    each_set = errors[:, :, built.evaluator.relative_weights > 0.0].swapaxes(0, 1)
-    form = built.job.criterion
+    """Evaluations of sets from mean errors of groups at the instants that count, (G, S, I)."""
     return [
-        Evaluation(times, np.empty(0), groups=groups, purpose=purpose, criterion=form)
-        for times, groups in zip(sets, each_set, strict=True)
+        Evaluation(times, np.empty(0), groups=groups, purpose=purpose, criterion=criterion)
+        for times, groups in zip(sets, errors.swapaxes(0, 1), strict=True)
     ]
 
 

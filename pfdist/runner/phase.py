@@ -248,7 +248,8 @@ def run_phase(
         if windows:  # the errors of each instant, on the same blocks of draws
             blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
             asked, places = zip(*map(_once, windows), strict=True)
-            evaluated = evaluated_in_groups if by_instant else evaluated_by_errors
+            in_groups = partial(evaluated_in_groups, criterion)
+            evaluated = in_groups if by_instant else evaluated_by_errors
             by_errors, _ = yield from evaluated(asked, session, phase.sums, blocks, phase.purpose)
             for candidate, own, evaluation in zip(windows, places, by_errors, strict=True):
                 errors = None if evaluation.errors is None else evaluation.errors[own]
