@@ -71,7 +71,15 @@ KALMAN = Engine(
     has_particles=False,
     least_draws=200,
 )
-ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN)}
+JAX = Engine(
+    "jax",
+    "Formulas traced with symbols, and compiled by JAX for many draws at a time, as on a GPU.",
+    simulated_by="pfdist.filters.simulation",
+    filtered_by="pfdist.accelerator.filter",
+    seconds_a_step=1e-8,
+    least_draws=200,
+)
+ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN, JAX)}
 if TYPE_CHECKING:
     EngineName = str
 else:
