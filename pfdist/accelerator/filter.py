@@ -40,10 +40,10 @@ except ModuleNotFoundError as error:
         f"filter.engine = 'jax' needs pip install 'pfdist[jax]', got {error}"
     ) from error
 
-_AT_ONCE = {"cpu": 2**13}
+_AT_ONCE = {"cpu": 2**14}
 _ON_OTHERS = 2**22
 """Particles of all draws that are filtered together."""
-_CLOUDS, _OF_Z = ("cloud", "weight"), ("mean", "variance", "ranks")
+_OF_DRAWS = ("fails", "log_likelihoods", "estimate", "variance", "ranks", "sizes", "lines")
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def filter_checked_draws(
             (_formula(part.model, instants, "log_likelihood"), part.y.start, part.y.stop)
             for part in model.parts
         ),
-        (tuple(model.initial_noise), tuple(model.process_noise)), tuple(draws.model.is_angle),
+        (model.initial_noise, model.process_noise), tuple(draws.model.is_angle),
         size, particles, settings.resampling, settings.threshold, prior is not None, has_lag,
     )  # fmt: skip
     measured = np.zeros((len(instants), sensors), np.bool_)
@@ -109,7 +109,7 @@ def filter_checked_draws(
         for begin in range(draws.index.start // size * size, draws.index.stop, size):
             own = draws[max(0, begin - draws.index.start) : begin + size - draws.index.start]
             here = slice(own.index.start - begin, own.index.stop - begin)
-            arrays = {"draws": np.arange(begin, begin + size)}
+            arrays: dict[str, NDArray[Any]] = {"draws": np.arange(begin, begin + size)}
             for name in ("x", "y") if own.x.size else ("y",):
                 values = getattr(own, name)
                 arrays[name] = np.zeros((len(instants), values.shape[2], size))
@@ -120,21 +120,18 @@ def filter_checked_draws(
                 arrays["weight"] = np.ones((size, particles))
                 arrays["cloud"][:, here], arrays["weight"][here] = cloud, weight
             found = _run(request, same | arrays)
-            kept = {name: each for name, each in found.items() if clouds or name not in _CLOUDS}
-            blocks.append({name: np.asarray(each)[..., here] for name, each in kept.items()})
-    whole = {name: np.concatenate([each[name] for each in blocks], -1) for name in blocks[0]}
-    at, nothing = slice(start, last + 1), np.empty((count, 0, 0))
-    mean, variance, ranks = (whole[n][..., at, :, :].astype(float) for n in _OF_Z)
-    results = FilterArrays(
-        np.empty(0), np.zeros(count, np.bool_),
-        estimate=mean.transpose(2, 0, 1), variance=variance.transpose(2, 0, 1),
-        sizes=whole["sizes"][at].T.astype(float), ranks=ranks.transpose(0, 3, 1, 2),
-        cloud=whole["cloud"].transpose(2, 0, 1).astype(float) if clouds else nothing,
-        weight=whole["weight"].T.astype(float) if clouds else nothing[0],
-        lines=whole["lines"][at].T.astype(float),
-        log_likelihoods=whole["log_likelihoods"][at].transpose(1, 2, 0).astype(float),
-    )  # fmt: skip
-    return plain.finished(draws, settings, whole["fails"][at].T, results)
+            kept = found.keys() - ({} if clouds else {"cloud", "weight"})
+            blocks.append({name: np.asarray(found[name], float)[here] for name in kept})
+    whole: dict[str, Any] = {
+        name: np.concatenate([each[name] for each in blocks]) for name in blocks[0]
+    }
+    for name in whole.keys() - {"cloud", "weight"}:
+        whole[name] = whole[name][:, start : last + 1]
+    fails = whole.pop("fails") > 0
+    for name in ("ranks", "log_likelihoods"):
+        whole[name] = np.moveaxis(whole[name], -1, 0)
+    whole = {"cloud": np.empty((count, 0, 0))} | whole
+    return plain.finished(draws, settings, fails, FilterArrays(np.empty(0), fails, **whole))
 
 
 def _formula(model: StateSpaceModel, instants: range, name: str) -> Formula:
@@ -143,121 +140,146 @@ def _formula(model: StateSpaceModel, instants: range, name: str) -> Formula:
 
 @partial(jax.jit, static_argnums=0)
 def _run(request: _Filter, given: dict[str, Any]) -> dict[str, Any]:
-    """The results of a block, with instants first and draws last."""
-    count, particles, quantities = request.draws, request.particles, len(request.is_angle)
-    scheme, p, measured = ALL_SCHEMES[request.resampling], given["p"], given["measured"]
-    instants, has_lag = len(measured), request.has_lag
-    key = partial(Key, tuple(given["stream"]), draws=given["draws"])
+    """The results of a block, with draws first."""
+    block = _Block(request, given)
+    state = lax.fori_loop(given["start"], given["last"] + 1, block.instant, block.first())
+    found = {name: jnp.moveaxis(state[name], -1, 0) for name in _OF_DRAWS}
+    return found | {"cloud": jnp.stack(state["x"], axis=1), "weight": state["weight"]}
 
-    def noise(kinds: tuple[str, ...], t: Any, role: Any) -> list[Any]:
-        at = key(t=t, role=role)
-        return [variates(kind, particles, at, number) for number, kind in enumerate(kinds)]
 
-    def estimated(t: Any, z: Any, weight: Any) -> tuple[Any, Any]:
-        """Mean and variance of the particles' z, (q, D) each."""
-        share = weight / weight.sum(axis=1, keepdims=True)
-        counted = [jnp.where(weight > 0, each, 0.0) for each in z]
-        found = [_moments(*each, share) for each in zip(counted, request.is_angle, strict=True)]
-        mean, variance = (jnp.stack(each) for each in zip(*found, strict=True))
-        if request.error is not None:
-            (error,) = request.error(t, given["of_truth"], z=z, estimate=mean[..., None])
-            of_mean = jnp.sum(share * jnp.where(share > 0, error, 0.0), axis=1)
-            variance = jnp.zeros_like(variance).at[0].set(of_mean)
-        return mean, variance
+@dataclass
+class _Block:
+    """The filter of a block; its state `s` has arrays by name, instants first and draws last."""
 
-    def resampled(at: Any, t: Any, s: dict[str, Any]) -> dict[str, Any]:
-        """Resample the draws that a measurement has weighed, if their weights are uneven."""
-        weight = s["weight"]
-        uneven = s["weighs"] & (_sizes(weight) < request.threshold * particles)
-        uneven = (uneven & (weight.sum(axis=1) < particles))[:, None]
-        found = _ancestors(request.resampling, weight, key(t=at, role=RESAMPLING))
-        found = jnp.where(uneven, found, jnp.arange(particles))
+    request: _Filter
+    given: dict[str, Any]
 
-        def of_ancestors(values: Any) -> Any:
-            return jnp.take_along_axis(values, jnp.broadcast_to(found, values.shape), axis=-1)
+    def _key(self, t: Any, role: Any) -> Key:
+        return Key(tuple(self.given["stream"]), t, int(role), self.given["draws"])
 
-        past = of_ancestors(s["past"])
-        weight = jnp.where(uneven, 1.0, weight)
-        return s | {"x": [*map(of_ancestors, s["x"])], "past": past, "weight": weight}
+    def _noise(self, kinds: tuple[str, ...], t: Any, role: Any) -> list[Any]:
+        key, particles = self._key(t, role), self.request.particles
+        return [variates(kind, particles, key, number) for number, kind in enumerate(kinds)]
 
-    def weighed(number: int, t: Any, s: dict[str, Any]) -> dict[str, Any]:
+    def first(self) -> dict[str, Any]:
+        request, instants = self.request, len(self.given["measured"])
+        cloud = (request.draws, request.particles)
+        x, weight = self.given.get("cloud"), self.given.get("weight", jnp.ones(cloud))
+        if x is None:
+            w = self._noise(request.noise[0], 0, FILTER_INITIAL)
+            x = request.initial(0, self.given["p"], w=w)
+        q, unknown = len(request.is_angle), partial(jnp.full, fill_value=jnp.nan)
+        of_z, of_draws = (instants, q, request.draws), (instants, request.draws)
+        past = jnp.zeros((instants * request.has_lag, q + 1, *cloud))
+        return {
+            "x": [*x], "weight": weight, "weighs": jnp.zeros(request.draws, bool), "past": past,
+            "fails": jnp.zeros(of_draws, bool), "estimate": unknown(of_z),
+            "variance": unknown(of_z), "sizes": unknown(of_draws), "lines": unknown(of_draws),
+            "ranks": unknown((instants, q, 2, request.draws)),
+            "log_likelihoods": jnp.zeros((instants, 2, request.draws)),
+        }  # fmt: skip
+
+    def instant(self, t: Any, s: dict[str, Any]) -> dict[str, Any]:
+        """The state after the measurements at t, from that after those at t - 1."""
+        request, given, p = self.request, self.given, self.given["p"]
+        here, sensors, same = given["measured"][t].any(), len(request.sensors), _same
+
+        def moved(x: list[Any]) -> list[Any]:
+            w = self._noise(request.noise[1], t - 1, FILTER_PROCESS)
+            return request.transition(t - 1, p, x=x, w=w)
+
+        s = s | {"x": lax.cond(t > given["start"], moved, same, s["x"])}
+        if ALL_SCHEMES[request.resampling].holds_truth:
+            s["x"] = [each.at[:, 0].set(given["x"][t, n]) for n, each in enumerate(s["x"])]
+        s["weighs"] = jnp.zeros(request.draws, bool)
+        for number in range(sensors):
+            s = lax.cond(given["measured"][t, number], partial(self._weighed, t, number), same, s)
+        weight, z = s["weight"], jnp.stack(request.quantity(t, p, x=s["x"]))
+        estimates = zip(("estimate", "variance"), self._estimated(t, z, weight), strict=True)
+        for name, found in estimates:
+            s[name] = s[name].at[t].set(jnp.where(given["estimates"][t, t], found, s[name][t]))
+        s["sizes"] = s["sizes"].at[t].set(jnp.where(s["weighs"], _sizes(weight), jnp.nan))
+        if ALL_SCHEMES[request.resampling].holds_truth:
+            share, true = weight / weight.sum(axis=1, keepdims=True), z[:, :, :1]
+            below = jnp.stack([jnp.sum(share * each, 2) for each in (z < true, z == true)], axis=1)
+            s["ranks"] = s["ranks"].at[t].set(jnp.where(here, below, jnp.nan))
+        if request.has_lag:
+            each = jnp.broadcast_to(jnp.arange(request.particles, dtype=float), weight.shape)
+            s["past"] = s["past"].at[t].set(jnp.stack([*z, each]))
+            s = lax.cond(here, partial(self._smoothed, t), same, s)
+        after: dict[str, Any] = lax.cond(
+            here, partial(self._resampled, (t + 1) * sensors - 1), same, s
+        )
+        return after
+
+    def _weighed(self, t: Any, number: int, s: dict[str, Any]) -> dict[str, Any]:
         """Weigh the particles with the measurement of a sensor."""
-        point = t * len(request.sensors) + number
         if number:
-            s = resampled(point - 1, t, s)
-        formula, begin, end = request.sensors[number]
-        (value,) = formula(t, p, y=given["y"][t, begin:end, :, None], x=s["x"])
+            s = self._resampled(t * len(self.request.sensors) + number - 1, s)
+        formula, begin, end = self.request.sensors[number]
+        y = self.given["y"][t, begin:end, :, None]
+        (value,) = formula(t, self.given["p"], y=y, x=s["x"])
         value = value + jnp.log(s["weight"])
         highest = jnp.max(jnp.where(jnp.isfinite(value), value, -jnp.inf), axis=1, keepdims=True)
         new = jnp.where(jnp.isfinite(value), jnp.exp(value - highest), 0.0)
         weighs = jnp.isfinite(highest[:, 0])
         evidence = highest[:, 0] + jnp.log(new.mean(axis=1))
         explained = jnp.sum(new * jnp.where(new > 0, value, 0.0), axis=1) / new.sum(axis=1)
-        added = jnp.where(weighs, jnp.stack([evidence, explained]), jnp.array([[-jnp.inf], [0.0]]))
+        nothing = jnp.array([[-jnp.inf], [0.0]])
+        added = jnp.where(weighs, jnp.stack([evidence, explained]), nothing)
         return s | {
             "weight": jnp.where(weighs[:, None], new, s["weight"]), "weighs": weighs,
             "fails": s["fails"].at[t].set(s["fails"][t] | ~weighs),
             "log_likelihoods": s["log_likelihoods"].at[t].add(added),
         }  # fmt: skip
 
-    def smoothed(t: Any, s: dict[str, Any]) -> dict[str, Any]:
-        """Estimates of earlier instants by the lines of the particles."""
-        weight, now = s["weight"], given["estimates"][t][:, None, None]
-        each = jax.vmap(estimated, (0, 0, None))
-        mean, variance = each(jnp.arange(instants), s["past"][:, :-1], weight)
-        through, rows = jnp.int32(s["past"][:, -1]), jnp.arange(count)[:, None]
-        hit = jax.vmap(lambda at: jnp.zeros(weight.shape, bool).at[rows, at].max(weight > 0))(
-            through
+    def _resampled(self, key: Any, s: dict[str, Any]) -> dict[str, Any]:
+        """Resample the draws that a measurement has weighed, if their weights are uneven."""
+        weight, particles = s["weight"], self.request.particles
+        uneven = s["weighs"] & (_sizes(weight) < self.request.threshold * particles)
+        uneven = (uneven & (weight.sum(axis=1) < particles))[:, None]
+        found = _ancestors(self.request.resampling, weight, self._key(key, RESAMPLING))
+        found = jnp.where(uneven, found, jnp.arange(particles))
+
+        def of_ancestors(values: Any) -> Any:
+            at = jnp.broadcast_to(found, values.shape)
+            return jnp.take_along_axis(values, at, axis=-1)
+
+        states, weight = (
+            jax.tree.map(of_ancestors, (s["x"], s["past"])),
+            jnp.where(uneven, 1.0, weight),
         )
-        return s | {
-            "mean": jnp.where(now, mean, s["mean"]), "variance": jnp.where(now, variance, s["variance"]),
-            "lines": jnp.where(now[..., 0], hit.sum(axis=2), s["lines"]),
-        }  # fmt: skip
+        return s | {"x": states[0], "past": states[1], "weight": weight}
 
-    def instant(t: Any, s: dict[str, Any]) -> dict[str, Any]:
-        def moved(x: list[Any]) -> list[Any]:
-            return request.transition(
-                t - 1, p, x=x, w=noise(request.noise[1], t - 1, FILTER_PROCESS)
-            )
+    def _estimated(self, t: Any, z: Any, weight: Any) -> tuple[Any, Any]:
+        """Mean and variance of the particles' z, (q, D) each."""
+        share = weight / weight.sum(axis=1, keepdims=True)
+        counted, are_angles = jnp.where(weight > 0, z, 0.0), self.request.is_angle
+        found = [_moments(*each, share) for each in zip(counted, are_angles, strict=True)]
+        mean, variance = (jnp.stack(each) for each in zip(*found, strict=True))
+        if self.request.error is not None:
+            p = self.given["of_truth"]
+            (error,) = self.request.error(t, p, z=z, estimate=mean[..., None])
+            of_mean = jnp.sum(share * jnp.where(share > 0, error, 0.0), axis=1)
+            variance = jnp.zeros_like(variance).at[0].set(of_mean)
+        return mean, variance
 
-        s = s | {"x": lax.cond(t > given["start"], moved, lambda x: x, s["x"])}
-        if scheme.holds_truth:
-            s["x"] = [each.at[:, 0].set(given["x"][t, n]) for n, each in enumerate(s["x"])]
-        s["weighs"] = jnp.zeros(count, bool)
-        for number in range(len(request.sensors)):
-            s = lax.cond(measured[t, number], partial(weighed, number, t), lambda s: s, s)
-        here, weight, z = measured[t].any(), s["weight"], request.quantity(t, p, x=s["x"])
-        mean, variance = estimated(t, jnp.stack(z), weight)
-        own = given["estimates"][t, t]
-        for name, found in (("mean", mean), ("variance", variance)):
-            s[name] = s[name].at[t].set(jnp.where(own, found, s[name][t]))
-        s["sizes"] = s["sizes"].at[t].set(jnp.where(s["weighs"], _sizes(weight), jnp.nan))
-        if scheme.holds_truth:
-            below = jnp.stack([_shares_below(each, weight) for each in z], axis=1)
-            s["ranks"] = s["ranks"].at[:, t].set(jnp.where(here, below, jnp.nan))
-        if has_lag:
-            each = jnp.broadcast_to(jnp.arange(particles, dtype=float), weight.shape)
-            s["past"] = s["past"].at[t].set(jnp.stack([*z, each]))
-            s = lax.cond(here, partial(smoothed, t), lambda s: s, s)
-        point = (t + 1) * len(request.sensors) - 1
-        return lax.cond(here, partial(resampled, point, t), lambda s: s, s)
+    def _smoothed(self, t: Any, s: dict[str, Any]) -> dict[str, Any]:
+        """Estimate earlier instants by the lines of the particles."""
+        weight, now = s["weight"], self.given["estimates"][t][:, None]
+        instants, rows = jnp.arange(len(now)), jnp.arange(len(weight))[:, None]
+        each = jax.vmap(self._estimated, (0, 0, None))
+        mean, variance = each(instants, s["past"][:, :-1], weight)
+        empty = jnp.zeros(weight.shape, bool)
+        lines = jax.vmap(lambda at: empty.at[rows, at].max(weight > 0).sum(axis=1))
+        found = {"estimate": mean, "variance": variance}
+        found |= {"lines": lines(jnp.int32(s["past"][:, -1]))}
+        masks = {"estimate": now[..., None], "variance": now[..., None], "lines": now}
+        return s | {name: jnp.where(masks[name], found[name], s[name]) for name in found}
 
-    x, weight = given.get("cloud"), given.get("weight", jnp.ones((count, particles)))
-    if x is None:
-        x = request.initial(0, p, w=noise(request.noise[0], 0, FILTER_INITIAL))
-    of_z, of_draws = (instants, quantities, count), (instants, count)
-    state = {
-        "x": [*x], "weight": weight, "weighs": jnp.zeros(count, bool),
-        "past": jnp.zeros((instants * has_lag, quantities + 1, count, particles)),
-        "fails": jnp.zeros(of_draws, bool), "log_likelihoods": jnp.zeros((instants, 2, count)),
-        "mean": jnp.full(of_z, jnp.nan), "variance": jnp.full(of_z, jnp.nan),
-        "ranks": jnp.full((2, *of_z), jnp.nan), "sizes": jnp.full(of_draws, jnp.nan),
-        "lines": jnp.full(of_draws, jnp.nan),
-    }  # fmt: skip
-    state = lax.fori_loop(given["start"], given["last"] + 1, instant, state)
-    cloud = jnp.stack(state.pop("x")).swapaxes(1, 2)
-    del state["past"], state["weighs"]
-    return state | {"cloud": cloud, "weight": state["weight"].T}
+
+def _same(state: Any) -> Any:
+    return state
 
 
 def _sizes(weight: Any) -> Any:
@@ -272,11 +294,6 @@ def _moments(values: Any, is_angle: bool, share: Any) -> tuple[Any, Any]:
         return mean, jnp.sum(share * (1.0 - jnp.cos(values - mean[:, None])), axis=1)
     mean = jnp.sum(share * values, axis=1)
     return mean, jnp.sum(share * (values - mean[:, None]) ** 2, axis=1)
-
-
-def _shares_below(z: Any, weight: Any) -> Any:
-    share = weight / weight.sum(axis=1, keepdims=True)
-    return jnp.sum(share * jnp.stack([z < z[:, :1], z == z[:, :1]]), axis=2)
 
 
 def _ancestors(scheme: str, weight: Any, key: Key) -> Any:

@@ -61,7 +61,7 @@ class _Run:
         return [values[each] for each in self.program.outputs]
 
     def _fill(self, values: dict[int, Any], numbers: Iterable[int], **step: Any) -> None:
-        """Compute the values of operations; `step` has the number and the states of a loop's step."""
+        """Compute operations; `step` has the number and the states of a step of a loop."""
         operations, within = self.program.operations, -1
         for number in numbers:
             name, arguments, which = operations[number]
@@ -103,12 +103,9 @@ class _Run:
         return end
 
     def _value(self, name: str, which: Any, given: list[Any]) -> Any:
-        if name in GROUPS:
-            return self.groups[name][which]
-        if name == "t":
-            return jnp.asarray(self.t, float)
-        if name == "parameter":
-            return self.parameters[which]
+        leaves = {"t": jnp.asarray(self.t, float), "parameter": self.parameters.get(which)}
+        if name in leaves or name in GROUPS:
+            return leaves[name] if name in leaves else self.groups[name][which]
         if name == "covariate":
             return jnp.asarray(self.parameters[which])[jnp.int32(given[0])]
         if name == "constant":
@@ -119,6 +116,4 @@ class _Run:
             return jnp.where(inside, table[jnp.int32(jnp.where(inside, index, 0))], jnp.nan)
         if name == "final":
             return given[0][which]
-        if name == "float":
-            return jnp.where(given[0], 1.0, 0.0)
-        return getattr(jnp, name)(*given)
+        return jnp.where(given[0], 1.0, 0.0) if name == "float" else getattr(jnp, name)(*given)

@@ -73,4 +73,7 @@ def variates(kind: str, particles: int, key: Key, component: int) -> Any:
             for s, w in zip(sizes, lows, strict=True)
         ]
         found = [jnp.where(h & 1, -s, s) for h, s in zip(words, sizes, strict=True)]
-    return jnp.stack(found, axis=2).reshape(key.draws.size, -1)[:, :particles].astype(float)
+    whole = jnp.zeros((key.draws.size, tiles, 4, LANES))
+    for number, each in enumerate(found):  # XLA would compute a stack again and again
+        whole = whole.at[:, :, number].set(each)
+    return whole.reshape(key.draws.size, -1)[:, :particles]
