@@ -1,0 +1,126 @@
+"""The engine `jax` against the compiled engine, the plain filter, and exactly known errors."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.in_turn import in_turn
+from oracles.kalman import SCALAR
+from pfdist import load_model
+from pfdist.errors import ModelError
+from pfdist.filters import kalman, particle_filter, plain
+from pfdist.filters.evaluator import Evaluator, recorded_evaluator
+from pfdist.filters.simulation import simulate
+from pfdist.filters.work import GUIDED, Estimation
+from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.models.loader import installed_models
+from pfdist.models.recorded import recorded
+
+pytest.importorskip("jax")
+
+accelerator: Any = pytest.importorskip("pfdist.accelerator.filter")
+LARGEST_Z = 4.0  # standard errors
+PAPER = tuple(range(0, 61, 3))
+SHIPPED = sorted(
+    name for name, (home, _) in installed_models().items() if home.startswith("pfdist.")
+)
+
+
+def _within(first: Any, second: Any) -> None:
+    """Means over the same draws must agree within standard errors of their difference."""
+    difference = first - second
+    error = difference.std(ddof=1) / math.sqrt(difference.size)
+    assert abs(difference.mean()) <= LARGEST_Z * error + 1e-6 * abs(first.mean())
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name != "ungm")) for name in SHIPPED],
+)
+def test_the_error_of_every_model_that_ships_is_that_of_the_compiled_engine(name: str) -> None:
+    """The noise is the same, so most draws agree but for rounding."""
+    model = load_model(name)
+    evaluator = recorded_evaluator(model, model, horizon=8, times=tuple(map(float, range(9))))
+    draws, estimation = evaluator.draws(range(60), 7), Estimation(64, "systematic")
+    times = [tuple(range(0, evaluator.points.first(9), 3))]
+    own, compiled = (
+        each.filter_checked_sets(evaluator.believed, draws, times, [8], 5, estimation)
+        for each in (accelerator, particle_filter)
+    )
+    _within(own.mse, compiled.mse)
+    assert np.mean(np.isclose(own.mse, compiled.mse, rtol=1e-3)) > 0.5
+    np.testing.assert_array_equal(own.degenerate, compiled.degenerate)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Estimation(70, "conditional", "information"),
+        Estimation(70, "multinomial", threshold=0.5, lag=4),
+        pytest.param(Estimation(70, "conditional", "control"), marks=pytest.mark.slow),
+        pytest.param(Estimation(70, "stratified"), marks=pytest.mark.slow),
+    ],
+)
+def test_its_results_are_those_of_the_plain_filter(settings: Estimation) -> None:
+    model = recorded(load_model("ungm"), range(11))
+    draws = simulate(model, 10, range(3, 40), 7)
+    own, twin = (
+        each.filter_checked_draws(model, draws, (0, 3, 4, 8), 5, settings, True)
+        for each in (accelerator, plain)
+    )
+    agree = np.isclose(own.mse, twin.mse, rtol=1e-4)
+    assert agree.mean() > 0.6
+    for name in ("estimate", "variance", "sizes", "lines", "cloud", "weight"):
+        found, expected = (getattr(each, name)[agree] for each in (own, twin))
+        assert found.shape == expected.shape
+        assert np.isclose(found, expected, rtol=1e-2, equal_nan=True).mean() > 0.95, name
+    has_evidence = ESTIMATORS[settings.estimator].weights.evidence != 0
+    for name in ("ranks", "log_likelihoods")[: 1 + has_evidence]:
+        found, expected = (getattr(each, name)[:, agree] for each in (own, twin))
+        assert np.isclose(found, expected, rtol=1e-2, equal_nan=True).mean() > 0.95, name
+
+
+def test_no_bit_of_a_draw_depends_on_the_draws_beside_it() -> None:
+    model, times = recorded(load_model("ungm"), range(11)), (0, 3, 4, 8)
+    draws, settings = simulate(model, 10, range(300), 7), Estimation(70, "systematic")
+
+    def mse(some: Any) -> Any:
+        return accelerator.filter_checked_draws(model, some, times, 5, settings).mse
+
+    whole = mse(draws)
+    for part in (slice(0, 1), slice(229, 240), slice(299, 300)):
+        np.testing.assert_array_equal(mse(draws[part]), whole[part])
+
+
+def test_the_papers_error_is_that_of_the_prototype() -> None:
+    evaluator = Evaluator(recorded(load_model("ungm"), range(61)), 60, engine="jax")
+    work = evaluator.work([PAPER], 3, 4, (0, 400), Estimation(500, "systematic"))
+    mse = evaluator(work).mse[:, 0]
+    assert abs(mse.mean() - 31.14) <= LARGEST_Z * mse.std() / 20 + 0.06  # 31.08 to 31.20
+
+
+@in_turn("lag", [0, 3])
+def test_its_error_is_the_known_one_of_a_linear_gaussian_model(lag: int) -> None:
+    model, times = recorded(SCALAR.as_model(), range(13)), (2, 5, 9)
+    evaluator = Evaluator(model, 12, engine="jax", lag=lag)
+    work = evaluator.work([times, ()], 3, 4, (0, 600), Estimation(400, "systematic"))
+    mse = evaluator(work).mse
+    linear = replace(SCALAR.as_model(), linear_gaussian=True)
+    exact = kalman.expected_mse(linear, 12, [times, ()], lag=lag)
+    error = mse.std(axis=0) / math.sqrt(len(mse))
+    assert (abs(mse.mean(axis=0) - exact * (1 + 1 / 400)) <= LARGEST_Z * error).all()
+
+
+def test_a_job_can_name_it_and_what_it_lacks_is_not_accepted() -> None:
+    given: dict[str, Any] = {"horizon": 8, "measurement_budget": 3, "engine": "jax"}
+    found = pfdist.evaluate(
+        pfdist.Problem("ungm", particles=64, **given).job(seed=1), (0, 4, 8), draws=40
+    )
+    assert 0 < found.expected_mse < math.inf
+    model = load_model("ungm")
+    with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'jax'"):
+        Evaluator(model, 8, engine="jax", estimations=(Estimation(9, proposal=GUIDED),))
