@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.accelerator.formulas import Formula
-from pfdist.accelerator.noise import Key, variates
+from pfdist.accelerator.formulas import CompiledFormula
+from pfdist.accelerator.noise import KeyOfDraws, noise_of_particles
 from pfdist.common.measurement_times import Times
 from pfdist.errors import PfdistError
 from pfdist.filters import plain
@@ -48,13 +48,15 @@ _OF_DRAWS = ("fails", "log_likelihoods", "estimate", "variance", "ranks", "sizes
 
 @dataclass(frozen=True)
 class _Filter:
-    """What JAX compiles a filter for."""
+    """The properties of a filter for which JAX compiles it."""
 
-    initial: Formula
-    transition: Formula
-    quantity: Formula
-    error: Formula | None  # of the truth, if the mean error of particles is wanted
-    sensors: tuple[tuple[Formula, int, int], ...]  # log-likelihoods, and their components of y
+    initial: CompiledFormula
+    transition: CompiledFormula
+    quantity: CompiledFormula
+    error: CompiledFormula | None  # of the truth, if the mean error of particles is wanted
+    sensors: tuple[
+        tuple[CompiledFormula, int, int], ...
+    ]  # log-likelihoods, and their components of y
     noise: tuple[tuple[str, ...], tuple[str, ...]]
     is_angle: tuple[bool, ...]
     draws: int
@@ -134,8 +136,8 @@ def filter_checked_draws(
     return plain.finished(draws, settings, fails, FilterArrays(np.empty(0), fails, **whole))
 
 
-def _formula(model: StateSpaceModel, instants: range, name: str) -> Formula:
-    return Formula.made(traced(model, name, instants))
+def _formula(model: StateSpaceModel, instants: range, name: str) -> CompiledFormula:
+    return CompiledFormula.made(traced(model, name, instants))
 
 
 @partial(jax.jit, static_argnums=0)
@@ -154,12 +156,14 @@ class _Block:
     request: _Filter
     given: dict[str, Any]
 
-    def _key(self, t: Any, role: Any) -> Key:
-        return Key(tuple(self.given["stream"]), t, int(role), self.given["draws"])
+    def _key(self, t: Any, role: Any) -> KeyOfDraws:
+        return KeyOfDraws(tuple(self.given["stream"]), t, int(role), self.given["draws"])
 
     def _noise(self, kinds: tuple[str, ...], t: Any, role: Any) -> list[Any]:
         key, particles = self._key(t, role), self.request.particles
-        return [variates(kind, particles, key, number) for number, kind in enumerate(kinds)]
+        return [
+            noise_of_particles(kind, particles, key, number) for number, kind in enumerate(kinds)
+        ]
 
     def first(self) -> dict[str, Any]:
         request, instants = self.request, len(self.given["measured"])
@@ -296,21 +300,23 @@ def _moments(values: Any, is_angle: bool, share: Any) -> tuple[Any, Any]:
     return mean, jnp.sum(share * (values - mean[:, None]) ** 2, axis=1)
 
 
-def _ancestors(scheme: str, weight: Any, key: Key) -> Any:
+def _ancestors(scheme: str, weight: Any, key: KeyOfDraws) -> Any:
     """Ancestors of each draw's particles, (D, P); see `pfdist.kernels.ancestors`."""
     kept = int(ALL_SCHEMES[scheme].holds_truth)
     count, most = weight.shape[1] - kept, weight.shape[1] - 1
     cumulative = jnp.cumsum(weight, axis=1)
     cumulative = cumulative / cumulative[:, -1:]
     if scheme == SYSTEMATIC.name:
-        ends = jnp.ceil(cumulative * count - variates("uniform", 1, key, 0)).astype(jnp.int32)
+        ends = jnp.ceil(cumulative * count - noise_of_particles("uniform", 1, key, 0)).astype(
+            jnp.int32
+        )
         rows = jnp.arange(len(weight))[:, None]
         below = jnp.zeros(weight.shape, jnp.int32).at[rows, ends].add(1, mode="drop")
         return jnp.minimum(jnp.cumsum(below, axis=1), most)
     if scheme == STRATIFIED.name:
-        points = (jnp.arange(count) + variates("uniform", count, key, 0)) / count
+        points = (jnp.arange(count) + noise_of_particles("uniform", count, key, 0)) / count
     else:
-        sums = jnp.cumsum(variates("exponential", count + 1, key, 0), axis=1)
+        sums = jnp.cumsum(noise_of_particles("exponential", count + 1, key, 0), axis=1)
         points = sums[:, :-1] / sums[:, -1:]
     found = jax.vmap(partial(jnp.searchsorted, side="right"))(cumulative, points)
     return jnp.minimum(jnp.pad(found, ((0, 0), (kept, 0))), most)

@@ -12,7 +12,7 @@ from pfdist.models.tracing import MODES, Traced
 
 
 @dataclass(frozen=True)
-class Formula:
+class CompiledFormula:
     """A traced formula that JAX compiles; two with the same programs are equal."""
 
     traced: Traced = field(compare=False)
@@ -20,7 +20,7 @@ class Formula:
     hash: str
 
     @classmethod
-    def made(cls, traced: Traced) -> "Formula":
+    def made(cls, traced: Traced) -> "CompiledFormula":
         """The formula with the programs of a traced one."""
         return cls(traced, traced.instants, traced.hash)
 

@@ -9,7 +9,7 @@ from pfdist.kernels.variates import PARITY, ROTATIONS, ROUNDS, TILE
 from pfdist.kernels.vectors import LANES
 
 
-class Key(NamedTuple):
+class KeyOfDraws(NamedTuple):
     """The key of the cipher, and the draws, (D,)."""
 
     stream: Any  # (2,): low and high word
@@ -18,7 +18,7 @@ class Key(NamedTuple):
     draws: Any
 
 
-def _words(key: Key, component: int, part: int, tiles: int) -> list[Any]:
+def _words(key: KeyOfDraws, component: int, part: int, tiles: int) -> list[Any]:
     """Four arrays (D, tiles, LANES) of words, see `pfdist.kernels.variates`."""
     last = jnp.uint32(int(key.role) << 16 | component)
     words = [*key.stream, jnp.uint32(key.t), last]
@@ -55,7 +55,7 @@ def _normals(word_a: Any, word_b: Any) -> tuple[Any, Any]:
     return radius * jnp.where(swap, cosine, sine), radius * jnp.where(swap, sine, cosine)
 
 
-def variates(kind: str, particles: int, key: Key, component: int) -> Any:
+def noise_of_particles(kind: str, particles: int, key: KeyOfDraws, component: int) -> Any:
     """The variate of each particle of each draw, (D, P)."""
     tiles = -(-particles // TILE)
     words = _words(key, component, 0, tiles)
