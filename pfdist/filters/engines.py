@@ -75,7 +75,7 @@ KALMAN = Engine(
 )
 JAX = Engine(
     "jax",
-    "Formulas traced with symbols, and compiled by JAX for many draws at a time, as on a GPU.",
+    "Formulas compiled by JAX, as for a GPU.",
     simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.accelerator.filter",
     seconds_a_step=1e-8,

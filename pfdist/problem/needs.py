@@ -237,7 +237,7 @@ RULES = Capability(
     {
         OF_EACH_DRAW: "", A_SEARCH: "there is no plan",
         PARTICLES: "its spread does not depend on y, so a rule is a fixed set",
-        TAKES_RULES: "others take too long", SQUARED_NORM: "",
+        TAKES_RULES: "", SQUARED_NORM: "",
     },
 )  # fmt: skip
 WHY = Capability("`pfdist why`", {ONE_NUMBER: "", MEAN_OF_SCENARIOS: ""})
