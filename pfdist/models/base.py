@@ -18,6 +18,7 @@ from pfdist.common.points import PointNumbers
 from pfdist.errors import ModelError
 from pfdist.models.checks import (
     MEASURING,
+    check_parameters,
     checked_fields,
     count_components,
     formula_of_each_sensor,
@@ -242,6 +243,9 @@ class StateSpaceModel:
         """Check the fields that are plain data, and give the parameters to recorded formulas."""
         for name, value in checked_fields(self).items():
             object.__setattr__(self, name, value)
+        self._give_parameters()
+
+    def _give_parameters(self) -> None:
         fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
         object.__setattr__(self, "parameters", fixed)
         for name in own_formulas(self):
@@ -469,11 +473,13 @@ class StateSpaceModel:
                 )
         given = {**self.parameters, **overrides}
         try:
-            if not all(isinstance(each, Programs) for each in self.formulas.values()):
+            formulas = self.formulas.values()
+            if not all(isinstance(each, Programs) or each is squared_error for each in formulas):
                 return dataclasses.replace(self, parameters=given)
             changed = copy.copy(self)  # programs have as many components with all values
             changed.__dict__.update(parameters=given, components=self.components)
-            changed._check_fields()
+            check_parameters(changed)
+            changed._give_parameters()
             return changed
         except ModelError as error:
             error.argument = "parameters"

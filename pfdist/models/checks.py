@@ -92,18 +92,27 @@ def checked_fields(model: Any) -> dict[str, Any]:
         _check_sensors(model)
         for name in own_formulas(model):
             _check_signature(getattr(model, name), name, ARGUMENTS[name])
-        for name in model.parameter_ranges:
-            if name not in model.parameters:
-                known = ", ".join(model.parameters) or "none"
-                raise ModelError(
-                    f"parameter_ranges must name parameters, got {name!r}; parameters: {known}"
-                )
-        for name, value in model.parameters.items():
-            _check_parameter(name, value, *model.parameter_ranges.get(name, (-math.inf, math.inf)))
     except ModelError as error:
         advice = _advice_on_noise(error.argument, getattr(model, error.argument or "name"))
         raise ModelError(f"model {model.name}: {error}{advice}") from error
+    check_parameters(model)
     return fields
+
+
+def check_parameters(model: Any) -> None:
+    """Raise `ModelError` if a parameter has a wrong name or value."""
+    for name in model.parameter_ranges:
+        if name not in model.parameters:
+            known = ", ".join(model.parameters) or "none"
+            raise ModelError(
+                f"model {model.name}: parameter_ranges must name parameters, got {name!r}; "
+                f"parameters: {known}"
+            )
+    for name, value in model.parameters.items():
+        try:
+            _check_parameter(name, value, *model.parameter_ranges.get(name, (-math.inf, math.inf)))
+        except ModelError as error:
+            raise ModelError(f"model {model.name}: {error}") from error
 
 
 def formula_of_each_sensor(*_: Any) -> Any:

@@ -84,6 +84,16 @@ def recorded(
     return dataclasses.replace(model, sensors=sensors, log_tails=None, **changes)
 
 
+def recorded_if_it_holds(
+    model: StateSpaceModel, instants: range, changed: Iterable[str]
+) -> StateSpaceModel:
+    """The recorded model; the model itself if its programs hold for present values alone."""
+    found = recorded(model, instants)
+    programs = (each for each in _own(found).values() if isinstance(each, Programs))
+    fixed = {name for each in programs for name in each.traced.read}
+    return model if fixed & {*changed} else found
+
+
 def with_functions(kept: StateSpaceModel, now: StateSpaceModel) -> StateSpaceModel:
     """A model read from model.json, with the functions of the current model if it is batched."""
     sensors = {

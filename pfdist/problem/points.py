@@ -227,6 +227,12 @@ class Points(PointNumbers):
         entries: list[Any] = (
             [written] if isinstance(written, str) else listed_argument(name, written)
         )
+        for entry in entries:
+            if isinstance(entry, Iterable) and not isinstance(entry, str):
+                raise MeasurementTimesError(
+                    f"{name} must be a sequence of times, got {shown(entry)} among them; sets have "
+                    "names, as {'mine': [0, 5]}"
+                )
         counts = self.clock.counts and not self.sensors and not self.delays
         if not counts or any(isinstance(entry, str) for entry in entries):
             entries = [*self.canonical(self.read(entries, name))]

@@ -24,6 +24,7 @@ from pfdist.filters.work import PLAIN
 from pfdist.kernels.variates import generator
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import repeated
+from pfdist.models.recorded import recorded_if_it_holds
 from pfdist.pools.base import Pool
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import Replicate, read_replicates
@@ -275,7 +276,7 @@ def fit(
     groups = dict[Any, list[Replicate]]()
     for each in used:
         groups.setdefault(each.key, []).append(each)
-    grouped = [_group(built, those) for those in groups.values()]
+    grouped = [_group(built, those, start) for those in groups.values()]
     number = (particles or built.comparing.particles) if built.evaluator.has_particles else 0
     with (
         following(chosen.progress, chosen.say) as (show, tell),
@@ -285,13 +286,14 @@ def fit(
         return fitting.fitted(evaluations, show, profile=profile)
 
 
-def _group(built: Built, replicates: Sequence[Replicate]) -> _Group:
+def _group(built: Built, replicates: Sequence[Replicate], fitted: Iterable[str]) -> _Group:
     """Replicates of the same key, whose measurements have as many rows of each sensor."""
     most = max(each.y.shape[1] for each in replicates)
     y = [np.pad(each.y, ((0, 0), (0, most - each.y.shape[1])), constant_values=np.nan)
          for each in replicates]  # fmt: skip
     believed = evaluator_for(built, replicates[0], is_predicted=False).believed
-    return _Group(repeated(believed, most // believed.components[1]), np.stack(y))
+    model = repeated(believed, most // believed.components[1])
+    return _Group(recorded_if_it_holds(model, range(len(y[0])), fitted), np.stack(y))
 
 
 class _Found(NamedTuple):

@@ -222,20 +222,22 @@ def _gain(subject: Subject, row: Row) -> str:
 
 
 def _beside(subject: Subject, row: Row, error: ErrorBeside) -> Iterator[Text]:
-    """An error beside that of the job, with a set and the reference."""
+    """An error beside that of the job, with a set and, if it is another one, the reference."""
     mse, reference = COLUMNS[error.mse], subject.reference_row
     own, of_reference = (getattr(each, mse.name) for each in (row, reference))
     if not all(each is not None and math.isfinite(each) for each in (own, of_reference)):
         return
     limit, label = "at most " * subject.is_limit(error), subject.criterion.mse_criterion.label
-    numbers = f"{limit}{mse.cell(row).text} ({reference.label}: {mse.cell(reference).text})"
+    differs = row.measurement_times != reference.measurement_times
+    beside = f" ({reference.label}: {mse.cell(reference).text})" * differs
+    said = f"the {label} is {limit}{mse.cell(row).text}{beside}."
     if not error.planned or subject.criterion.aspects:
-        yield Text(f"{error.when}, the {label} is {numbers}.")
+        yield Text(f"{error.when}, {said}")
         return
     both = [getattr(each, mse.error) for each in (row, reference)]
     is_gain = None not in both and of_reference - own > _CLEAR * math.hypot(*both)
     nothing = f"these times gain nothing clear over {phrase_of(reference.label)}: "
-    yield Text(f"{error.alone}, {nothing * (not is_gain)}the {label} is {numbers}. {error.planned}")
+    yield Text(f"{error.alone}, {nothing * (differs and not is_gain)}{said} {error.planned}")
 
 
 def _as_good(subject: Subject, row: Row) -> str:

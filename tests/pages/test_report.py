@@ -374,7 +374,11 @@ def test_a_gap_of_rounding_errors_is_no_gap_and_constraints_are_named() -> None:
 
 def test_the_reference_itself_is_no_gain(make: Make) -> None:
     whole = ("problem.horizon=1", "problem.measurement_budget=2", "search=[{method='exhaustive'}]")
-    assert "These are regular times, so planning gains nothing here." in _text(make(*whole))
+    text = _text(make(*whole))
+    assert "These are regular times, so planning gains nothing here." in text
+    assert "If you analyse only afterwards, the expected MSE is " in text
+    assert "nothing clear" not in text
+    assert "(regular: " not in text
 
 
 def test_two_draws_give_no_interval(make: Make) -> None:

@@ -178,6 +178,15 @@ def test_a_measurement_without_a_time_or_a_sensor_is_named(written: str | int) -
         POINTS.read([written])
 
 
+@pytest.mark.parametrize(
+    "points", [POINTS, Points(Clock.counting(9))], ids=["sensors", "one sensor"]
+)
+def test_several_sets_where_a_set_is_expected_are_refused(points: Points) -> None:
+    """They would be one set of all their measurements."""
+    with pytest.raises(MeasurementTimesError, match="sets have names"):
+        points.checked([[1, 2], [3, 4]])
+
+
 def test_n_measurements_under_limits_and_a_spacing_of_all_are_refused() -> None:
     with pytest.raises(MeasurementTimesError, match="minimum_spacing must be left out"):
         replace(LIMITED, minimum_spacing=1)

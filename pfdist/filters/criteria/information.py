@@ -127,14 +127,21 @@ class Information(OtherCriterion):
         return f"{change.text(self.unit)} more than {other}"
 
     def sentence(self, value: CriterionValue, change: CriterionValue, reference: str) -> str:
-        """The information, in bits, too, and how much more that is than with the reference."""
+        """The information, in bits, too, and how much more that is than with the reference.
+
+        >>> value, change = CriterionValue(9.0, 8.9, 9.1), CriterionValue(0.01, -0.2, 0.2)
+        >>> Information().sentence(value, change, "7 times").partition(", not ")[2]
+        'clearly another number than 7 times: 0.01 nats (95 % CI -0.20 to 0.20) more.'
+        """
         limits = with_sides(*value, self.unit)
         text = limits or CriterionValue(*value).text(self.unit)
         bits = rounded((value.low if limits else value.value) / math.log(2), 3)
         gain, low, high = change
         more = CriterionValue(abs(gain), *((low, high) if gain >= 0 else (-high, -low)))
-        than = f"{more.text(self.unit)} {'more' if gain >= 0 else 'less'} than {reference}"
-        if not is_clear((low, high)):
+        than = f"{more.text(self.unit)} {'more' if gain >= 0 else 'less'}"
+        if is_clear((low, high)):
+            than = f"{than} than {reference}"
+        else:
             than = f"not clearly another number than {reference}: {than}"
         help_ = ""
         if value.high - value.low > WIDE * abs(value.value):
