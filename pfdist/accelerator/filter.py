@@ -1,12 +1,15 @@
 """The intermittent particle filter with `jax.numpy`: many draws and particles at once.
 
-It computes what `pfdist.filters.plain` computes, with the same noise, in float64 on a processor,
-and in float32 on other devices. A block always has the same number of draws, and a draw always the
-same place in its block, so the bits of a draw do not depend on the draws beside it. Instants are
-counted from 0, also with a prior, so JAX compiles once for all starts and ends.
+It computes what `pfdist.filters.plain` computes, with noise by JAX, in float64 on a processor and
+in float32 on other devices. The compiled engine computes filters that contain the truth, and log
+evidences: only comparisons and bounds need them.
+
+A block always has the same number of draws, and a draw always the same place in its block, so the
+bits of a draw do not depend on the draws beside it. Instants are counted from 0, also with a prior,
+so JAX compiles once for all starts and ends.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.accelerator.formulas import CompiledFormula
-from pfdist.accelerator.noise import KeyOfDraws, noise_of_particles
 from pfdist.common.measurement_times import Times
 from pfdist.errors import PfdistError
-from pfdist.filters import plain
+from pfdist.filters import particle_filter, plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import checking, one_by_one
@@ -40,10 +42,11 @@ except ModuleNotFoundError as error:
         f"filter.engine = 'jax' needs pip install 'pfdist[jax]', got {error}"
     ) from error
 
-_AT_ONCE = {"cpu": 2**14}
+_AT_ONCE = {"cpu": 2**15}
 _ON_OTHERS = 2**22
 """Particles of all draws that are filtered together."""
-_OF_DRAWS = ("fails", "log_likelihoods", "estimate", "variance", "ranks", "sizes", "lines")
+
+State = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -53,17 +56,12 @@ class _Filter:
     initial: CompiledFormula
     transition: CompiledFormula
     quantity: CompiledFormula
-    error: CompiledFormula | None  # of the truth, if the mean error of particles is wanted
-    sensors: tuple[
-        tuple[CompiledFormula, int, int], ...
-    ]  # log-likelihoods, and their components of y
+    sensors: tuple[tuple[CompiledFormula, int, int], ...]  # with first and end of y's components
     noise: tuple[tuple[str, ...], tuple[str, ...]]
     is_angle: tuple[bool, ...]
-    draws: int
     particles: int
     resampling: str
     threshold: float
-    has_prior: bool
     has_lag: bool
 
 
@@ -78,249 +76,260 @@ def filter_checked_draws(
     clouds: bool = True,
 ) -> FilterArrays:
     """The results of `pfdist.filters.particle_filter.filter_checked_draws`."""
-    known = model.formulas["quantity_of_interest"]
-    last, start, count = draws.instants[-1], draws.start, len(draws.index)
+    if not _computes(settings):
+        return particle_filter.filter_checked_draws(
+            model, draws, measurement_times, stream, settings, trajectories
+        )
+    known, start, last = model.formulas["quantity_of_interest"], draws.start, draws.instants[-1]
     instants = known.traced.instants if isinstance(known, Programs) else range(last + 1)
-    made, prior, particles = partial(_formula, model, instants), settings.prior, settings.particles
-    by_error, device = ESTIMATORS[settings.estimator].by_error, jax.default_backend()
-    most = _AT_ONCE.get(device, _ON_OTHERS) // particles
-    has_lag, sensors = bool(np.max(settings.lag)), len(model.parts)
-    size = max(1, most // len(instants) if has_lag else most)
-    request = _Filter(
-        made("initial"), made("transition"), made("quantity_of_interest"),
-        _formula(draws.model, instants, "error") if by_error else None,
-        tuple(
-            (_formula(part.model, instants, "log_likelihood"), part.y.start, part.y.stop)
-            for part in model.parts
-        ),
-        (model.initial_noise, model.process_noise), tuple(draws.model.is_angle),
-        size, particles, settings.resampling, settings.threshold, prior is not None, has_lag,
-    )  # fmt: skip
-    measured = np.zeros((len(instants), sensors), np.bool_)
+    filtered, device = slice(start, last + 1), jax.default_backend()
+    request = _request(model, draws, instants, settings)
+    size = _AT_ONCE.get(device, _ON_OTHERS) // settings.particles
+    size = max(1, size // len(instants) if request.has_lag else size)
+    measured = np.zeros((len(instants), len(model.parts)), np.bool_)
     measured.reshape(-1)[[*measurement_times]] = True
-    estimates = np.zeros((len(instants),) * 2, np.bool_)
-    for k, at in enumerate(plain.estimated(model, draws.instants, measurement_times, settings.lag)):
-        estimates[start + k, [start + each for each in at]] = True
+    estimated = plain.estimated(model, draws.instants, measurement_times, settings.lag)
+    ranges = np.zeros((len(instants), 2), int)
+    ranges[filtered] = [(start + each.start, start + each.stop) for each in estimated]
     same = {
-        "stream": np.array([stream & 0xFFFFFFFF, stream >> 32], np.uint32), "start": start,
-        "last": last, "measured": measured, "estimates": estimates, "p": model.p._asdict(),
-        "of_truth": draws.model.p._asdict(),
+        "stream": np.array([stream >> 32, stream & 0xFFFFFFFF], np.uint32), "start": start,
+        "last": last, "measured": measured, "estimated": ranges, "p": model.p._asdict(),
     }  # fmt: skip
     blocks = list[dict[str, NDArray[Any]]]()
     with jax.enable_x64(device == "cpu"):
         for begin in range(draws.index.start // size * size, draws.index.stop, size):
             own = draws[max(0, begin - draws.index.start) : begin + size - draws.index.start]
             here = slice(own.index.start - begin, own.index.stop - begin)
-            arrays: dict[str, NDArray[Any]] = {"draws": np.arange(begin, begin + size)}
-            for name in ("x", "y") if own.x.size else ("y",):
-                values = getattr(own, name)
-                arrays[name] = np.zeros((len(instants), values.shape[2], size))
-                arrays[name][start : last + 1, :, here] = values.transpose(1, 2, 0)
-            if isinstance(prior, Cloud):
-                cloud, weight = plain.first(model, own, stream, settings)
-                arrays["cloud"] = np.zeros((len(cloud), size, particles))
-                arrays["weight"] = np.ones((size, particles))
-                arrays["cloud"][:, here], arrays["weight"][here] = cloud, weight
-            found = _run(request, same | arrays)
+            y = np.zeros((len(instants), own.y.shape[2], size))
+            y[filtered, :, here] = own.y.transpose(1, 2, 0)
+            given = same | {"draws": np.arange(begin, begin + size), "y": y}
+            if isinstance(settings.prior, Cloud):
+                x, weight = plain.first(model, own, stream, settings)
+                given["x"] = np.zeros((len(x), size, settings.particles))
+                given["weight"] = np.ones(given["x"].shape[1:])
+                given["x"][:, here], given["weight"][here] = x, weight
+            found = _run(request, given)
             kept = found.keys() - ({} if clouds else {"cloud", "weight"})
             blocks.append({name: np.asarray(found[name], float)[here] for name in kept})
     whole: dict[str, Any] = {
         name: np.concatenate([each[name] for each in blocks]) for name in blocks[0]
     }
     for name in whole.keys() - {"cloud", "weight"}:
-        whole[name] = whole[name][:, start : last + 1]
+        whole[name] = whole[name][:, filtered]
     fails = whole.pop("fails") > 0
-    for name in ("ranks", "log_likelihoods"):
-        whole[name] = np.moveaxis(whole[name], -1, 0)
-    whole = {"cloud": np.empty((count, 0, 0))} | whole
+    whole = {"cloud": np.empty((len(fails), 0, 0))} | whole
     return plain.finished(draws, settings, fails, FilterArrays(np.empty(0), fails, **whole))
 
 
-def _formula(model: StateSpaceModel, instants: range, name: str) -> CompiledFormula:
-    return CompiledFormula.made(traced(model, name, instants))
+def filter_checked_sets(
+    model: StateSpaceModel,
+    draws: Draws,
+    sets: Sequence[Times],
+    ends: Sequence[int],
+    stream: int,
+    settings: Estimation,
+    errors: str = "",
+) -> FilterArrays:
+    """The results of `pfdist.filters.particle_filter.filter_checked_sets`."""
+    filtered: Callable[..., FilterArrays] = particle_filter.filter_checked_sets
+    if _computes(settings):
+        filtered = partial(one_by_one, partial(filter_checked_draws, clouds=False))
+    return filtered(model, draws, sets, ends, stream, settings, errors)
+
+
+filter_draws = checking(filter_checked_draws)
+
+
+def _computes(settings: Estimation) -> bool:
+    has_evidence = ESTIMATORS[settings.estimator].weights.evidence != 0.0
+    return not (ALL_SCHEMES[settings.resampling].holds_truth or has_evidence)
+
+
+def _request(
+    model: StateSpaceModel, draws: Draws, instants: range, settings: Estimation
+) -> _Filter:
+    def made(of: StateSpaceModel, name: str) -> CompiledFormula:
+        known = traced(of, name, instants)
+        return CompiledFormula(known, (known.hash, known.instants))
+
+    return _Filter(
+        made(model, "initial"), made(model, "transition"), made(model, "quantity_of_interest"),
+        tuple((made(each.model, "log_likelihood"), each.y.start, each.y.stop) for each in model.parts),
+        (model.initial_noise, model.process_noise),
+        tuple(draws.model.is_angle), settings.particles, settings.resampling, settings.threshold,
+        bool(np.max(settings.lag)),
+    )  # fmt: skip
 
 
 @partial(jax.jit, static_argnums=0)
-def _run(request: _Filter, given: dict[str, Any]) -> dict[str, Any]:
+def _run(request: _Filter, given: State) -> State:
     """The results of a block, with draws first."""
     block = _Block(request, given)
-    state = lax.fori_loop(given["start"], given["last"] + 1, block.instant, block.first())
-    found = {name: jnp.moveaxis(state[name], -1, 0) for name in _OF_DRAWS}
-    return found | {"cloud": jnp.stack(state["x"], axis=1), "weight": state["weight"]}
+    cloud, found = lax.fori_loop(given["start"], given["last"] + 1, block.instant, block.first())
+    found = {name: jnp.moveaxis(each, -1, 0) for name, each in found.items()}
+    return found | {"cloud": jnp.stack(cloud["x"], axis=1), "weight": cloud["weight"]}
 
 
 @dataclass
 class _Block:
-    """The filter of a block; its state `s` has arrays by name, instants first and draws last."""
+    """The filter of a block: its state is the cloud, (D, P), and what was found, instants first."""
 
     request: _Filter
-    given: dict[str, Any]
+    given: State
 
-    def _key(self, t: Any, role: Any) -> KeyOfDraws:
-        return KeyOfDraws(tuple(self.given["stream"]), t, int(role), self.given["draws"])
+    def _noise(self, kind: str, count: int, *key: Any) -> Any:
+        """Variates of a kind for each draw, (D, count)."""
+        root = jax.random.wrap_key_data(self.given["stream"], impl="threefry2x32")
+        for part in key:
+            root = jax.random.fold_in(root, part)
+        keys = jax.vmap(jax.random.fold_in, (None, 0))(root, self.given["draws"])
+        return jax.vmap(partial(_variates, kind, count))(keys)
 
-    def _noise(self, kinds: tuple[str, ...], t: Any, role: Any) -> list[Any]:
-        key, particles = self._key(t, role), self.request.particles
-        return [
-            noise_of_particles(kind, particles, key, number) for number, kind in enumerate(kinds)
-        ]
+    def _noise_of(self, process: int, *key: Any) -> list[Any]:
+        kinds, particles = self.request.noise[process], self.request.particles
+        return [self._noise(kind, particles, *key, number) for number, kind in enumerate(kinds)]
 
-    def first(self) -> dict[str, Any]:
-        request, instants = self.request, len(self.given["measured"])
-        cloud = (request.draws, request.particles)
-        x, weight = self.given.get("cloud"), self.given.get("weight", jnp.ones(cloud))
+    def first(self) -> tuple[State, State]:
+        """The state before the first instant."""
+        request, given, (instants, _) = self.request, self.given, self.given["measured"].shape
+        size = given["draws"].size, request.particles
+        x = given.get("x")
         if x is None:
-            w = self._noise(request.noise[0], 0, FILTER_INITIAL)
-            x = request.initial(0, self.given["p"], w=w)
-        q, unknown = len(request.is_angle), partial(jnp.full, fill_value=jnp.nan)
-        of_z, of_draws = (instants, q, request.draws), (instants, request.draws)
-        past = jnp.zeros((instants * request.has_lag, q + 1, *cloud))
-        return {
-            "x": [*x], "weight": weight, "weighs": jnp.zeros(request.draws, bool), "past": past,
-            "fails": jnp.zeros(of_draws, bool), "estimate": unknown(of_z),
-            "variance": unknown(of_z), "sizes": unknown(of_draws), "lines": unknown(of_draws),
-            "ranks": unknown((instants, q, 2, request.draws)),
-            "log_likelihoods": jnp.zeros((instants, 2, request.draws)),
-        }  # fmt: skip
+            w = self._noise_of(0, 0, int(FILTER_INITIAL))
+            x = request.initial(0, given["p"], w=w)
+        cloud = {"x": [*x], "weight": given.get("weight", jnp.ones(size))}
+        q, no = len(request.is_angle), jnp.zeros(size[0], bool)
+        if request.has_lag:  # z along the lines of the particles, and the particles on them
+            cloud["past"] = jnp.zeros((instants, q + 1, *size))
+        unknown = jnp.full((instants, q, size[0]), jnp.nan)
+        found = {"estimate": unknown, "variance": unknown}
+        found |= {"sizes": unknown[:, 0], "lines": unknown[:, 0]}
+        found |= {"fails": jnp.zeros((instants, size[0]), bool)}
+        return cloud | {"weighs": no, "fails": no}, found
 
-    def instant(self, t: Any, s: dict[str, Any]) -> dict[str, Any]:
+    def instant(self, t: Any, state: tuple[State, State]) -> tuple[State, State]:
         """The state after the measurements at t, from that after those at t - 1."""
-        request, given, p = self.request, self.given, self.given["p"]
-        here, sensors, same = given["measured"][t].any(), len(request.sensors), _same
-
-        def moved(x: list[Any]) -> list[Any]:
-            w = self._noise(request.noise[1], t - 1, FILTER_PROCESS)
-            return request.transition(t - 1, p, x=x, w=w)
-
-        s = s | {"x": lax.cond(t > given["start"], moved, same, s["x"])}
-        if ALL_SCHEMES[request.resampling].holds_truth:
-            s["x"] = [each.at[:, 0].set(given["x"][t, n]) for n, each in enumerate(s["x"])]
-        s["weighs"] = jnp.zeros(request.draws, bool)
+        request, given, (cloud, found) = self.request, self.given, state
+        measured, sensors, no = (
+            given["measured"][t],
+            len(request.sensors),
+            jnp.zeros_like(cloud["fails"]),
+        )
+        x = lax.cond(t > given["start"], partial(self._moved, t - 1), _same, cloud["x"])
+        cloud = cloud | {"x": x, "weighs": no, "fails": no}
         for number in range(sensors):
-            s = lax.cond(given["measured"][t, number], partial(self._weighed, t, number), same, s)
-        weight, z = s["weight"], jnp.stack(request.quantity(t, p, x=s["x"]))
-        estimates = zip(("estimate", "variance"), self._estimated(t, z, weight), strict=True)
-        for name, found in estimates:
-            s[name] = s[name].at[t].set(jnp.where(given["estimates"][t, t], found, s[name][t]))
-        s["sizes"] = s["sizes"].at[t].set(jnp.where(s["weighs"], _sizes(weight), jnp.nan))
-        if ALL_SCHEMES[request.resampling].holds_truth:
-            share, true = weight / weight.sum(axis=1, keepdims=True), z[:, :, :1]
-            below = jnp.stack([jnp.sum(share * each, 2) for each in (z < true, z == true)], axis=1)
-            s["ranks"] = s["ranks"].at[t].set(jnp.where(here, below, jnp.nan))
+            cloud = lax.cond(measured[number], partial(self._weighed, t, number), _same, cloud)
+        z, weight = request.quantity(t, given["p"], x=cloud["x"]), cloud["weight"]
+        now = dict(zip(("estimate", "variance"), self._estimated(z, weight), strict=True))
+        now["fails"], now["lines"] = cloud["fails"], found["lines"][t]
+        now["sizes"] = jnp.where(cloud["weighs"], _sizes(weight), jnp.nan)
+        found = {name: each.at[t].set(now[name]) for name, each in found.items()}
         if request.has_lag:
-            each = jnp.broadcast_to(jnp.arange(request.particles, dtype=float), weight.shape)
-            s["past"] = s["past"].at[t].set(jnp.stack([*z, each]))
-            s = lax.cond(here, partial(self._smoothed, t), same, s)
-        after: dict[str, Any] = lax.cond(
-            here, partial(self._resampled, (t + 1) * sensors - 1), same, s
-        )
-        return after
+            particle = jnp.broadcast_to(jnp.arange(request.particles, dtype=float), weight.shape)
+            cloud["past"] = cloud["past"].at[t].set(jnp.stack([*z, particle]))
+            smoothed = partial(self._smoothed, t, cloud["past"], weight)
+            found = lax.cond(measured.any(), smoothed, _same, found)
+        resampled = partial(self._resampled, (t + 1) * sensors - 1)
+        return lax.cond(measured.any(), resampled, _same, cloud), found
 
-    def _weighed(self, t: Any, number: int, s: dict[str, Any]) -> dict[str, Any]:
+    def _moved(self, t: Any, x: list[Any]) -> list[Any]:
+        w = self._noise_of(1, t, int(FILTER_PROCESS))
+        return self.request.transition(t, self.given["p"], x=x, w=w)
+
+    def _weighed(self, t: Any, number: int, cloud: State) -> State:
         """Weigh the particles with the measurement of a sensor."""
+        request = self.request
         if number:
-            s = self._resampled(t * len(self.request.sensors) + number - 1, s)
-        formula, begin, end = self.request.sensors[number]
+            cloud = self._resampled(t * len(request.sensors) + number - 1, cloud)
+        log_likelihood, begin, end = request.sensors[number]
         y = self.given["y"][t, begin:end, :, None]
-        (value,) = formula(t, self.given["p"], y=y, x=s["x"])
-        value = value + jnp.log(s["weight"])
-        highest = jnp.max(jnp.where(jnp.isfinite(value), value, -jnp.inf), axis=1, keepdims=True)
-        new = jnp.where(jnp.isfinite(value), jnp.exp(value - highest), 0.0)
-        weighs = jnp.isfinite(highest[:, 0])
-        evidence = highest[:, 0] + jnp.log(new.mean(axis=1))
-        explained = jnp.sum(new * jnp.where(new > 0, value, 0.0), axis=1) / new.sum(axis=1)
-        nothing = jnp.array([[-jnp.inf], [0.0]])
-        added = jnp.where(weighs, jnp.stack([evidence, explained]), nothing)
-        return s | {
-            "weight": jnp.where(weighs[:, None], new, s["weight"]), "weighs": weighs,
-            "fails": s["fails"].at[t].set(s["fails"][t] | ~weighs),
-            "log_likelihoods": s["log_likelihoods"].at[t].add(added),
-        }  # fmt: skip
+        (value,) = log_likelihood(t, self.given["p"], y=y, x=cloud["x"])
+        if request.threshold < np.inf:  # else weights are resampled before they are carried
+            value = value + jnp.log(cloud["weight"])
+        value = jnp.where(jnp.isfinite(value), value, -jnp.inf)
+        highest = jnp.max(value, axis=1, keepdims=True)
+        weighs = jnp.isfinite(highest)
+        new = jnp.exp(jnp.float32(value - highest)).astype(float)
+        weight = jnp.where(weighs, new, cloud["weight"])
+        weighs = weighs[:, 0]
+        return cloud | {"weight": weight, "weighs": weighs, "fails": cloud["fails"] | ~weighs}
 
-    def _resampled(self, key: Any, s: dict[str, Any]) -> dict[str, Any]:
+    def _resampled(self, key: Any, cloud: State) -> State:
         """Resample the draws that a measurement has weighed, if their weights are uneven."""
-        weight, particles = s["weight"], self.request.particles
-        uneven = s["weighs"] & (_sizes(weight) < self.request.threshold * particles)
+        weight, particles = cloud["weight"], self.request.particles
+        uneven = cloud["weighs"] & (_sizes(weight) < self.request.threshold * particles)
         uneven = (uneven & (weight.sum(axis=1) < particles))[:, None]
-        found = _ancestors(self.request.resampling, weight, self._key(key, RESAMPLING))
-        found = jnp.where(uneven, found, jnp.arange(particles))
+        found = jnp.where(uneven, self._ancestors(weight, key), jnp.arange(particles))
 
-        def of_ancestors(values: Any) -> Any:
+        def taken(values: Any) -> Any:
             at = jnp.broadcast_to(found, values.shape)
-            return jnp.take_along_axis(values, at, axis=-1)
+            return jnp.take_along_axis(values, at, axis=-1, mode="promise_in_bounds")
 
-        states, weight = (
-            jax.tree.map(of_ancestors, (s["x"], s["past"])),
-            jnp.where(uneven, 1.0, weight),
-        )
-        return s | {"x": states[0], "past": states[1], "weight": weight}
+        moved = {name: jax.tree.map(taken, cloud[name]) for name in cloud.keys() & {"x", "past"}}
+        return cloud | moved | {"weight": jnp.where(uneven, 1.0, weight)}
 
-    def _estimated(self, t: Any, z: Any, weight: Any) -> tuple[Any, Any]:
+    def _ancestors(self, weight: Any, key: Any) -> Any:
+        """Ancestors of each draw's particles, (D, P); see `pfdist.kernels.ancestors`."""
+        count, scheme = self.request.particles, self.request.resampling
+        role, cumulative = int(RESAMPLING), jnp.cumsum(weight, axis=1)
+        cumulative = cumulative / cumulative[:, -1:]
+        if scheme == SYSTEMATIC.name:
+            ends = jnp.ceil(cumulative * count - self._noise("uniform", 1, key, role))
+            rows = jnp.arange(len(weight))[:, None]
+            below = jnp.zeros(weight.shape, jnp.int32)
+            below = below.at[rows, jnp.int32(ends)].add(1, mode="drop")
+            return jnp.minimum(jnp.cumsum(below, axis=1), count - 1)
+        if scheme == STRATIFIED.name:
+            points = (jnp.arange(count) + self._noise("uniform", count, key, role)) / count
+        else:
+            sums = jnp.cumsum(self._noise("exponential", count + 1, key, role), axis=1)
+            points = sums[:, :-1] / sums[:, -1:]
+        found = jax.vmap(partial(jnp.searchsorted, side="right"))(cumulative, points)
+        return jnp.minimum(found, count - 1)
+
+    def _estimated(self, z: Sequence[Any], weight: Any) -> list[Any]:
         """Mean and variance of the particles' z, (q, D) each."""
         share = weight / weight.sum(axis=1, keepdims=True)
-        counted, are_angles = jnp.where(weight > 0, z, 0.0), self.request.is_angle
-        found = [_moments(*each, share) for each in zip(counted, are_angles, strict=True)]
-        mean, variance = (jnp.stack(each) for each in zip(*found, strict=True))
-        if self.request.error is not None:
-            p = self.given["of_truth"]
-            (error,) = self.request.error(t, p, z=z, estimate=mean[..., None])
-            of_mean = jnp.sum(share * jnp.where(share > 0, error, 0.0), axis=1)
-            variance = jnp.zeros_like(variance).at[0].set(of_mean)
-        return mean, variance
+        counted = [jnp.where(weight > 0, each, 0.0) for each in z]
+        moments = map(partial(_moments, share), counted, self.request.is_angle)
+        return [jnp.stack(each) for each in zip(*moments, strict=True)]
 
-    def _smoothed(self, t: Any, s: dict[str, Any]) -> dict[str, Any]:
+    def _smoothed(self, t: Any, past: Any, weight: Any, found: State) -> State:
         """Estimate earlier instants by the lines of the particles."""
-        weight, now = s["weight"], self.given["estimates"][t][:, None]
-        instants, rows = jnp.arange(len(now)), jnp.arange(len(weight))[:, None]
-        each = jax.vmap(self._estimated, (0, 0, None))
-        mean, variance = each(instants, s["past"][:, :-1], weight)
-        empty = jnp.zeros(weight.shape, bool)
-        lines = jax.vmap(lambda at: empty.at[rows, at].max(weight > 0).sum(axis=1))
-        found = {"estimate": mean, "variance": variance}
-        found |= {"lines": lines(jnp.int32(s["past"][:, -1]))}
-        masks = {"estimate": now[..., None], "variance": now[..., None], "lines": now}
-        return s | {name: jnp.where(masks[name], found[name], s[name]) for name in found}
+        (first, end), instants = self.given["estimated"][t], jnp.arange(len(past))
+        now, rows = (instants >= first) & (instants < end), jnp.arange(len(weight))[:, None]
+
+        def estimated(lines: Any) -> dict[str, Any]:
+            mean, variance = self._estimated(lines[:-1], weight)
+            passed = jnp.zeros(weight.shape, bool).at[rows, jnp.int32(lines[-1])].max(weight > 0)
+            return {"estimate": mean, "variance": variance, "lines": passed.sum(axis=1)}
+
+        each = jax.vmap(estimated)(past)
+        masks = {name: now.reshape(-1, *[1] * (each[name].ndim - 1)) for name in each}
+        return found | {name: jnp.where(masks[name], each[name], found[name]) for name in each}
 
 
 def _same(state: Any) -> Any:
     return state
 
 
+def _variates(kind: str, count: int, key: Any) -> Any:
+    if kind == "normal":
+        return jax.random.normal(key, (count,), jnp.float32)
+    uniform = jax.random.uniform(key, (count,))
+    uniform += jnp.finfo(uniform.dtype).eps / 2  # neither 0 nor 1
+    return {"uniform": uniform, "centred": uniform - 0.5, "exponential": -jnp.log(uniform)}[kind]
+
+
 def _sizes(weight: Any) -> Any:
     return weight.sum(axis=1) ** 2 / jnp.sum(weight**2, axis=1)
 
 
-def _moments(values: Any, is_angle: bool, share: Any) -> tuple[Any, Any]:
-    """Mean and variance of weighted particles, (D,); for an angle its direction, and 1 - R."""
+def _moments(share: Any, values: Any, is_angle: bool) -> tuple[Any, Any]:
+    """Mean and variance of each draw; of an angle, see `pfdist.filters.interface`."""
     if is_angle:
         sine, cosine = (jnp.sum(share * part(values), axis=1) for part in (jnp.sin, jnp.cos))
         mean = jnp.arctan2(sine, cosine)
         return mean, jnp.sum(share * (1.0 - jnp.cos(values - mean[:, None])), axis=1)
     mean = jnp.sum(share * values, axis=1)
     return mean, jnp.sum(share * (values - mean[:, None]) ** 2, axis=1)
-
-
-def _ancestors(scheme: str, weight: Any, key: KeyOfDraws) -> Any:
-    """Ancestors of each draw's particles, (D, P); see `pfdist.kernels.ancestors`."""
-    kept = int(ALL_SCHEMES[scheme].holds_truth)
-    count, most = weight.shape[1] - kept, weight.shape[1] - 1
-    cumulative = jnp.cumsum(weight, axis=1)
-    cumulative = cumulative / cumulative[:, -1:]
-    if scheme == SYSTEMATIC.name:
-        ends = jnp.ceil(cumulative * count - noise_of_particles("uniform", 1, key, 0)).astype(
-            jnp.int32
-        )
-        rows = jnp.arange(len(weight))[:, None]
-        below = jnp.zeros(weight.shape, jnp.int32).at[rows, ends].add(1, mode="drop")
-        return jnp.minimum(jnp.cumsum(below, axis=1), most)
-    if scheme == STRATIFIED.name:
-        points = (jnp.arange(count) + noise_of_particles("uniform", count, key, 0)) / count
-    else:
-        sums = jnp.cumsum(noise_of_particles("exponential", count + 1, key, 0), axis=1)
-        points = sums[:, :-1] / sums[:, -1:]
-    found = jax.vmap(partial(jnp.searchsorted, side="right"))(cumulative, points)
-    return jnp.minimum(jnp.pad(found, ((0, 0), (kept, 0))), most)
-
-
-filter_draws: Callable[..., FilterArrays] = checking(filter_checked_draws)
-filter_checked_sets = partial(one_by_one, partial(filter_checked_draws, clouds=False))

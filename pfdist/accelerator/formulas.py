@@ -16,17 +16,12 @@ class CompiledFormula:
     """A traced formula that JAX compiles; two with the same programs are equal."""
 
     traced: Traced = field(compare=False)
-    instants: range
-    hash: str
-
-    @classmethod
-    def made(cls, traced: Traced) -> "CompiledFormula":
-        """The formula with the programs of a traced one."""
-        return cls(traced, traced.instants, traced.hash)
+    identity: tuple[str, range]  # hash and instants
 
     def __call__(self, t: Any, parameters: Mapping[str, Any], **groups: Sequence[Any]) -> list[Any]:
         """A value for each output; t may be traced by JAX, too."""
-        traced, at = self.traced, jnp.clip(t - self.instants[0], 0, len(self.instants) - 1)
+        traced, instants = self.traced, self.traced.instants
+        at = jnp.clip(t - instants[0], 0, len(instants) - 1)
         row = 0 if traced.mode == MODES[0] else jnp.asarray(traced.row)[at]
         shape = jnp.broadcast_shapes(
             *(jnp.shape(each) for group in groups.values() for each in group)

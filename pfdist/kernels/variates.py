@@ -58,9 +58,9 @@ TILE: Final = 4 * LANES
 SPARE: Final = LANES
 """Number of entries after the last variate that may be overwritten."""
 
-ROUNDS = 13
-ROTATIONS = ((10, 26), (11, 21), (13, 27), (23, 5), (6, 20), (17, 11), (25, 10), (18, 20))
-PARITY = 0x1BD11BDA
+_ROUNDS = 13
+_ROTATIONS = ((10, 26), (11, 21), (13, 27), (23, 5), (6, 20), (17, 11), (25, 10), (18, 20))
+_PARITY = 0x1BD11BDA
 
 Words = list[Vector]
 
@@ -75,12 +75,12 @@ def generator(*parts: Any) -> np.random.Generator:
 
 def _threefry(key: Words, counters: Sequence[Words]) -> list[Words]:
     """Four words for each counter; the counters' rounds alternate, so that none has to wait."""
-    schedule = [*key, key[0] ^ key[1] ^ key[2] ^ key[3] ^ PARITY]
+    schedule = [*key, key[0] ^ key[1] ^ key[2] ^ key[3] ^ _PARITY]
     blocks = [
         [word + part for word, part in zip(each, schedule, strict=False)] for each in counters
     ]
-    for number in range(ROUNDS):
-        first, second = ROTATIONS[number % 8]
+    for number in range(_ROUNDS):
+        first, second = _ROTATIONS[number % 8]
         b, d = (1, 3) if number % 2 == 0 else (3, 1)
         for x in blocks:
             x[0], x[2] = x[0] + x[b], x[2] + x[d]
