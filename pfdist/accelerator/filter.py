@@ -42,7 +42,7 @@ except ModuleNotFoundError as error:
         f"filter.engine = 'jax' needs pip install 'pfdist[jax]', got {error}"
     ) from error
 
-_AT_ONCE = {"cpu": 2**15}
+_AT_ONCE = {"cpu": 2**13}
 _ON_OTHERS = 2**22
 """Particles of all draws that are filtered together."""
 
@@ -92,9 +92,13 @@ def filter_checked_draws(
     ranges = np.zeros((len(instants), 2), int)
     ranges[filtered] = [(start + each.start, start + each.stop) for each in estimated]
     same = {
-        "stream": np.array([stream >> 32, stream & 0xFFFFFFFF], np.uint32), "start": start,
-        "last": last, "measured": measured, "estimated": ranges, "p": model.p._asdict(),
-    }  # fmt: skip
+        "stream": np.array([stream >> 32, stream & 0xFFFFFFFF], np.uint32),
+        "start": start,
+        "last": last,
+        "measured": measured,
+        "estimated": ranges,
+        "p": model.p._asdict(),
+    }
     blocks = list[dict[str, NDArray[Any]]]()
     with jax.enable_x64(device == "cpu"):
         for begin in range(draws.index.start // size * size, draws.index.stop, size):
@@ -153,12 +157,19 @@ def _request(
         return CompiledFormula(known, (known.hash, known.instants))
 
     return _Filter(
-        made(model, "initial"), made(model, "transition"), made(model, "quantity_of_interest"),
-        tuple((made(each.model, "log_likelihood"), each.y.start, each.y.stop) for each in model.parts),
+        made(model, "initial"),
+        made(model, "transition"),
+        made(model, "quantity_of_interest"),
+        tuple(
+            (made(each.model, "log_likelihood"), each.y.start, each.y.stop) for each in model.parts
+        ),
         (model.initial_noise, model.process_noise),
-        tuple(draws.model.is_angle), settings.particles, settings.resampling, settings.threshold,
+        tuple(draws.model.is_angle),
+        settings.particles,
+        settings.resampling,
+        settings.threshold,
         bool(np.max(settings.lag)),
-    )  # fmt: skip
+    )
 
 
 @partial(jax.jit, static_argnums=0)
@@ -316,7 +327,8 @@ def _same(state: Any) -> Any:
 def _variates(kind: str, count: int, key: Any) -> Any:
     if kind == "normal":
         return jax.random.normal(key, (count,), jnp.float32)
-    uniform = jax.random.uniform(key, (count,))
+    # a model may take the logarithm of the distance from 0 of "centred" noise
+    uniform = jax.random.uniform(key, (count,), float if kind == "centred" else jnp.float32)
     uniform += jnp.finfo(uniform.dtype).eps / 2  # neither 0 nor 1
     return {"uniform": uniform, "centred": uniform - 0.5, "exponential": -jnp.log(uniform)}[kind]
 

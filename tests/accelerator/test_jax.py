@@ -12,11 +12,10 @@ from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR
 from pfdist import load_model
 from pfdist.errors import ModelError
-from pfdist.filters import kalman, particle_filter, plain
+from pfdist.filters import kalman, particle_filter
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import GUIDED, Estimation
-from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.models.loader import installed_models
 from pfdist.models.recorded import recorded
 
@@ -28,65 +27,67 @@ PAPER = tuple(range(0, 61, 3))
 SHIPPED = sorted(
     name for name, (home, _) in installed_models().items() if home.startswith("pfdist.")
 )
+QUICK = ("random_walk", "two_compartments", "xray_tumour")  # the last has sensors
 
 
-def _within(first: Any, second: Any) -> None:
-    """Means over the same draws must agree within standard errors of their difference."""
+def _check_same_means(first: Any, second: Any) -> None:
+    """Means over draws, the first axis, must agree within standard errors of their difference."""
     difference = first - second
-    error = difference.std(ddof=1) / math.sqrt(difference.size)
-    assert abs(difference.mean()) <= LARGEST_Z * error + 1e-6 * abs(first.mean())
+    error = difference.std(axis=0, ddof=1) / math.sqrt(len(difference))
+    allowed = LARGEST_Z * error + 1e-6 * abs(first.mean(axis=0))
+    np.testing.assert_array_less(abs(difference.mean(axis=0)), allowed + 1e-300)
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name != "ungm")) for name in SHIPPED],
+    [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in SHIPPED],
 )
 def test_the_error_of_every_model_that_ships_is_that_of_the_compiled_engine(name: str) -> None:
-    """The noise is the same, so most draws agree but for rounding."""
     model = load_model(name)
-    evaluator = recorded_evaluator(model, model, horizon=8, times=tuple(map(float, range(9))))
-    draws, estimation = evaluator.draws(range(60), 7), Estimation(64, "systematic")
+    evaluator = recorded_evaluator(model, model, horizon=8, times=tuple(np.arange(9) / 8))
+    draws, estimation = evaluator.draws(range(200), 7), Estimation(64, "systematic")
     times = [tuple(range(0, evaluator.points.first(9), 3))]
     own, compiled = (
         each.filter_checked_sets(evaluator.believed, draws, times, [8], 5, estimation)
         for each in (accelerator, particle_filter)
     )
-    _within(own.mse, compiled.mse)
-    assert np.mean(np.isclose(own.mse, compiled.mse, rtol=1e-3)) > 0.5
-    np.testing.assert_array_equal(own.degenerate, compiled.degenerate)
+    assert not own.degenerate.any()
+    _check_same_means(own.mse, compiled.mse)
 
 
-@pytest.mark.parametrize(
+@in_turn(
     "settings",
-    [
-        Estimation(70, "conditional", "information"),
-        Estimation(70, "multinomial", threshold=0.5, lag=4),
-        pytest.param(Estimation(70, "conditional", "control"), marks=pytest.mark.slow),
-        pytest.param(Estimation(70, "stratified"), marks=pytest.mark.slow),
-    ],
+    [Estimation(70, "multinomial", threshold=0.5, lag=4), Estimation(70, "stratified")],
 )
-def test_its_results_are_those_of_the_plain_filter(settings: Estimation) -> None:
+def test_its_results_are_those_of_the_compiled_filter(settings: Estimation) -> None:
     model = recorded(load_model("ungm"), range(11))
-    draws = simulate(model, 10, range(3, 40), 7)
-    own, twin = (
+    draws = simulate(model, 10, range(3, 403), 7)
+    own, compiled = (
         each.filter_checked_draws(model, draws, (0, 3, 4, 8), 5, settings, True)
-        for each in (accelerator, plain)
+        for each in (accelerator, particle_filter)
     )
-    agree = np.isclose(own.mse, twin.mse, rtol=1e-4)
-    assert agree.mean() > 0.6
-    for name in ("estimate", "variance", "sizes", "lines", "cloud", "weight"):
-        found, expected = (getattr(each, name)[agree] for each in (own, twin))
-        assert found.shape == expected.shape
-        assert np.isclose(found, expected, rtol=1e-2, equal_nan=True).mean() > 0.95, name
-    has_evidence = ESTIMATORS[settings.estimator].weights.evidence != 0
-    for name in ("ranks", "log_likelihoods")[: 1 + has_evidence]:
-        found, expected = (getattr(each, name)[:, agree] for each in (own, twin))
-        assert np.isclose(found, expected, rtol=1e-2, equal_nan=True).mean() > 0.95, name
+    for name in ("mse", "estimate", "variance", "sizes", "lines", "weight"):
+        found, expected = (getattr(each, name) for each in (own, compiled))
+        assert found.shape == expected.shape, name
+        is_known = ~np.isnan(expected).any(axis=0)
+        np.testing.assert_array_equal(~np.isnan(found).any(axis=0), is_known)
+        _check_same_means(found[:, is_known], expected[:, is_known])
+    _check_same_means(own.cloud.mean(axis=2), compiled.cloud.mean(axis=2))
+
+
+def test_the_compiled_engine_computes_what_it_lacks() -> None:
+    model = recorded(load_model("ungm"), range(11))
+    draws, settings = simulate(model, 10, range(9), 7), Estimation(70, "conditional", "control")
+    own, compiled = (
+        each.filter_checked_sets(model, draws, [(0, 3), ()], [10, 10], 5, settings).mse
+        for each in (accelerator, particle_filter)
+    )
+    np.testing.assert_array_equal(own, compiled)
 
 
 def test_no_bit_of_a_draw_depends_on_the_draws_beside_it() -> None:
     model, times = recorded(load_model("ungm"), range(11)), (0, 3, 4, 8)
-    draws, settings = simulate(model, 10, range(300), 7), Estimation(70, "systematic")
+    draws, settings = simulate(model, 10, range(300), 7), Estimation(70, "stratified")
 
     def mse(some: Any) -> Any:
         return accelerator.filter_checked_draws(model, some, times, 5, settings).mse
@@ -116,10 +117,9 @@ def test_its_error_is_the_known_one_of_a_linear_gaussian_model(lag: int) -> None
 
 
 def test_a_job_can_name_it_and_what_it_lacks_is_not_accepted() -> None:
-    given: dict[str, Any] = {"horizon": 8, "measurement_budget": 3, "engine": "jax"}
-    found = pfdist.evaluate(
-        pfdist.Problem("ungm", particles=64, **given).job(seed=1), (0, 4, 8), draws=40
-    )
+    given: dict[str, Any] = {"horizon": 60, "measurement_budget": 21, "engine": "jax"}
+    problem = pfdist.Problem("ungm", resampling="systematic", proposal="plain", **given)
+    found = pfdist.evaluate(problem.job(seed=1), PAPER, draws=40)
     assert 0 < found.expected_mse < math.inf
     model = load_model("ungm")
     with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'jax'"):
