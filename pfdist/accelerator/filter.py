@@ -6,7 +6,7 @@ evidences: only comparisons and bounds need them.
 
 A block always has the same number of draws, and a draw always the same place in its block, so the
 bits of a draw do not depend on the draws beside it. Instants are counted from 0, also with a prior,
-so JAX compiles once for all starts and ends.
+and without a lag their number is a power of 2: so JAX compiles once for many starts and ends.
 """
 
 from collections.abc import Callable, Sequence
@@ -80,16 +80,15 @@ def filter_checked_draws(
         return particle_filter.filter_checked_draws(
             model, draws, measurement_times, stream, settings, trajectories
         )
-    known, start, last = model.formulas["quantity_of_interest"], draws.start, draws.instants[-1]
-    instants = known.traced.instants if isinstance(known, Programs) else range(last + 1)
-    filtered, device = slice(start, last + 1), jax.default_backend()
-    request = _request(model, draws, instants, settings)
+    start, last, device = draws.start, draws.instants[-1], jax.default_backend()
+    request, filtered = _request(model, draws, settings), slice(start, last + 1)
+    instants = last + 1 if request.has_lag else 1 << last.bit_length()
     size = _AT_ONCE.get(device, _ON_OTHERS) // settings.particles
-    size = max(1, size // len(instants) if request.has_lag else size)
-    measured = np.zeros((len(instants), len(model.parts)), np.bool_)
+    size = max(1, size // instants if request.has_lag else size)
+    measured = np.zeros((instants, len(model.parts)), np.bool_)
     measured.reshape(-1)[[*measurement_times]] = True
     estimated = plain.estimated(model, draws.instants, measurement_times, settings.lag)
-    ranges = np.zeros((len(instants), 2), int)
+    ranges = np.zeros((instants, 2), int)
     ranges[filtered] = [(start + each.start, start + each.stop) for each in estimated]
     same = {
         "stream": np.array([stream >> 32, stream & 0xFFFFFFFF], np.uint32),
@@ -104,7 +103,7 @@ def filter_checked_draws(
         for begin in range(draws.index.start // size * size, draws.index.stop, size):
             own = draws[max(0, begin - draws.index.start) : begin + size - draws.index.start]
             here = slice(own.index.start - begin, own.index.stop - begin)
-            y = np.zeros((len(instants), own.y.shape[2], size))
+            y = np.zeros((instants, own.y.shape[2], size))
             y[filtered, :, here] = own.y.transpose(1, 2, 0)
             given = same | {"draws": np.arange(begin, begin + size), "y": y}
             if isinstance(settings.prior, Cloud):
@@ -149,12 +148,11 @@ def _computes(settings: Estimation) -> bool:
     return not (ALL_SCHEMES[settings.resampling].holds_truth or has_evidence)
 
 
-def _request(
-    model: StateSpaceModel, draws: Draws, instants: range, settings: Estimation
-) -> _Filter:
+def _request(model: StateSpaceModel, draws: Draws, settings: Estimation) -> _Filter:
     def made(of: StateSpaceModel, name: str) -> CompiledFormula:
-        known = traced(of, name, instants)
-        return CompiledFormula(known, (known.hash, known.instants))
+        formula, instants = of.formulas[name], range(draws.instants[-1] + 1)
+        known = formula.traced if isinstance(formula, Programs) else traced(of, name, instants)
+        return CompiledFormula(known, known.hash)
 
     return _Filter(
         made(model, "initial"),

@@ -16,7 +16,7 @@ class CompiledFormula:
     """A traced formula that JAX compiles; two with the same programs are equal."""
 
     traced: Traced = field(compare=False)
-    identity: tuple[str, range]  # hash and instants
+    hash: str
 
     def __call__(self, t: Any, parameters: Mapping[str, Any], **groups: Sequence[Any]) -> list[Any]:
         """A value for each output; t may be traced by JAX, too."""

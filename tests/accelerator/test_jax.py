@@ -89,12 +89,14 @@ def test_no_bit_of_a_draw_depends_on_the_draws_beside_it() -> None:
     model, times = recorded(load_model("ungm"), range(11)), (0, 3, 4, 8)
     draws, settings = simulate(model, 10, range(300), 7), Estimation(70, "stratified")
 
-    def mse(some: Any) -> Any:
-        return accelerator.filter_checked_draws(model, some, times, 5, settings).mse
+    def mse(some: Any, known: Any = model) -> Any:
+        return accelerator.filter_checked_draws(known, some, times, 5, settings).mse
 
     whole = mse(draws)
     for part in (slice(0, 1), slice(229, 240), slice(299, 300)):
         np.testing.assert_array_equal(mse(draws[part]), whole[part])
+    of_a_run = recorded(load_model("ungm"), range(1))  # as a run that resumes reads it
+    np.testing.assert_array_equal(mse(draws, of_a_run), whole)
 
 
 def test_the_papers_error_is_that_of_the_prototype() -> None:
@@ -122,5 +124,7 @@ def test_a_job_can_name_it_and_what_it_lacks_is_not_accepted() -> None:
     found = pfdist.evaluate(problem.job(seed=1), PAPER, draws=40)
     assert 0 < found.expected_mse < math.inf
     model = load_model("ungm")
+    with pytest.raises(JobError, match=r"a rule needs filter\.engine = 'compiled', got 'jax'"):
+        pfdist.rule(problem.job(seed=1))
     with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'jax'"):
         Evaluator(model, 8, engine="jax", estimations=(Estimation(9, proposal=GUIDED),))
