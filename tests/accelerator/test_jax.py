@@ -11,13 +11,14 @@ import pfdist
 from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR
 from pfdist import load_model
-from pfdist.errors import ModelError
+from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters import kalman, particle_filter
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import GUIDED, Estimation
 from pfdist.models.loader import installed_models
 from pfdist.models.recorded import recorded
+from pfdist.problem.needs import RULES
 
 pytest.importorskip("jax")
 
@@ -125,6 +126,6 @@ def test_a_job_can_name_it_and_what_it_lacks_is_not_accepted() -> None:
     assert 0 < found.expected_mse < math.inf
     model = load_model("ungm")
     with pytest.raises(JobError, match=r"a rule needs filter\.engine = 'compiled', got 'jax'"):
-        pfdist.rule(problem.job(seed=1))
+        RULES.check("a rule", problem.job(seed=1), Evaluator(model, 60, engine="jax"))
     with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'jax'"):
         Evaluator(model, 8, engine="jax", estimations=(Estimation(9, proposal=GUIDED),))
