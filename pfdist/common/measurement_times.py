@@ -92,13 +92,14 @@ class ManySets(Sequence[Times]):
     def written(self) -> Iterator[str]:
         """The JSON text of each set."""
         _, instants, size = self.bits.shape
-        texts = dict[tuple[int, bytes], str]()  # of the points of an instant, each after a comma
+        step = max(1, 8 // self.sensors)  # so many instants have at most 256 texts, or are one
+        texts = dict[tuple[int, bytes], str]()  # of the points of instants, each after a comma
         for row in self.bits:
             word, text = row.tobytes(), list[str]()
-            for t in range(instants):
-                key = t, word[t * size : (t + 1) * size]
+            for t in range(0, instants, step):
+                key = t, word[t * size : (t + step) * size]
                 if key not in texts:
-                    own = np.unpackbits(row[t], count=self.sensors, bitorder="little")
+                    own = np.unpackbits(row[t : t + step], 1, self.sensors, bitorder="little")
                     points = t * self.sensors + np.flatnonzero(own)
                     texts[key] = "".join(f",{point}" for point in points.tolist())
                 text.append(texts[key])

@@ -1,7 +1,7 @@
 """The limits, failures and repeats of a sensor: reading a job must not load a model."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 REPEATS = "abcdefghij"
 """The names of measurements that a sensor may repeat at one instant."""
@@ -28,6 +28,11 @@ class Sensing:
     fails: float = 0.0
     repeats: int = 1
     delay: int = 0
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether every measurement gives y itself: no limit and no failure."""
+        return replace(self, repeats=1, delay=0) == PLAIN
 
 
 PLAIN = Sensing()

@@ -200,6 +200,11 @@ class Criterion:
         """
         return np.array(given)[:, None]
 
+    def of_instants(self, errors: Array) -> Array:
+        """The number of each set, (S,), from exact errors of the instants that count, (S, T)."""
+        numbers: Array = errors.mean(axis=1)
+        return numbers
+
     def aim(self, z: str) -> str:
         """The aim, for the end of a question about the quantity z."""
         return f"the lowest {self.label} of {z}"

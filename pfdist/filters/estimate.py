@@ -196,8 +196,8 @@ class Evaluation(Shown):
             name.replace("_", " "): judged.text(unit_of_criterion(name))
             for name, judged in self.also.items()
         }
-        told = [f"{name} {text}" for name, text in also.items()] + [f"{self.criterion.label} {mse}"]
-        title = f"evaluation of {count} measurement{'s' * (count != 1)}: {', '.join(told)}, {on}"
+        texts = [" ".join(each) for each in (*also.items(), (self.criterion.label, mse))]
+        title = f"evaluation of {count} measurement{'s' * (count != 1)}: {', '.join(texts)}, {on}"
         rows = [("measured at t", ", ".join(map(unrounded, self.measurement_times)))]
         rows += also.items()
         if self.degenerate_draws:

@@ -288,8 +288,7 @@ class Evaluator:
             return self.of_information.expected_mse(sets, ends)
         if criterion.by_instant:
             errors = self._exact_errors_of(self._shares, sets)
-            worst: NDArray[np.float64] = errors[:, self.relative_weights > 0.0].max(axis=1)
-            return worst
+            return criterion.of_instants(errors[:, self.relative_weights > 0.0])
         errors = self._exact_mse(sets, ends)
         return _mean(errors, criterion.shares(errors, self._shares))
 

@@ -51,7 +51,7 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
         missing = is_one or "together"
     changes: dict[str, Any] = {
         "linear_gaussian": model.linear_gaussian
-        and all(dataclasses.replace(s, repeats=1, delay=0) == PLAIN for s in sensings.values()),
+        and all(each.is_linear for each in sensings.values()),
         "missing_components": missing,
         "log_tails": None,
         **(_remembering(model, remembered) if remembered else {}),

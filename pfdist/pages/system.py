@@ -313,7 +313,7 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
     profile = table_of(run, "run", "error_over_time")
     own = profile[profile["name"] == sets[0].name]
     t, weight = (own[key].to_numpy() for key in ("t", "weight"))
-    (best, told), (reference, told_of_reference) = (
+    (best, second), (reference, second_of_reference) = (
         _of_halves(run, each.name) for each in (sets[0], sets[-1])
     )
     change = np.nan_to_num(weight * (reference - best), posinf=0.0, neginf=0.0)
@@ -325,7 +325,7 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
         here = slice(first, end)
         is_root = len(angles_of(run)) == 1
         unit = unit if is_root else f"{error_unit(run)}²".lstrip("²")
-        means = [np.average(e[here], weights=weight[here]) for e in (told_of_reference, told)]
+        means = [np.average(e[here], weights=weight[here]) for e in (second_of_reference, second)]
         before, now = (
             rounded(typical_error(mean, angles_of(run)[0]) if is_root else mean, 3)
             for mean in means

@@ -148,8 +148,8 @@ class Constraints:
 
     def compatible(self, times: Times) -> bool:
         """Whether these sorted times are allowed and far enough apart."""
-        apart = self.spacing.apart(times) and self._allowed.issuperset(times)
-        return apart and self.is_within_limits(times)
+        are_allowed = self.spacing.allows(times) and self._allowed.issuperset(times)
+        return are_allowed and self.is_within_limits(times)
 
     def is_within_limits(self, times: Iterable[int]) -> bool:
         """Whether these sorted times satisfy the constraints on each sensor."""
@@ -220,7 +220,7 @@ class Constraints:
         near = [
             f"{self.formatted(time)} and {self.formatted(later)}"
             for time, later in pairwise(chosen)
-            if not self.spacing.apart((time, later))
+            if not self.spacing.allows((time, later))
         ]
         if near:
             sentences.append(f"minimum_spacing is {self.minimum_spacing}, got {', '.join(near)}")
@@ -329,7 +329,7 @@ def _check_times(constraints: Constraints) -> None:
             f"{constraints.formatted(min(both))} in both"
         )
     for time, later in pairwise(constraints.required):
-        if not constraints.spacing.apart((time, later)):
+        if not constraints.spacing.allows((time, later)):
             raise MeasurementTimesError(
                 "required must have times that differ by at least minimum_spacing = "
                 f"{constraints.minimum_spacing}, got {constraints.formatted(time)} and "

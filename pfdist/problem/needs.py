@@ -127,6 +127,11 @@ TAKES_RULES = Fact(
     _got("filter.engine = 'compiled'", lambda job: repr(job.filter.engine)),
     lambda job, _: ENGINES.get(job.filter.engine, COMPILED).takes_rules,
 )
+LINEAR_SENSORS = Fact(
+    "sensors without `fails` and limits",
+    "sensors without fails and limits",
+    lambda job, _: all(each.is_linear for each in job.problem.sensings.values()),
+)
 SQUARED_NORM = Fact(
     "the squared error, not one of the model's own",
     _got("an error that is the squared Euclidean norm",
@@ -200,18 +205,20 @@ SMOOTHED = Capability(
 )  # fmt: skip
 BUDGET = Capability(
     "`[budget]`",
-    {
-        EXPECTED_MSE: "its curve is one of expected MSEs", MEAN_OF_SCENARIOS: "",
-        PLANNED_AHEAD: "",
-    },
+    {EXPECTED_MSE: "", MEAN_OF_SCENARIOS: "", PLANNED_AHEAD: ""},
     lambda job: "budget" * (job.budget is not None),
-)  # fmt: skip
+)
 CONTROL = Capability(
     "`comparison.control`",
     {PARTICLES: "", TRUE_FILTER: "", NOT_NOMINAL: "", NO_MOTION: ""},
     lambda job: "comparison.control = true" * bool(job.comparison.control),
 )
-KALMAN = Capability(
+EXACT = Capability(
+    "the engine `kalman`",
+    {LINEAR_SENSORS: "these are not linear; 'compiled' takes them"},
+    lambda job: f"filter.engine = {job.filter.engine!r}" * is_exact(job.filter.engine),
+)
+WRONG_FILTER = Capability(
     "the engine `kalman` with another filter's model, or `scenarios.filter = \"nominal\"`",
     {FILTERED: "only the filter's error is exact then"},
     lambda job: f"filter.engine = {job.filter.engine!r} with another filter's model"
@@ -219,7 +226,7 @@ KALMAN = Capability(
        and not (TRUE_FILTER.holds(job, None) and NOT_NOMINAL.holds(job, None))),
 )  # fmt: skip
 LEARNING = Capability(
-    '`scenarios.filter = "learned"`', {PARTICLES: "a filter that learns has particles"},
+    '`scenarios.filter = "learned"`', {PARTICLES: ""},
     lambda job: "scenarios.filter = 'learned'" * (_of_scenarios(job, "filter") == "learned"),
 )  # fmt: skip
 ON_THE_WAY = Capability(
@@ -256,8 +263,8 @@ PLAN_EACH = Capability(
     {A_NUMBER: "without plan_each, the plan of the run is judged", LEARNED: ""},
 )
 CAPABILITIES = (
-    BUDGET, ON_THE_WAY, CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, KALMAN, LEARNING,
-    RULES, WHY, EXPLORE, BOUND, LOSS, REAL_DATA, PLAN_EACH,
+    BUDGET, ON_THE_WAY, CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, EXACT,
+    WRONG_FILTER, LEARNING, RULES, WHY, EXPLORE, BOUND, LOSS, REAL_DATA, PLAN_EACH,
 )  # fmt: skip
 
 

@@ -177,7 +177,7 @@ class OfSensors(Shared):
         """A sentence for each limit that some sorted times break."""
         yield from super().broken(points, times)
         for way, spacing in enumerate(self.spacings):
-            if spacing is not None and not spacing.apart(points.of_way(way, times)):
+            if spacing is not None and not spacing.allows(points.of_way(way, times)):
                 yield f"sensors.{points.sensor(way)}.minimum_spacing is broken"
 
     def beyond(self, points: Points, times: Times) -> Iterator[int]:

@@ -54,7 +54,7 @@ class Spacing:
         """
         return self._predecessors[time] if time < len(self.successors) else time - 1
 
-    def apart(self, times: Iterable[int]) -> bool:
+    def allows(self, times: Iterable[int]) -> bool:
         """Whether all times, in ascending order, are far enough apart."""
         return all(later >= self.after(time) for time, later in pairwise(times))
 

@@ -199,16 +199,16 @@ def _evaluated(
     beside: ErrorBeside | None = None,
 ) -> dict[str, Evaluation]:
     evaluator, times = built.evaluator, tuple(sets.values())
-    criterion, judging = built.job.criterion.mse_criterion, built.job.other_criteria
+    criterion, criteria = built.job.criterion.mse_criterion, built.job.other_criteria
     estimation, draws = comparing_of(built.job), built.job.evaluation.draws
     if beside:
         own, estimation = estimation, beside.settings(evaluator, estimation)
         more = estimation.steps_an_instant // own.steps_an_instant
         draws = -(-draws // (FEWER * max(1, more // 2)))
-        evaluator, profile, judging = evaluator.beside[beside.named], False, {}
+        evaluator, profile, criteria = evaluator.beside[beside.named], False, {}
     written = [tuple(built.job.problem.points.written_of(each)) for each in times]
     exact = evaluator.expected_mse(times, criterion=criterion)
-    by_instant = any(each.by_instant for each in judging.values())
+    by_instant = any(each.by_instant for each in criteria.values())
     work = evaluator.work(
         times,
         stream,
@@ -219,7 +219,7 @@ def _evaluated(
         over_time=int(exact is None and (profile or by_instant)),
     )
     result = Result(np.empty((0, len(sets))), errors=np.empty((0, len(sets), 0)))
-    if exact is None or any(each.needs_draws for each in judging.values()):
+    if exact is None or any(each.needs_draws for each in criteria.values()):
         result = _filtered(evaluator, work)
     if exact is not None:
         known = map(Evaluation.exactly, written, exact.tolist(), repeat(criterion))
@@ -245,9 +245,9 @@ def _evaluated(
         }
     if profile:
         found = _with_profiles(built, sets, found, result.errors)
-    if judging:
+    if criteria:
         for name, sample in zip(sets, _samples(built, work, result), strict=True):
-            also = {key: each.of_sample(sample) for key, each in judging.items()}
+            also = {key: each.of_sample(sample) for key, each in criteria.items()}
             found[name] = replace(found[name], sample=sample, also=also)
     return found
 

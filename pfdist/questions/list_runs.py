@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from pfdist.common.arguments import path_argument
+from pfdist.common.changes import is_clear
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError, reason_of, relative
@@ -121,10 +122,13 @@ def _found(run: Run) -> dict[str, Any]:
         return found
     if not found["has_budget"] and (best := _best(rows)) is not None:
         gain = math.nan if best.gain_of_means is None else best.gain_of_means
+        judged = "gain_of_means" if best.criterion_gain is None else "criterion_gain"
         own = gain if best.criterion_gain is None else best.criterion_gain
         share = f"{rounded(times_100(abs(own)), 3)} % {'above' if own < 0 else 'below'}"
         if form.unit:
             share = f"{rounded(abs(own), 3)} {form.unit} {'less' if own < 0 else 'more'} than"
+        if not is_clear([getattr(best, f"{judged}_{end}") for end in ("low", "high")]):
+            share = "no clear difference from"
         reference = next(row.label for row in rows if row.name == best.reference)
         words = f"{best.label}: {share} {reference}"
         if not form.is_mean and not form.unit:

@@ -123,10 +123,10 @@ class PointsAtWork:
             self._progress[name] = progress
             self._tell()
 
-        def told(line: str) -> None:
+        def of_point(line: str) -> None:
             self._say(f"{name}: {line}")
 
-        say = silent if self._say is silent else told  # lines about results become warnings
+        say = silent if self._say is silent else of_point  # lines about results become warnings
         try:
             built = build(self._sweep.jobs[name], self._path / name)
             with opened(self._path / name, built) as store:

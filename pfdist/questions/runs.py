@@ -46,8 +46,8 @@ def table_page(frame: pd.DataFrame) -> Page:
     lacking = [short[key] for key in reversed(keys) if frame[key].isna().any()]
     others = [short[key] for key in reversed(keys) if short[key] not in lacking]
     # In a narrow terminal, few keys identify the runs, or else the names of the runs do.
-    is_told = 0 < len(keys) <= _FEW_KEYS and not frame.duplicated([*keys, "set"]).any()
-    optional = ["run", "seconds"] if is_told else [*lacking, "seconds", *others]
+    is_identified = 0 < len(keys) <= _FEW_KEYS and not frame.duplicated([*keys, "set"]).any()
+    optional = ["run", "seconds"] if is_identified else [*lacking, "seconds", *others]
     table = Table("", head, rows, optional=optional)
     if len(set(frame["set"])) == 1:
         table = without_column(table, "set")

@@ -56,12 +56,12 @@ class Row(SimpleNamespace):
             return super().__repr__()
         judged = [name for name in CRITERIA_SHOWN if vars(self).get(name) is not None]
         texts = {name: COLUMNS[name].cell(self).text for name in judged}
-        told = [
+        values = [
             f"{name.replace('_', ' ')} {text} {unit_of_criterion(name)}".rstrip()
             for name, text in texts.items()
         ]
-        told.append(f"expected MSE {with_error(self.expected_mse, self.standard_error)}")
-        about = f"{self.label}: {self.measurements} measurements, {', '.join(told)}"
+        values.append(f"expected MSE {with_error(self.expected_mse, self.standard_error)}")
+        about = f"{self.label}: {self.measurements} measurements, {', '.join(values)}"
         return f"<{about}: t = {_listed(self.measurement_times)}>"
 
 

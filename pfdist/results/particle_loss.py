@@ -16,6 +16,7 @@ import numpy as np
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.percent import particle_loss_text, percent
+from pfdist.filters.aspects import DISTANCE, VARIANCE
 from pfdist.filters.estimate import largest_share
 from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, on_common_draws, statistics_of
@@ -205,16 +206,17 @@ def particle_losses_of(
 
     It is empty for exact engines, and errors other than the squared norm.
     """
-    if not (run._store.has("filter_distance") and run._store.has("filter_variance")):
+    tables = [each.table for each in (DISTANCE, VARIANCE)]
+    if not all(map(run._store.has, tables)):
         return {}
-    rows = on_common_draws(run, "filter_distance", "filter_variance")
+    rows = on_common_draws(run, *tables)
     particles, whole = run.job["filter"]["particles"], (statistics or statistics_of(run)).mse
     return {
         name: particle_loss(
             particles,
             whole[name],
             controlled_mse(rows, name),
-            *(rows[f"{start}_{name}"].to_numpy() for start in ("distance", "variance")),
+            *(rows[f"{each.named}_{name}"].to_numpy() for each in (DISTANCE, VARIANCE)),
         )
         for name in run.sets
     }

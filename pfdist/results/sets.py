@@ -15,6 +15,7 @@ from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.percent import HEAVY
 from pfdist.errors import reason_of
+from pfdist.filters.aspects import VARIANCE
 from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import CriterionValue
 from pfdist.filters.estimate import Evaluation
@@ -366,7 +367,7 @@ def _add_particle_losses(
     losses = particle_losses_of(run, statistics)
     if not losses:
         return
-    unmeasured = float(run._store.rows("filter_variance")["unmeasured"].to_pandas().mean())
+    unmeasured = float(run._store.rows(VARIANCE.table)["unmeasured"].to_pandas().mean())
     # A budget curve has many sets: the largest loss speaks for all.
     worst = max(losses, key=lambda name: losses[name].limit) if "budget" in run.job else ""
     for name, loss in losses.items():

@@ -15,13 +15,7 @@ from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import must_be
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
-from pfdist.filters.engines import (
-    AUTO,
-    BATCHED,
-    COMPILED,
-    WITHOUT_FMA,
-    is_exact,
-)
+from pfdist.filters.engines import AUTO, BATCHED, COMPILED, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
 from pfdist.kernels.lowering import has_fused_multiply_add
@@ -404,13 +398,7 @@ def _sensed(job: Job, models: Models) -> Models:
     _check_sensors(model, tuple(job.problem.sensors or ()))
     key = "problem.sensors" if model.sensors else "problem.sensor"
     with _naming(key):
-        models = both(models, partial(sensed, sensings=job.problem.sensings))
-    if is_exact(job.filter.engine) and model.linear_gaussian and not models[0].linear_gaussian:
-        raise JobError(
-            f"filter.engine = {job.filter.engine!r} needs sensors without fails and limits, "
-            f"which are not linear, got some in {key}: 'compiled' takes them ({job.path})"
-        )
-    return models
+        return both(models, partial(sensed, sensings=job.problem.sensings))
 
 
 def _with_learned(

@@ -299,10 +299,7 @@ class FirstDrawsTable:
 
     def _publish(self, phase: str, store: Store) -> None:
         if store.has_parts(self.table, phase):
-            committed = store.read(self.table)
-            own = store.own_schema(self.schema)
-            rows = pa.Table.from_pandas(committed, schema=own, preserve_index=False)
-            store.publish(self.table, phase, [rows])
+            store.publish_frame(self.table, phase, store.read(self.table), self.schema)
 
 
 def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[FirstDrawsTable]:

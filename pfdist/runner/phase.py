@@ -89,9 +89,7 @@ def publish_search(store: Store, phase: str) -> None:
     for id_, draws in zip(rows["evaluation"], rows["draws"].tolist(), strict=True):
         wanted[id_] = max(draws, wanted.get(id_, 0))
     store.publish("draws", phase, _draws_of(store, wanted))
-    own = store.own_schema(schema("evaluations"))
-    table = pa.Table.from_pandas(rows, schema=own, preserve_index=False)
-    store.publish("evaluations", phase, [table])
+    store.publish_frame("evaluations", phase, rows, schema("evaluations"))
 
 
 def _draws_of(store: Store, wanted: dict[str, int]) -> Iterator[pa.Table]:

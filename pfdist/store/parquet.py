@@ -80,10 +80,6 @@ class Store:
         """Rows with times in place of instants, if the run has times."""
         return rows if self._columns is None else self._columns.table(rows)
 
-    def own_schema(self, schema: pa.Schema) -> pa.Schema:
-        """Schema that a table has in this store, with times in place of instants."""
-        return self.timed(schema.empty_table()).schema
-
     def recover(self) -> None:
         """Remove leftovers of killed processes, and mark a run that has lost a file as unfinished.
 
@@ -128,6 +124,11 @@ class Store:
         parts remain, and the next call writes the same files.
         """
         self.publish_together(phase, {table: pieces})
+
+    def publish_frame(self, table: str, phase: str, frame: pd.DataFrame, schema: pa.Schema) -> None:
+        """Publish all rows of a phase as they were read; the schema is that of written rows."""
+        own = self.timed(schema.empty_table()).schema
+        self.publish(table, phase, [pa.Table.from_pandas(frame, schema=own, preserve_index=False)])
 
     def publish_together(self, phase: str, pieces: Mapping[str, Iterable[pa.Table]]) -> None:
         """Publish a phase in several tables, by name; a reader sees all of them or none."""

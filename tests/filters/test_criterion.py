@@ -233,6 +233,28 @@ def test_unknown_errors_of_instants_are_infinite_and_one_group_has_no_error() ->
 
 
 @dataclass(frozen=True)
+class LastInstant(OtherCriterion):
+    """The expected error at the last instant."""
+
+    by_instant: bool = True
+
+    def of_instants(self, errors: Any) -> Any:
+        """The last error of each set."""
+        return errors[:, -1]
+
+
+def test_a_criterion_of_instants_makes_the_exact_number_of_their_exact_errors() -> None:
+    sets = [(0, 4, 9), (2,), ()]
+    problem = pfdist.Problem(
+        WALK, horizon=9, measurement_budget=3, engine="kalman", instant_weights=[1.0] * 9 + [0.0]
+    )
+    errors = kalman.expected_errors(WALK, 9, sets)
+    numbers = build(problem.job()).evaluator.expected_mse(sets, criterion=LastInstant())
+    assert numbers is not None
+    np.testing.assert_allclose(numbers, errors[:, 8], rtol=1e-14)  # the last that has weight
+
+
+@dataclass(frozen=True)
 class Median(Criterion):
     """The median over draws; its standard error is that of a normal variate, roughly."""
 

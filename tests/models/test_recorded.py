@@ -206,6 +206,18 @@ def test_numbers_of_any_kind_are_known_again_and_count(values) -> None:
         assert f"parameters.{name}" in dict(differences(known, made(**change)))
 
 
+def test_other_parameters_of_a_recorded_model_call_no_formula(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its programs have as many components with all values; a fit changes them at each step."""
+    model = load_model("ungm")
+    given = {name: 2.0 * value for name, value in model.parameters.items()}
+    kept, expected = recorded(model, range(4)), recorded(model.with_parameters(given), range(4))
+    monkeypatch.setattr("pfdist.models.base.count_components", None)
+    changed = kept.with_parameters(given)
+    assert (changed.parameters, changed.components) == (expected.parameters, expected.components)
+
+
 def test_other_instants_than_the_recorded_are_refused_in_words() -> None:
     table = np.arange(13.0)
     model = dataclasses.replace(

@@ -162,7 +162,7 @@ def test_two_instants_are_far_enough_apart_if_their_times_are(clock: Clock, quar
     spacing = Spacing(clock.successors(least))
     for a, earlier in enumerate(clock.times):
         for b, later in enumerate(clock.times[a + 1 :], start=a + 1):
-            assert spacing.apart((a, b)) == (later - earlier >= least)
+            assert spacing.allows((a, b)) == (later - earlier >= least)
             assert (a <= spacing.before(b)) == (later - earlier >= least)
 
 

@@ -47,6 +47,11 @@ def test_the_best_set_and_its_gain_are_those_of_the_summary(runs: Path) -> None:
         assert (row["best"], row["reference"]) == (best.name, "regular")
         assert row["gain_of_means"] == best.gain_of_means
         assert row["draws"] == row["draws_wanted"] == 60
+        low, high = best.gain_of_means_low, best.gain_of_means_high
+        is_clear = low is None or not low <= 0.0 <= high
+        assert ("no clear difference from regular" in row["found"]) == (not is_clear)
+        assert (" % " in row["found"]) == is_clear
+    assert len({"no clear" in found for found in frame["found"]}) == 2
 
 
 def test_size_and_age_are_those_of_the_files(run: Path, tmp_path: Path) -> None:

@@ -8,10 +8,10 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from oracles.model_text import MEASURED
-from pfdist.results.run import open_run
 
 ROOT = Path(__file__).parents[2]
 
@@ -109,7 +109,10 @@ def test_a_criterion_of_an_installed_package_is_minimised_and_told(tmp_path: Pat
     command = ("plan", tmp_path / "job.toml", "--json", "--results", tmp_path / "run")
     done = _python(installed, "-m", "pfdist", *command, "--bound-draws", "0", "--set", *changes)
     assert done.returncode == 0, done.stderr
-    sets, rows = json.loads(done.stdout)["sets"], open_run(tmp_path / "run").table("comparison")
+    sets, rows = (
+        json.loads(done.stdout)["sets"],
+        pd.read_parquet(tmp_path / "run/tables/comparison"),
+    )
     shares = [(rows[f"mse_{each['name']}"] > 0.8).mean() for each in sets]
     assert [each["exceedance"] for each in sets] == pytest.approx(shares)
     assert min(shares) == pytest.approx(sets[-1]["criterion_value"])

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Estimate, student_quantile
-from pfdist.filters.criterion import Bound, CriterionValue, OtherCriterion, Sample, criterion
+from pfdist.filters.criterion import (
+    Array,
+    Bound,
+    CriterionValue,
+    OtherCriterion,
+    Sample,
+    criterion,
+)
 
 if TYPE_CHECKING:
     from pfdist.filters.estimate import Evaluation
@@ -46,6 +53,11 @@ class WorstInstant(OtherCriterion):
         differences = -np.diff(((total - both) / (count - 1)).max(axis=2), axis=0)[0]
         error = math.sqrt((count - 1) * np.var(differences))
         return Estimate(float(value - other), error, count - 1)
+
+    def of_instants(self, errors: Array) -> Array:
+        """The largest error of each set."""
+        numbers: Array = errors.max(axis=1)
+        return numbers
 
     def of_sample(self, sample: Sample) -> CriterionValue:
         """The largest error, between the largest lower and the largest upper limit."""
