@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.batched import batched
 from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR
 from pfdist import load_model
@@ -129,3 +130,5 @@ def test_a_job_can_name_it_and_what_it_lacks_is_not_accepted() -> None:
         RULES.check("a rule", problem.job(seed=1), Evaluator(model, 60, engine="jax"))
     with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'jax'"):
         Evaluator(model, 8, engine="jax", estimations=(Estimation(9, proposal=GUIDED),))
+    with pytest.raises(TraceError, match="the engine 'batched' calls its functions"):
+        pfdist.Filter(batched(model), 9, engine="jax")
