@@ -124,7 +124,7 @@ def filter_checked_draws(
     return plain.finished(draws, settings, fails, FilterArrays(np.empty(0), fails, **whole))
 
 
-def filter_checked_sets(
+def _filter_sets(
     model: StateSpaceModel,
     draws: Draws,
     sets: Sequence[Times],
@@ -141,6 +141,7 @@ def filter_checked_sets(
 
 
 filter_draws = checking(filter_checked_draws)
+filter_checked_sets = _filter_sets
 
 
 def _computes(settings: Estimation) -> bool:
@@ -207,25 +208,25 @@ class _Block:
             w = self._noise_of(0, 0, int(FILTER_INITIAL))
             x = request.initial(0, given["p"], w=w)
         cloud = {"x": [*x], "weight": given.get("weight", jnp.ones(size))}
-        q, no = len(request.is_angle), jnp.zeros(size[0], bool)
+        q, none = len(request.is_angle), jnp.zeros(size[0], bool)
         if request.has_lag:  # z along the lines of the particles, and the particles on them
             cloud["past"] = jnp.zeros((instants, q + 1, *size))
         unknown = jnp.full((instants, q, size[0]), jnp.nan)
         found = {"estimate": unknown, "variance": unknown}
         found |= {"sizes": unknown[:, 0], "lines": unknown[:, 0]}
         found |= {"fails": jnp.zeros((instants, size[0]), bool)}
-        return cloud | {"weighs": no, "fails": no}, found
+        return cloud | {"weighs": none, "fails": none}, found
 
     def instant(self, t: Any, state: tuple[State, State]) -> tuple[State, State]:
         """The state after the measurements at t, from that after those at t - 1."""
         request, given, (cloud, found) = self.request, self.given, state
-        measured, sensors, no = (
+        measured, sensors, none = (
             given["measured"][t],
             len(request.sensors),
             jnp.zeros_like(cloud["fails"]),
         )
         x = lax.cond(t > given["start"], partial(self._moved, t - 1), _same, cloud["x"])
-        cloud = cloud | {"x": x, "weighs": no, "fails": no}
+        cloud = cloud | {"x": x, "weighs": none, "fails": none}
         for number in range(sensors):
             cloud = lax.cond(measured[number], partial(self._weighed, t, number), _same, cloud)
         z, weight = request.quantity(t, given["p"], x=cloud["x"]), cloud["weight"]
