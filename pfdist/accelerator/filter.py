@@ -150,9 +150,9 @@ def _computes(settings: Estimation) -> bool:
 
 
 def _request(model: StateSpaceModel, draws: Draws, settings: Estimation) -> _Filter:
-    def made(of: StateSpaceModel, name: str) -> CompiledFormula:
-        formula, instants = of.formulas[name], range(draws.instants[-1] + 1)
-        known = formula.traced if isinstance(formula, Programs) else traced(of, name, instants)
+    def made(owner: StateSpaceModel, name: str) -> CompiledFormula:
+        formula, instants = owner.formulas[name], range(draws.instants[-1] + 1)
+        known = formula.traced if isinstance(formula, Programs) else traced(owner, name, instants)
         return CompiledFormula(known, known.hash)
 
     return _Filter(
