@@ -10,7 +10,6 @@ from pathlib import Path
 import matplotlib as mpl
 
 from benchmarks import (
-    accelerator,
     backtest,
     coverage,
     densities,
@@ -38,7 +37,7 @@ from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
 from benchmarks.results import Benchmark, redraw, save, write_readme
 
-# JAX comes last: it leaves threads behind, and other benchmarks start processes.
+# Peers come last: JAX leaves threads behind, and later benchmarks start processes.
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
     "densities": densities,
@@ -62,7 +61,6 @@ BENCHMARKS: dict[str, Benchmark] = {
     "size": size,
     "simulators": simulators,
     "peers": peers,
-    "accelerator": accelerator,
 }
 FOLDER = Path(__file__).parent / "results"
 
