@@ -122,8 +122,9 @@ def _found(run: Run) -> dict[str, Any]:
         return found
     if not found["has_budget"] and (best := _best(rows)) is not None:
         gain = math.nan if best.gain_of_means is None else best.gain_of_means
-        judged = "gain_of_means" if best.criterion_gain is None else "criterion_gain"
-        own = gain if best.criterion_gain is None else best.criterion_gain
+        is_mean = best.criterion_gain is None
+        judged = "gain_of_means" if is_mean else "criterion_gain"
+        own = gain if is_mean else best.criterion_gain
         share = f"{rounded(times_100(abs(own)), 3)} % {'above' if own < 0 else 'below'}"
         if form.unit:
             share = f"{rounded(abs(own), 3)} {form.unit} {'less' if own < 0 else 'more'} than"
@@ -132,7 +133,7 @@ def _found(run: Run) -> dict[str, Any]:
         reference = next(row.label for row in rows if row.name == best.reference)
         words = f"{best.label}: {share} {reference}"
         if not form.is_mean and not form.unit:
-            label = "mean over scenarios" if best.criterion_gain is None else form.label
+            label = "mean over scenarios" if is_mean else form.label
             words += f" by the {label}"
         found |= {"best": best.name, "reference": best.reference}
         found |= {"gain_of_means": gain, "found": words}

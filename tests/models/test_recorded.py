@@ -14,7 +14,7 @@ from pfdist.errors import ModelError
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import Sensor, StateSpaceModel, load_model
-from pfdist.models.recorded import differences, recorded
+from pfdist.models.recorded import differences, recorded, recorded_if_it_holds
 from pfdist.models.written import key_of_model, models_of, text_of_models
 
 INSTANTS = range(13)
@@ -261,3 +261,25 @@ def test_the_order_of_sensors_and_their_noise_are_named() -> None:
     read, _ = models_of(text_of_models(known, known).encode())
     assert not [*differences(known, read)]
     assert key_of_model(known) == key_of_model(read)
+
+
+def test_a_model_whose_programs_hold_for_one_value_is_not_replaced_by_them() -> None:
+    """A branch on a parameter leaves its value in the program; the others stay symbols."""
+    model = StateSpaceModel(
+        name="branch",
+        initial=lambda w, p: (w[0],),
+        transition=lambda x, t, w, p: (x[0] * (0.5 if p.rate > 1.0 else 0.9) + p.sd * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + v[0],),
+        log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        parameters={"rate": 0.5, "sd": 1.0},
+    )
+    assert recorded_if_it_holds(model, range(4), ["rate", "sd"]) is model
+    found = recorded_if_it_holds(model, range(4), ["sd"])
+    assert found == recorded(model, range(4))
+    assert found.with_parameters({"sd": 2.0}) == recorded(
+        model.with_parameters({"sd": 2.0}), range(4)
+    )
