@@ -21,12 +21,12 @@ class Engine:
     # contracts of those in `pfdist.filters.particle_filter`.
     filtered_by: str
     seconds_a_step: float = 2e-9  # about how long a particle takes for one instant
-    # Whether all formulas are compiled: they keep no lock of Python, and the figures have the same
-    # bits on every processor.
+    # whether all formulas are compiled, and keep no lock of Python
     compiled: bool = True
     exact: bool = False  # whether the expected MSE is known without draws
     has_particles: bool = True
     least_draws: int = 1  # of a task: so many take hardly longer than one
+    takes_rules: bool = False  # whether each draw may decide when it is measured
 
     @property
     def simulate(self) -> Callable[..., Any]:
@@ -45,6 +45,7 @@ COMPILED = Engine(
     "Formulas traced with symbols, and compiled for sixteen particles at a time.",
     simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.filters.particle_filter",
+    takes_rules=True,
 )
 BATCHED = Engine(
     "batched",
@@ -53,6 +54,7 @@ BATCHED = Engine(
     filtered_by="pfdist.filters.particle_filter",
     seconds_a_step=3e-8,
     compiled=False,
+    takes_rules=True,
 )
 NUMPY = Engine(
     "numpy",
@@ -71,7 +73,15 @@ KALMAN = Engine(
     has_particles=False,
     least_draws=200,
 )
-ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN)}
+JAX = Engine(
+    "jax",
+    "Formulas compiled by JAX, as for a GPU.",
+    simulated_by="pfdist.filters.simulation",
+    filtered_by="pfdist.accelerator.filter",
+    seconds_a_step=1e-8,
+    least_draws=200,
+)
+ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN, JAX)}
 if TYPE_CHECKING:
     EngineName = str
 else:

@@ -101,7 +101,7 @@ def what_may_differ(built: Built) -> str:
     engine = built.evaluator.engine
     if engine == COMPILED.name:
         return ""
-    return f"numbers of filter.engine = {engine!r} agree to about 12 digits, not to the last"
+    return f"numbers of filter.engine = {engine!r} agree but for rounding, not to the last digit"
 
 
 def lender(path: Path, built: Built | None = None) -> Store:

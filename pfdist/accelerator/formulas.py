@@ -1,0 +1,114 @@
+"""Recorded programs, interpreted with `jax.numpy`: the twin of `evaluate_program`."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax.numpy as jnp
+from jax import lax
+
+from pfdist.models.program import GROUPS, Program
+from pfdist.models.tracing import MODES, Traced
+
+
+@dataclass(frozen=True)
+class CompiledFormula:
+    """A traced formula that JAX compiles; two with the same programs are equal."""
+
+    traced: Traced = field(compare=False)
+    hash: str
+
+    def __call__(self, t: Any, parameters: Mapping[str, Any], **groups: Sequence[Any]) -> list[Any]:
+        """A value for each output; t may be traced by JAX, too."""
+        traced, instants = self.traced, self.traced.instants
+        at = jnp.clip(t - instants[0], 0, len(instants) - 1)
+        row = 0 if traced.mode == MODES[0] else jnp.asarray(traced.row)[at]
+        shape = jnp.broadcast_shapes(
+            *(jnp.shape(each) for group in groups.values() for each in group)
+        )
+
+        def branch(program: Program) -> Any:
+            def values() -> list[Any]:
+                found = _Run(program, groups, t, parameters, row).outputs()
+                return [jnp.broadcast_to(jnp.asarray(each, float), shape) for each in found]
+
+            return values
+
+        branches = [branch(each) for each in traced.programs]
+        chosen = jnp.asarray(traced.which)[at] if len(branches) > 1 else 0
+        found: list[Any] = lax.switch(chosen, branches)
+        return found
+
+
+@dataclass
+class _Run:
+    """One interpretation of a program."""
+
+    program: Program
+    groups: Mapping[str, Sequence[Any]]
+    t: Any
+    parameters: Mapping[str, Any]
+    row: Any
+
+    def outputs(self) -> list[Any]:
+        values = dict[int, Any]()
+        self._fill(values, range(len(self.program.operations)))
+        return [values[each] for each in self.program.outputs]
+
+    def _fill(self, values: dict[int, Any], numbers: Iterable[int], **step: Any) -> None:
+        """Compute operations; `step` has the number and the states of a step of a loop."""
+        operations, within = self.program.operations, -1
+        for number in numbers:
+            name, arguments, which = operations[number]
+            if number <= within:
+                continue
+            if name == "repeat":
+                within = self._loop(values, number)
+            elif name == "state":
+                values[number] = step["states"][which]
+            elif name == "step":
+                values[number] = step["number"].astype(float)
+            elif name == "nth":
+                given = jnp.broadcast_arrays(*(jnp.asarray(values[each]) for each in arguments[1:]))
+                values[number] = jnp.stack(given)[step["number"]]
+            else:
+                values[number] = self._value(name, which, [values[each] for each in arguments])
+
+    def _loop(self, values: dict[int, Any], begin: int) -> int:
+        """Compute a loop; the number of its operation "again", which gets the last states."""
+        operations = self.program.operations
+        end = next(
+            number for number, each in enumerate(operations)
+            if each.name == "again" and each.arguments[0] == begin
+        )  # fmt: skip
+        count, *first = (values[each] for each in operations[begin].arguments)
+        steps = jnp.where(count >= 1, jnp.minimum(count, operations[begin].which), 1)
+        shapes = [jnp.shape(each) for group in self.groups.values() for each in group]
+        shape = jnp.broadcast_shapes(*shapes, *map(jnp.shape, first))
+
+        def alike(given: Iterable[Any]) -> list[Any]:
+            return [jnp.broadcast_to(jnp.asarray(each, float), shape) for each in given]
+
+        def body(number: Any, states: list[Any]) -> list[Any]:
+            inner = dict(values)
+            self._fill(inner, range(begin + 1, end), number=number, states=states)
+            return alike(inner[each] for each in operations[end].arguments[1:])
+
+        values[end] = lax.fori_loop(0, jnp.int32(steps), body, alike(first))
+        return end
+
+    def _value(self, name: str, which: Any, given: list[Any]) -> Any:
+        leaves = {"t": jnp.asarray(self.t, float), "parameter": self.parameters.get(which)}
+        if name in leaves or name in GROUPS:
+            return leaves[name] if name in leaves else self.groups[name][which]
+        if name == "covariate":
+            return jnp.asarray(self.parameters[which])[jnp.int32(given[0])]
+        if name == "constant":
+            return jnp.asarray(self.program.constants)[self.row, which]
+        if name == "take":
+            table, (index,) = jnp.asarray(self.program.tables[which]), given
+            inside = (index >= 0) & (index < table.size)
+            return jnp.where(inside, table[jnp.int32(jnp.where(inside, index, 0))], jnp.nan)
+        if name == "final":
+            return given[0][which]
+        return jnp.where(given[0], 1.0, 0.0) if name == "float" else getattr(jnp, name)(*given)
