@@ -78,7 +78,7 @@ JAX = Engine(
     "Formulas compiled by JAX, as for a GPU.",
     simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.accelerator.filter",
-    seconds_a_step=1e-8,
+    seconds_a_step=2e-8,
     least_draws=200,
 )
 ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN, JAX)}
