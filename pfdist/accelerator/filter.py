@@ -1,16 +1,15 @@
-"""The intermittent particle filter with `jax.numpy`: many draws and particles at once.
+"""The intermittent particle filter with `jax.numpy`: many sets, draws and particles at once.
 
 It computes what `pfdist.filters.plain` computes, with noise by JAX, in float64 on a processor and
-in float32 on other devices. The compiled engine computes filters that contain the truth, and log
-evidences: only comparisons and bounds need them.
+in float32 on other devices. The compiled engine computes what few jobs need, see `_computes`.
 
-A block always has the same number of draws, and a draw always the same place in its block, so the
-bits of a draw do not depend on the draws beside it. Instants are counted from 0, also with a prior,
-and without a lag their number is a power of 2: so JAX compiles once for many starts and ends.
+A row is a draw with a set. A block always has as many rows, so JAX compiles it once, and the bits
+of a row do not depend on its place or on other rows. Instants are counted from 0, also with a
+prior, and without a lag their number is a power of 2: so a block fits many starts and ends.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -23,13 +22,16 @@ from pfdist.errors import PfdistError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import checking, one_by_one
-from pfdist.filters.work import Estimation
+from pfdist.filters.interface import SUMS, all_or_none, checking, errors_of, weighed
+from pfdist.filters.work import Estimation, filter_streams, sum_of_draws
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.left import ROUNDING
+from pfdist.kernels.rules import Applied
 from pfdist.kernels.schemes import ALL_SCHEMES, STRATIFIED, SYSTEMATIC
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, RESAMPLING
 from pfdist.models import StateSpaceModel
+from pfdist.models.base import squared_error
 from pfdist.models.programs import Programs
 from pfdist.models.twin import traced
 
@@ -44,7 +46,8 @@ except ModuleNotFoundError as error:
 
 _AT_ONCE = {"cpu": 2**13}
 _ON_OTHERS = 2**22
-"""Particles of all draws that are filtered together."""
+_WITH_PAST = 2**28
+"""Particles of all rows that are filtered together; with a lag, those of all instants."""
 
 State = dict[str, Any]
 
@@ -63,6 +66,7 @@ class _Filter:
     resampling: str
     threshold: float
     has_lag: bool
+    has_rule: bool
 
 
 def filter_checked_draws(
@@ -72,59 +76,23 @@ def filter_checked_draws(
     stream: int,
     settings: Estimation,
     trajectories: bool = False,
-    *,
-    clouds: bool = True,
 ) -> FilterArrays:
     """The results of `pfdist.filters.particle_filter.filter_checked_draws`."""
-    if not _computes(settings):
+    wants_ranks = trajectories and ALL_SCHEMES[settings.resampling].holds_truth
+    if wants_ranks or not _computes(draws, settings):
         return particle_filter.filter_checked_draws(
             model, draws, measurement_times, stream, settings, trajectories
         )
-    start, last, device = draws.start, draws.instants[-1], jax.default_backend()
-    request, filtered = _request(model, draws, settings), slice(start, last + 1)
-    instants = last + 1 if request.has_lag else 1 << last.bit_length()
-    size = _AT_ONCE.get(device, _ON_OTHERS) // settings.particles
-    size = max(1, size // instants if request.has_lag else size)
-    measured = np.zeros((instants, len(model.parts)), np.bool_)
-    measured.reshape(-1)[[*measurement_times]] = True
-    estimated = plain.estimated(model, draws.instants, measurement_times, settings.lag)
-    ranges = np.zeros((instants, 2), int)
-    ranges[filtered] = [(start + each.start, start + each.stop) for each in estimated]
-    same = {
-        "stream": np.array([stream >> 32, stream & 0xFFFFFFFF], np.uint32),
-        "start": start,
-        "last": last,
-        "measured": measured,
-        "estimated": ranges,
-        "p": model.p._asdict(),
-    }
-    blocks = list[dict[str, NDArray[Any]]]()
-    with jax.enable_x64(device == "cpu"):
-        for begin in range(draws.index.start // size * size, draws.index.stop, size):
-            own = draws[max(0, begin - draws.index.start) : begin + size - draws.index.start]
-            here = slice(own.index.start - begin, own.index.stop - begin)
-            y = np.zeros((instants, own.y.shape[2], size))
-            y[filtered, :, here] = own.y.transpose(1, 2, 0)
-            given = same | {"draws": np.arange(begin, begin + size), "y": y}
-            if isinstance(settings.prior, Cloud):
-                x, weight = plain.first(model, own, stream, settings)
-                given["x"] = np.zeros((len(x), size, settings.particles))
-                given["weight"] = np.ones(given["x"].shape[1:])
-                given["x"][:, here], given["weight"][here] = x, weight
-            found = _run(request, given)
-            kept = found.keys() - ({} if clouds else {"cloud", "weight"})
-            blocks.append({name: np.asarray(found[name], float)[here] for name in kept})
-    whole: dict[str, Any] = {
-        name: np.concatenate([each[name] for each in blocks]) for name in blocks[0]
-    }
-    for name in whole.keys() - {"cloud", "weight"}:
-        whole[name] = whole[name][:, filtered]
-    fails = whole.pop("fails") > 0
-    whole = {"cloud": np.empty((len(fails), 0, 0))} | whole
-    return plain.finished(draws, settings, fails, FilterArrays(np.empty(0), fails, **whole))
+    only, end = [measurement_times], [draws.instants[-1]]
+    names = ("estimate", "variance", "sizes", "lines", "cloud", "weight")
+    found, fails = _filtered(model, draws, only, end, stream, settings, names)
+    return plain.finished(draws, settings, fails, found)
 
 
-def _filter_sets(
+filter_draws = checking(filter_checked_draws)
+
+
+def filter_checked_sets(
     model: StateSpaceModel,
     draws: Draws,
     sets: Sequence[Times],
@@ -134,33 +102,55 @@ def _filter_sets(
     errors: str = "",
 ) -> FilterArrays:
     """The results of `pfdist.filters.particle_filter.filter_checked_sets`."""
-    filtered: Callable[..., FilterArrays] = particle_filter.filter_checked_sets
-    if _computes(settings):
-        filtered = partial(one_by_one, partial(filter_checked_draws, clouds=False))
-    return filtered(model, draws, sets, ends, stream, settings, errors)
+    if not _computes(draws, settings):
+        return particle_filter.filter_checked_sets(
+            model, draws, sets, ends, stream, settings, errors
+        )
+    shape = len(sets), *draws.z.shape[:2]
+    keys = filter_streams(stream, settings.estimator)
+    filters, fails = zip(
+        *(_filtered(model, draws, sets, ends, key, settings) for key in keys), strict=True
+    )
+    rows = replace(draws, index=range(shape[0] * shape[1]), z=np.tile(draws.z, (len(sets), 1, 1)))
+    counts = np.array(draws.instants) <= np.array(ends)[:, None, None]
+    with np.errstate(all="ignore"):
+        each = errors_of(filters, rows, ESTIMATORS[settings.estimator]).reshape(shape)
+        weighted = weighed(each, counts * draws.instant_weights)
+        total = np.cumsum(weighted, axis=2)
+    before = np.pad(total[..., :-1], ((0, 0), (0, 0), (1, 0))) < np.inf
+    degenerate = np.any(np.any(fails, axis=0).reshape(shape) & counts & before, axis=2).T
+    mse = np.where(total[..., -1] < np.inf, total[..., -1] / shape[2], np.inf).T
+    mse[degenerate & ALL_SCHEMES[settings.resampling].holds_truth] = np.nan
+    if errors == SUMS:
+        sums = sum_of_draws(weighted.swapaxes(0, 1))
+        sums[~np.isfinite(mse).all(axis=0)] = np.nan
+        return FilterArrays(mse, degenerate, errors=sums)
+    each = all_or_none(each.swapaxes(0, 1), mse)[..., : shape[2] if errors else 0]
+    return FilterArrays(mse, degenerate, errors=each, measured=filters[0].measured)
 
 
-filter_draws = checking(filter_checked_draws)
-filter_checked_sets = _filter_sets
-
-
-def _computes(settings: Estimation) -> bool:
-    has_evidence = ESTIMATORS[settings.estimator].weights.evidence != 0.0
-    return not (ALL_SCHEMES[settings.resampling].holds_truth or has_evidence)
+def _computes(draws: Draws, settings: Estimation) -> bool:
+    """Whether this module computes a filter: no log evidence, nor what few jobs need."""
+    estimator, rule, model = ESTIMATORS[settings.estimator], settings.rule, draws.model
+    has_more = settings.penalty or np.any(settings.lag) or len(model.parts) > 1
+    if rule is not None and (has_more or rule != Applied(rule.rule)):
+        return False
+    has_own_error = estimator.by_error and model.error is not squared_error
+    return not (estimator.weights.evidence or has_own_error)
 
 
 def _request(model: StateSpaceModel, draws: Draws, settings: Estimation) -> _Filter:
-    def made(owner: StateSpaceModel, name: str) -> CompiledFormula:
+    def made(name: str, owner: StateSpaceModel = model) -> CompiledFormula:
         formula, instants = owner.formulas[name], range(draws.instants[-1] + 1)
         known = formula.traced if isinstance(formula, Programs) else traced(owner, name, instants)
         return CompiledFormula(known, known.hash)
 
     return _Filter(
-        made(model, "initial"),
-        made(model, "transition"),
-        made(model, "quantity_of_interest"),
+        made("initial"),
+        made("transition"),
+        made("quantity_of_interest"),
         tuple(
-            (made(each.model, "log_likelihood"), each.y.start, each.y.stop) for each in model.parts
+            (made("log_likelihood", each.model), each.y.start, each.y.stop) for each in model.parts
         ),
         (model.initial_noise, model.process_noise),
         tuple(draws.model.is_angle),
@@ -168,7 +158,66 @@ def _request(model: StateSpaceModel, draws: Draws, settings: Estimation) -> _Fil
         settings.resampling,
         settings.threshold,
         bool(np.max(settings.lag)),
+        settings.rule is not None,
     )
+
+
+def _filtered(
+    model: StateSpaceModel,
+    draws: Draws,
+    sets: Sequence[Times],
+    ends: Sequence[int],
+    stream: int,
+    settings: Estimation,
+    wanted: Sequence[str] = ("estimate", "variance"),
+) -> tuple[FilterArrays, NDArray[np.bool_]]:
+    """Some results of all rows, set by set, and the instants at which no particle explains y."""
+    request, device = _request(model, draws, settings), jax.default_backend()
+    start, last, count = draws.start, draws.instants[-1], len(draws.index)
+    instants = last + 1 if request.has_lag else 1 << last.bit_length()
+    size = _AT_ONCE.get(device, _ON_OTHERS)
+    size = min(size, _WITH_PAST // instants) if request.has_lag else size
+    size = max(1, size // settings.particles)
+    measured = np.zeros((len(sets), instants, len(model.parts)), np.bool_)
+    lines = np.tile([instants, 0], (len(sets), instants, 1))
+    for place, (times, end) in enumerate(zip(sets, ends, strict=True)):
+        measured[place].reshape(-1)[[*times]] = True
+        if request.has_lag:
+            known = plain.estimated(model, range(start, end + 1), times, settings.lag)
+            lines[place, start : end + 1] = [(start + at.start, start + at.stop) for at in known]
+    around = (0, 0), (start, instants - last - 1), (0, 0)
+    of_draws = {"y": np.pad(draws.y, around), "truth": np.pad(draws.x, around)}
+    same: State = {"start": start, "p": model.p._asdict()}
+    same["stream"] = np.array([stream >> 32, stream & 0xFFFFFFFF], np.uint32)
+    if settings.rule is not None:
+        rule = settings.rule.rule
+        same |= {"levels": rule.thresholds_of(range(instants))}
+        same |= {"limit": rule.limit, "exponent": rule.exponent, "instants": last + 1}
+    has_prior = isinstance(settings.prior, Cloud)
+    x, weight = plain.first(model, draws, stream, settings) if has_prior else ((), np.empty(0))
+    last_of_row, whole = np.repeat(ends, count), State()
+    order = np.argsort(last_of_row, kind="stable")
+    wanted = (*wanted, "fails", *["measured"] * request.has_rule)
+    with jax.enable_x64(device == "cpu"):
+        for begin in range(0, len(order), size):
+            rows = order[begin : begin + size]
+            number, draw = np.divmod(np.resize(rows, size), count)
+            of_rows: State = {name: each[draw] for name, each in of_draws.items()}
+            of_rows |= {"measured": measured[number], "lines": lines[number]}
+            given = same | {name: np.moveaxis(each, 0, -1) for name, each in of_rows.items()}
+            given |= {"last": last_of_row[rows[-1]], "draws": draws.index.start + draw}
+            if has_prior:
+                given |= {"x": [each[draw] for each in x], "weight": weight[draw]}
+            found = _run(request, given)
+            for name in wanted:
+                each = np.asarray(found[name])[: len(rows)]
+                whole.setdefault(name, np.empty((len(order), *each.shape[1:])))[rows] = each
+    for name in whole.keys() - {"cloud", "weight"}:
+        whole[name] = whole[name][:, start : last + 1]
+    fails = whole.pop("fails") > 0
+    if request.has_rule:
+        whole["measured"] = whole["measured"][..., 0] > 0
+    return FilterArrays(np.empty(0), np.empty(0, np.bool_), **whole), fails
 
 
 @partial(jax.jit, static_argnums=0)
@@ -176,19 +225,19 @@ def _run(request: _Filter, given: State) -> State:
     """The results of a block, with draws first."""
     block = _Block(request, given)
     cloud, found = lax.fori_loop(given["start"], given["last"] + 1, block.instant, block.first())
-    found = {name: jnp.moveaxis(each, -1, 0) for name, each in found.items()}
+    found = {name: jnp.moveaxis(found[name], -1, 0) for name in found.keys() - {"past"}}
     return found | {"cloud": jnp.stack(cloud["x"], axis=1), "weight": cloud["weight"]}
 
 
 @dataclass
 class _Block:
-    """The filter of a block: its state is the cloud, (D, P), and what was found, instants first."""
+    """The filter of R rows: its state is the cloud, (R, P), and what was found, instants first."""
 
     request: _Filter
     given: State
 
     def _noise(self, kind: str, count: int, *key: Any) -> Any:
-        """Variates of a kind for each draw, (D, count)."""
+        """Variates of a kind for each row, (R, count), by its draw."""
         root = jax.random.wrap_key_data(self.given["stream"], impl="threefry2x32")
         for part in key:
             root = jax.random.fold_in(root, part)
@@ -199,58 +248,77 @@ class _Block:
         kinds, particles = self.request.noise[process], self.request.particles
         return [self._noise(kind, particles, *key, number) for number, kind in enumerate(kinds)]
 
+    @property
+    def _every(self) -> Any:
+        """The number of each particle, (R, P)."""
+        size = self.given["draws"].size, self.request.particles
+        return jnp.broadcast_to(jnp.arange(size[1], dtype=float), size)
+
     def first(self) -> tuple[State, State]:
         """The state before the first instant."""
-        request, given, (instants, _) = self.request, self.given, self.given["measured"].shape
+        request, given, (instants, *_) = self.request, self.given, self.given["measured"].shape
         size = given["draws"].size, request.particles
         x = given.get("x")
         if x is None:
-            w = self._noise_of(0, 0, int(FILTER_INITIAL))
-            x = request.initial(0, given["p"], w=w)
-        cloud = {"x": [*x], "weight": given.get("weight", jnp.ones(size))}
-        q, none = len(request.is_angle), jnp.zeros(size[0], bool)
-        if request.has_lag:  # z along the lines of the particles, and the particles on them
-            cloud["past"] = jnp.zeros((instants, q + 1, *size))
+            x = request.initial(0, given["p"], w=self._noise_of(0, 0, int(FILTER_INITIAL)))
+        none, q = jnp.zeros(size[0], bool), len(request.is_angle)
+        cloud = {"x": [*x], "weight": given.get("weight", jnp.ones(size)), "weighs": none}
+        cloud |= {"fails": none, "spent": jnp.zeros(size[0]), "measured": given["measured"][0]}
         unknown = jnp.full((instants, q, size[0]), jnp.nan)
-        found = {"estimate": unknown, "variance": unknown}
-        found |= {"sizes": unknown[:, 0], "lines": unknown[:, 0]}
-        found |= {"fails": jnp.zeros((instants, size[0]), bool)}
-        return cloud | {"weighs": none, "fails": none}, found
+        found = {"estimate": unknown, "variance": unknown, "sizes": unknown[:, 0]}
+        found |= {"lines": unknown[:, 0], "fails": jnp.zeros((instants, size[0]), bool)}
+        if request.has_lag:  # z of the particles, and the particle at the instant before
+            found["past"], cloud["parent"] = jnp.zeros((instants, q + 1, *size)), self._every
+        return cloud, found | {"measured": given["measured"]}
 
     def instant(self, t: Any, state: tuple[State, State]) -> tuple[State, State]:
         """The state after the measurements at t, from that after those at t - 1."""
         request, given, (cloud, found) = self.request, self.given, state
-        measured, sensors, none = (
-            given["measured"][t],
-            len(request.sensors),
-            jnp.zeros_like(cloud["fails"]),
-        )
-        x = lax.cond(t > given["start"], partial(self._moved, t - 1), _same, cloud["x"])
-        cloud = cloud | {"x": x, "weighs": none, "fails": none}
+        sensors, none = len(request.sensors), jnp.zeros_like(cloud["fails"])
+        x = _where(t > given["start"], partial(self._moved, t - 1), cloud["x"])
+        if ALL_SCHEMES[request.resampling].holds_truth:
+            x = [each.at[:, 0].set(true) for each, true in zip(x, given["truth"][t], strict=True)]
+        cloud = cloud | {"x": x, "weighs": none, "fails": none, "measured": given["measured"][t]}
+        if request.has_rule:
+            cloud = self._decided(t, cloud)
         for number in range(sensors):
-            cloud = lax.cond(measured[number], partial(self._weighed, t, number), _same, cloud)
+            weighed = partial(self._weighed, t, number)
+            cloud = _where(cloud["measured"][number].any(), weighed, cloud)
         z, weight = request.quantity(t, given["p"], x=cloud["x"]), cloud["weight"]
-        now = dict(zip(("estimate", "variance"), self._estimated(z, weight), strict=True))
-        now["fails"], now["lines"] = cloud["fails"], found["lines"][t]
+        now = cloud | dict(zip(("estimate", "variance"), self._estimated(z, weight), strict=True))
+        now |= {"lines": found["lines"][t]}
         now["sizes"] = jnp.where(cloud["weighs"], _sizes(weight), jnp.nan)
+        if request.has_lag:
+            now["past"], cloud["parent"] = jnp.stack([*z, cloud["parent"]]), self._every
         found = {name: each.at[t].set(now[name]) for name, each in found.items()}
         if request.has_lag:
-            particle = jnp.broadcast_to(jnp.arange(request.particles, dtype=float), weight.shape)
-            cloud["past"] = cloud["past"].at[t].set(jnp.stack([*z, particle]))
-            smoothed = partial(self._smoothed, t, cloud["past"], weight)
-            found = lax.cond(measured.any(), smoothed, _same, found)
-        resampled = partial(self._resampled, (t + 1) * sensors - 1)
-        return lax.cond(measured.any(), resampled, _same, cloud), found
+            smoothed = partial(self._smoothed, t, found["past"], weight)
+            changed = {name: found[name] for name in ("estimate", "variance", "lines")}
+            found |= _where(cloud["measured"].any(), smoothed, changed)
+        resampled = partial(self._resampled, (t + 1) * sensors - 1, True)
+        return _where(cloud["weighs"].any(), resampled, cloud), found
+
+    def _decided(self, t: Any, cloud: State) -> State:
+        """Let a rule decide at which of the given points of a sensor each row is measured."""
+        given = self.given
+        z = self.request.quantity(t, given["p"], x=cloud["x"])
+        deviation = jnp.sqrt(self._estimated(z, cloud["weight"])[1].sum(axis=0))
+        left, limit = given["limit"] - cloud["spent"], given["limit"]
+        factor = ((given["instants"] - t) / jnp.where(left > 0, left, 1.0)) ** given["exponent"]
+        level = given["levels"][t] * jnp.where(limit > 0, factor, 1.0)
+        may = cloud["measured"] & ((left > ROUNDING * limit) | (limit == 0))
+        measured = may & (deviation > level)
+        return cloud | {"measured": measured, "spent": cloud["spent"] + measured[0]}
 
     def _moved(self, t: Any, x: list[Any]) -> list[Any]:
         w = self._noise_of(1, t, int(FILTER_PROCESS))
         return self.request.transition(t, self.given["p"], x=x, w=w)
 
     def _weighed(self, t: Any, number: int, cloud: State) -> State:
-        """Weigh the particles with the measurement of a sensor."""
-        request = self.request
+        """Weigh the particles of the rows that a sensor measures."""
+        request, measured = self.request, cloud["measured"][number]
         if number:
-            cloud = self._resampled(t * len(request.sensors) + number - 1, cloud)
+            cloud = self._resampled(t * len(request.sensors) + number - 1, measured, cloud)
         log_likelihood, begin, end = request.sensors[number]
         y = self.given["y"][t, begin:end, :, None]
         (value,) = log_likelihood(t, self.given["p"], y=y, x=cloud["x"])
@@ -258,16 +326,17 @@ class _Block:
             value = value + jnp.log(cloud["weight"])
         value = jnp.where(jnp.isfinite(value), value, -jnp.inf)
         highest = jnp.max(value, axis=1, keepdims=True)
-        weighs = jnp.isfinite(highest)
+        weighs = jnp.isfinite(highest[:, 0]) & measured
         new = jnp.exp(jnp.float32(value - highest)).astype(float)
-        weight = jnp.where(weighs, new, cloud["weight"])
-        weighs = weighs[:, 0]
-        return cloud | {"weight": weight, "weighs": weighs, "fails": cloud["fails"] | ~weighs}
+        weight = jnp.where(weighs[:, None], new, cloud["weight"])
+        fails = cloud["fails"] | (measured & ~weighs)
+        weighs = jnp.where(measured, weighs, cloud["weighs"])
+        return cloud | {"weight": weight, "weighs": weighs, "fails": fails}
 
-    def _resampled(self, key: Any, cloud: State) -> State:
-        """Resample the draws that a measurement has weighed, if their weights are uneven."""
+    def _resampled(self, key: Any, rows: Any, cloud: State) -> State:
+        """Resample those rows that a measurement has weighed, if their weights are uneven."""
         weight, particles = cloud["weight"], self.request.particles
-        uneven = cloud["weighs"] & (_sizes(weight) < self.request.threshold * particles)
+        uneven = rows & cloud["weighs"] & (_sizes(weight) < self.request.threshold * particles)
         uneven = (uneven & (weight.sum(axis=1) < particles))[:, None]
         found = jnp.where(uneven, self._ancestors(weight, key), jnp.arange(particles))
 
@@ -275,12 +344,13 @@ class _Block:
             at = jnp.broadcast_to(found, values.shape)
             return jnp.take_along_axis(values, at, axis=-1, mode="promise_in_bounds")
 
-        moved = {name: jax.tree.map(taken, cloud[name]) for name in cloud.keys() & {"x", "past"}}
+        moved = {name: jax.tree.map(taken, cloud[name]) for name in cloud.keys() & {"x", "parent"}}
         return cloud | moved | {"weight": jnp.where(uneven, 1.0, weight)}
 
     def _ancestors(self, weight: Any, key: Any) -> Any:
-        """Ancestors of each draw's particles, (D, P); see `pfdist.kernels.ancestors`."""
+        """Ancestors of each row's particles, (R, P); see `pfdist.kernels.ancestors`."""
         count, scheme = self.request.particles, self.request.resampling
+        kept = int(ALL_SCHEMES[scheme].holds_truth)
         role, cumulative = int(RESAMPLING), jnp.cumsum(weight, axis=1)
         cumulative = cumulative / cumulative[:, -1:]
         if scheme == SYSTEMATIC.name:
@@ -292,35 +362,43 @@ class _Block:
         if scheme == STRATIFIED.name:
             points = (jnp.arange(count) + self._noise("uniform", count, key, role)) / count
         else:
-            sums = jnp.cumsum(self._noise("exponential", count + 1, key, role), axis=1)
+            sums = jnp.cumsum(self._noise("exponential", count + 1 - kept, key, role), axis=1)
             points = sums[:, :-1] / sums[:, -1:]
         found = jax.vmap(partial(jnp.searchsorted, side="right"))(cumulative, points)
-        return jnp.minimum(found, count - 1)
+        return jnp.pad(jnp.minimum(found, count - 1), ((0, 0), (kept, 0)))
 
     def _estimated(self, z: Sequence[Any], weight: Any) -> list[Any]:
-        """Mean and variance of the particles' z, (q, D) each."""
+        """Mean and variance of the particles' z, (q, R) each."""
         share = weight / weight.sum(axis=1, keepdims=True)
         counted = [jnp.where(weight > 0, each, 0.0) for each in z]
         moments = map(partial(_moments, share), counted, self.request.is_angle)
         return [jnp.stack(each) for each in zip(*moments, strict=True)]
 
     def _smoothed(self, t: Any, past: Any, weight: Any, found: State) -> State:
-        """Estimate earlier instants by the lines of the particles."""
-        (first, end), instants = self.given["estimated"][t], jnp.arange(len(past))
-        now, rows = (instants >= first) & (instants < end), jnp.arange(len(weight))[:, None]
+        """Estimate earlier instants along the lines of the particles, from the last backwards."""
+        first, end = self.given["lines"][t]
+        rows = jnp.arange(len(weight))[:, None]
 
-        def estimated(lines: Any) -> dict[str, Any]:
-            mean, variance = self._estimated(lines[:-1], weight)
-            passed = jnp.zeros(weight.shape, bool).at[rows, jnp.int32(lines[-1])].max(weight > 0)
-            return {"estimate": mean, "variance": variance, "lines": passed.sum(axis=1)}
+        def estimated(back: Any, state: tuple[State, Any]) -> tuple[State, Any]:
+            found, line = state
+            at = t - back
+            *z, parent = past[at, :, rows, line].transpose(2, 0, 1)
+            mean, variance = self._estimated(z, weight)
+            passed = jnp.zeros(weight.shape, bool).at[rows, line].max(weight > 0)
+            now = {"estimate": mean, "variance": variance, "lines": passed.sum(axis=1)}
+            is_own = (first <= at) & (at < end)
+            kept = {name: jnp.where(is_own, each, found[name][at]) for name, each in now.items()}
+            found = found | {name: found[name].at[at].set(each) for name, each in kept.items()}
+            return found, jnp.int32(parent)
 
-        each = jax.vmap(estimated)(past)
-        masks = {name: now.reshape(-1, *[1] * (each[name].ndim - 1)) for name in each}
-        return found | {name: jnp.where(masks[name], each[name], found[name]) for name in each}
+        instants = jnp.where(first < end, t + 1 - first, 0).max()
+        found, _ = lax.fori_loop(0, instants, estimated, (found, jnp.int32(self._every)))
+        return found
 
 
-def _same(state: Any) -> Any:
-    return state
+def _where(condition: Any, change: Callable[..., Any], state: Any) -> Any:
+    """The changed state if a condition holds, and else the state as it is."""
+    return lax.cond(condition, change, lambda state: state, state)
 
 
 def _variates(kind: str, count: int, key: Any) -> Any:

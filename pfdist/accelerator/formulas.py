@@ -104,9 +104,9 @@ class _Run:
         if name == "covariate":
             return jnp.asarray(self.parameters[which])[jnp.int32(given[0])]
         if name == "constant":
-            return jnp.asarray(self.program.constants)[self.row, which]
+            return jnp.asarray(self.program.constants, float)[self.row, which]
         if name == "take":
-            table, (index,) = jnp.asarray(self.program.tables[which]), given
+            table, (index,) = jnp.asarray(self.program.tables[which], float), given
             inside = (index >= 0) & (index < table.size)
             return jnp.where(inside, table[jnp.int32(jnp.where(inside, index, 0))], jnp.nan)
         if name == "final":

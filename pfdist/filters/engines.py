@@ -26,7 +26,6 @@ class Engine:
     exact: bool = False  # whether the expected MSE is known without draws
     has_particles: bool = True
     least_draws: int = 1  # of a task: so many take hardly longer than one
-    takes_rules: bool = False  # whether each draw may decide when it is measured
 
     @property
     def simulate(self) -> Callable[..., Any]:
@@ -45,7 +44,6 @@ COMPILED = Engine(
     "Formulas traced with symbols, and compiled for sixteen particles at a time.",
     simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.filters.particle_filter",
-    takes_rules=True,
 )
 BATCHED = Engine(
     "batched",
@@ -54,7 +52,6 @@ BATCHED = Engine(
     filtered_by="pfdist.filters.particle_filter",
     seconds_a_step=3e-8,
     compiled=False,
-    takes_rules=True,
 )
 NUMPY = Engine(
     "numpy",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pfdist.errors import JobError
 from pfdist.filters.criterion import MEAN
-from pfdist.filters.engines import COMPILED, ENGINES, is_exact
+from pfdist.filters.engines import NUMPY, is_exact
 from pfdist.problem.methods import METHODS
 
 if TYPE_CHECKING:
@@ -122,16 +122,15 @@ PARTICLES = Fact(
     _got("an engine with particles", lambda job: f"filter.engine = {job.filter.engine!r}"),
     lambda job, _: not is_exact(job.filter.engine),
 )
-TAKES_RULES = Fact(
-    "the engine `compiled` or `batched`",
-    _got("filter.engine = 'compiled'", lambda job: repr(job.filter.engine)),
-    lambda job, _: ENGINES.get(job.filter.engine, COMPILED).takes_rules,
-)
 LINEAR_SENSORS = Fact(
     "sensors without `fails` and limits",
     "sensors without fails and limits",
     lambda job, _: all(each.is_linear for each in job.problem.sensings.values()),
 )
+COMPILED = Fact(
+    "not the engine `numpy`", f"filter.engine = 'compiled', got {NUMPY.name!r}",
+    lambda job, _: job.filter.engine != NUMPY.name,
+)  # fmt: skip
 SQUARED_NORM = Fact(
     "the squared error, not one of the model's own",
     _got("an error that is the squared Euclidean norm",
@@ -244,7 +243,7 @@ RULES = Capability(
     {
         OF_EACH_DRAW: "", A_SEARCH: "there is no plan",
         PARTICLES: "its spread does not depend on y, so a rule is a fixed set",
-        TAKES_RULES: "", SQUARED_NORM: "",
+        COMPILED: "it takes too long", SQUARED_NORM: "",
     },
 )  # fmt: skip
 WHY = Capability("`pfdist why`", {ONE_NUMBER: "", MEAN_OF_SCENARIOS: ""})

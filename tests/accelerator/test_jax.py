@@ -12,14 +12,16 @@ from oracles.batched import batched
 from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR
 from pfdist import load_model
-from pfdist.errors import JobError, ModelError, TraceError
+from pfdist.errors import ModelError, TraceError
 from pfdist.filters import kalman, particle_filter
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
+from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import GUIDED, Estimation
+from pfdist.kernels.left import StepLimits
+from pfdist.kernels.rules import ALWAYS, Applied, Thresholds
 from pfdist.models.loader import installed_models
 from pfdist.models.recorded import recorded
-from pfdist.problem.needs import RULES
 
 pytest.importorskip("jax")
 
@@ -44,13 +46,14 @@ def _check_same_means(first: Any, second: Any) -> None:
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in SHIPPED],
 )
-def test_the_error_of_every_model_that_ships_is_that_of_the_compiled_engine(name: str) -> None:
+def test_the_errors_of_every_model_that_ships_are_those_of_the_compiled_engine(name: str) -> None:
     model = load_model(name)
     evaluator = recorded_evaluator(model, model, horizon=8, times=tuple(np.arange(9) / 8))
     draws, estimation = evaluator.draws(range(200), 7), Estimation(64, "systematic")
-    times = [tuple(range(0, evaluator.points.first(9), 3))]
+    points = range(evaluator.points.first(9))
+    sets = [tuple(points[::3]), tuple(points[1:-5:2]), tuple(points)]
     own, compiled = (
-        each.filter_checked_sets(evaluator.believed, draws, times, [8], 5, estimation)
+        each.filter_checked_sets(evaluator.believed, draws, sets, [8, 6, 8], 5, estimation)
         for each in (accelerator, particle_filter)
     )
     assert not own.degenerate.any()
@@ -77,28 +80,117 @@ def test_its_results_are_those_of_the_compiled_filter(settings: Estimation) -> N
     _check_same_means(own.cloud.mean(axis=2), compiled.cloud.mean(axis=2))
 
 
-def test_the_compiled_engine_computes_what_it_lacks() -> None:
+ESTIMATIONS = [
+    Estimation(50, "conditional", "control"),
+    Estimation(50, "conditional", "filter_variance"),
+    Estimation(50, "multinomial", "two_clouds", lag=2),
+    Estimation(50, "systematic", "two_errors", threshold=0.5),
+]
+
+
+@in_turn("settings", ESTIMATIONS)
+@in_turn("errors", [EACH_DRAW, SUMS])
+def test_the_errors_of_sets_are_those_of_the_compiled_engine(
+    settings: Estimation, errors: str
+) -> None:
     model = recorded(load_model("ungm"), range(11))
-    draws, settings = simulate(model, 10, range(9), 7), Estimation(70, "conditional", "control")
+    draws, sets, ends = simulate(model, 10, range(600), 7), [(0, 3, 4, 8), (2, 5), ()], [10, 7, 9]
     own, compiled = (
-        each.filter_checked_sets(model, draws, [(0, 3), ()], [10, 10], 5, settings).mse
+        each.filter_checked_sets(model, draws, sets, ends, 5, settings, errors)
+        for each in (accelerator, particle_filter)
+    )
+    _check_same_means(own.mse, compiled.mse)
+    if errors == EACH_DRAW:
+        assert own.errors.shape == compiled.errors.shape
+        for number, end in enumerate(ends):
+            _check_same_means(
+                own.errors[:, number, : end + 1], compiled.errors[:, number, : end + 1]
+            )
+            sums = own.errors[:, number].cumsum(axis=1)
+            np.testing.assert_allclose(sums[:, end] / 11, own.mse[:, number], rtol=1e-9)
+    else:
+        total = [each[: end + 1].sum() for each, end in zip(own.errors, ends, strict=True)]
+        np.testing.assert_allclose(np.array(total) / 11, own.mse.sum(axis=0), rtol=1e-9)
+
+
+def test_the_mean_of_the_control_variate_is_0() -> None:
+    """Particle 0 keeps itself, and the others choose among all; see `schemes.CONDITIONAL`."""
+    model = recorded(load_model("ungm"), range(11))
+    draws, settings = simulate(model, 10, range(8000), 7), Estimation(10, "conditional", "control")
+    found = accelerator.filter_checked_sets(model, draws, [(0, 2, 4, 6, 8)], [10], 5, settings).mse
+    assert abs(found.mean()) <= LARGEST_Z * found.std() / math.sqrt(len(found))
+
+
+@in_turn(
+    "rule", [Thresholds((6.0,)), Thresholds((5.0,), 0.5, 4.0), Thresholds((ALWAYS,), 0.3, 3.0)]
+)
+def test_a_rule_measures_as_often_as_in_the_compiled_engine(rule: Thresholds) -> None:
+    model = recorded(load_model("ungm"), range(21))
+    draws, may = simulate(model, 20, range(600), 7), tuple(range(1, 21))
+    settings = Estimation(100, "systematic", rule=Applied(rule))
+    own, compiled = (
+        each.filter_checked_sets(model, draws, [may], [20], 5, settings)
+        for each in (accelerator, particle_filter)
+    )
+    assert not own.measured[:, 0].any()
+    assert (own.measured.sum(axis=1) <= (rule.limit or 20)).all()
+    _check_same_means(own.mse[:, 0], compiled.mse[:, 0])
+    _check_same_means(own.measured.sum(axis=1, dtype=float), compiled.measured.sum(axis=1))
+
+
+OTHERS = [
+    Estimation(70, "conditional", "evidence"),
+    Estimation(70, rule=Applied(Thresholds((6.0,)), StepLimits(apart=tuple(range(2, 13))))),
+    Estimation(70, rule=Applied(Thresholds((6.0,)), flipped=3)),
+    Estimation(70, rule=Applied(Thresholds((6.0,))), lag=3),
+]
+
+
+@in_turn("settings", OTHERS)
+def test_the_compiled_engine_computes_what_it_lacks(settings: Estimation) -> None:
+    model = recorded(load_model("ungm"), range(11))
+    draws = simulate(model, 10, range(9), 7)
+    own, compiled = (
+        each.filter_checked_sets(model, draws, [tuple(range(11))], [10], 5, settings).mse
         for each in (accelerator, particle_filter)
     )
     np.testing.assert_array_equal(own, compiled)
 
 
-def test_no_bit_of_a_draw_depends_on_the_draws_beside_it() -> None:
-    model, times = recorded(load_model("ungm"), range(11)), (0, 3, 4, 8)
-    draws, settings = simulate(model, 10, range(300), 7), Estimation(70, "stratified")
+@in_turn("settings", [Estimation(70, "stratified"), Estimation(33, "systematic", lag=3)])
+def test_no_bit_of_a_draw_depends_on_other_draws_and_sets(settings: Estimation) -> None:
+    model = recorded(load_model("ungm"), range(11))
+    draws, sets = simulate(model, 10, range(300), 7), [(0, 3, 4, 8), (1, 2, 9), (5,)]
 
-    def mse(some: Any, known: Any = model) -> Any:
-        return accelerator.filter_checked_draws(known, some, times, 5, settings).mse
+    def mse(some: Any, of_sets: Any, known: Any = model) -> Any:
+        ends = [10] * len(of_sets)
+        return accelerator.filter_checked_sets(known, some, of_sets, ends, 5, settings).mse
 
-    whole = mse(draws)
+    whole = mse(draws, sets)
     for part in (slice(0, 1), slice(229, 240), slice(299, 300)):
-        np.testing.assert_array_equal(mse(draws[part]), whole[part])
+        np.testing.assert_array_equal(mse(draws[part], sets[1:]), whole[part, 1:])
     of_a_run = recorded(load_model("ungm"), range(1))  # as a run that resumes reads it
-    np.testing.assert_array_equal(mse(draws, of_a_run), whole)
+    np.testing.assert_array_equal(mse(draws, sets[:1], of_a_run), whole[:, :1])
+    alone = accelerator.filter_checked_draws(model, draws, sets[0], 5, settings).mse
+    np.testing.assert_allclose(alone, whole[:, 0], rtol=1e-12)
+
+
+def test_numbers_of_32_bits_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device other than a processor computes with them."""
+    monkeypatch.setattr(accelerator.jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(accelerator, "_ON_OTHERS", 2**13)
+    model = recorded(load_model("ungm"), range(21))
+    draws, sets = simulate(model, 20, range(400), 7), [tuple(range(0, 21, 3)), (5,)]
+    for settings in (Estimation(500, "systematic"), Estimation(100, lag=3)):
+        own, compiled = (
+            each.filter_checked_sets(model, draws, sets, [20, 20], 5, settings).mse
+            for each in (accelerator, particle_filter)
+        )
+        _check_same_means(own, compiled)
+        np.testing.assert_array_equal(
+            accelerator.filter_checked_sets(model, draws[7:9], sets, [20, 20], 5, settings).mse,
+            own[7:9],
+        )
 
 
 def test_the_papers_error_is_that_of_the_prototype() -> None:
@@ -120,14 +212,12 @@ def test_its_error_is_the_known_one_of_a_linear_gaussian_model(lag: int) -> None
     assert (abs(mse.mean(axis=0) - exact * (1 + 1 / 100)) <= LARGEST_Z * error).all()
 
 
-def test_a_job_can_name_it_and_what_it_lacks_is_not_accepted() -> None:
+def test_a_job_can_name_it() -> None:
     given: dict[str, Any] = {"horizon": 60, "measurement_budget": 21, "engine": "jax"}
     problem = pfdist.Problem("ungm", resampling="systematic", proposal="plain", **given)
     found = pfdist.evaluate(problem.job(seed=1), PAPER, draws=40)
     assert 0 < found.expected_mse < math.inf
     model = load_model("ungm")
-    with pytest.raises(JobError, match=r"a rule needs filter\.engine = 'compiled', got 'jax'"):
-        RULES.check("a rule", problem.job(seed=1), Evaluator(model, 60, engine="jax"))
     with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'jax'"):
         Evaluator(model, 8, engine="jax", estimations=(Estimation(9, proposal=GUIDED),))
     with pytest.raises(TraceError, match="the engine 'batched' calls its functions"):
