@@ -22,7 +22,7 @@ from pfdist.errors import PfdistError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import SUMS, all_or_none, checking, errors_of, weighed
+from pfdist.filters.interface import SUMS, all_or_none, checking, errors_of_filters, weighed
 from pfdist.filters.work import Estimation, filter_streams, sum_of_draws
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
@@ -114,7 +114,7 @@ def filter_checked_sets(
     rows = replace(draws, index=range(shape[0] * shape[1]), z=np.tile(draws.z, (len(sets), 1, 1)))
     counts = np.array(draws.instants) <= np.array(ends)[:, None, None]
     with np.errstate(all="ignore"):
-        each = errors_of(filters, rows, ESTIMATORS[settings.estimator]).reshape(shape)
+        each = errors_of_filters(filters, rows, ESTIMATORS[settings.estimator]).reshape(shape)
         weighted = weighed(each, counts * draws.instant_weights)
         total = np.cumsum(weighted, axis=2)
     before = np.pad(total[..., :-1], ((0, 0), (0, 0), (1, 0))) < np.inf
