@@ -4,8 +4,8 @@ It computes what `pfdist.filters.plain` computes, with noise by JAX, in float64 
 in float32 on other devices. The compiled engine computes what few jobs need, see `_computes`.
 
 A row is a draw with a set. A block always has as many rows, so JAX compiles it once, and the bits
-of a row do not depend on its place or on other rows. Instants are counted from 0, also with a
-prior, and without a lag their number is a power of 2: so a block fits many starts and ends.
+of a row do not depend on its place or on other rows. Without a lag, the number of instants is a
+power of 2, so that a block fits many starts and ends.
 """
 
 from collections.abc import Callable, Sequence
@@ -173,30 +173,30 @@ def _filtered(
 ) -> tuple[FilterArrays, NDArray[np.bool_]]:
     """Some results of all rows, set by set, and the instants at which no particle explains y."""
     request, device = _request(model, draws, settings), jax.default_backend()
-    start, last, count = draws.start, draws.instants[-1], len(draws.index)
-    instants = last + 1 if request.has_lag else 1 << last.bit_length()
+    start, (count, own, _) = draws.start, draws.z.shape
+    instants = own if request.has_lag else 1 << (own - 1).bit_length()
     size = _AT_ONCE.get(device, _ON_OTHERS)
     size = min(size, _WITH_PAST // instants) if request.has_lag else size
     size = max(1, size // settings.particles)
     measured = np.zeros((len(sets), instants, len(model.parts)), np.bool_)
     lines = np.tile([instants, 0], (len(sets), instants, 1))
     for place, (times, end) in enumerate(zip(sets, ends, strict=True)):
-        measured[place].reshape(-1)[[*times]] = True
+        measured[place].reshape(-1)[np.array(times, int) - model.points.first(start)] = True
         if request.has_lag:
             known = plain.estimated(model, range(start, end + 1), times, settings.lag)
-            lines[place, start : end + 1] = [(start + at.start, start + at.stop) for at in known]
-    around = (0, 0), (start, instants - last - 1), (0, 0)
-    of_draws = {"y": np.pad(draws.y, around), "truth": np.pad(draws.x, around)}
+            lines[place, : len(known)] = [(at.start, at.stop) for at in known]
+    unused = (0, 0), (0, instants - own), (0, 0)
+    of_draws = {"y": np.pad(draws.y, unused), "truth": np.pad(draws.x, unused)}
     same: State = {"start": start, "p": model.p._asdict()}
     same["stream"] = np.array([stream >> 32, stream & 0xFFFFFFFF], np.uint32)
     if settings.rule is not None:
         rule = settings.rule.rule
-        same |= {"levels": rule.thresholds_of(range(instants))}
-        same |= {"limit": rule.limit, "exponent": rule.exponent, "instants": last + 1}
+        same |= {"levels": rule.thresholds_of(range(start, start + instants)), "instants": own}
+        same |= {"limit": rule.limit, "exponent": rule.exponent}
     has_prior = isinstance(settings.prior, Cloud)
     x, weight = plain.first(model, draws, stream, settings) if has_prior else ((), np.empty(0))
-    last_of_row, whole = np.repeat(ends, count), State()
-    order = np.argsort(last_of_row, kind="stable")
+    end_of_row, whole = np.repeat(ends, count) + 1 - start, State()
+    order = np.argsort(end_of_row, kind="stable")
     wanted = (*wanted, "fails", *["measured"] * request.has_rule)
     with jax.enable_x64(device == "cpu"):
         for begin in range(0, len(order), size):
@@ -205,7 +205,7 @@ def _filtered(
             of_rows: State = {name: each[draw] for name, each in of_draws.items()}
             of_rows |= {"measured": measured[number], "lines": lines[number]}
             given = same | {name: np.moveaxis(each, 0, -1) for name, each in of_rows.items()}
-            given |= {"last": last_of_row[rows[-1]], "draws": draws.index.start + draw}
+            given |= {"end": end_of_row[rows[-1]], "draws": draws.index.start + draw}
             if has_prior:
                 given |= {"x": [each[draw] for each in x], "weight": weight[draw]}
             found = _run(request, given)
@@ -213,7 +213,7 @@ def _filtered(
                 each = np.asarray(found[name])[: len(rows)]
                 whole.setdefault(name, np.empty((len(order), *each.shape[1:])))[rows] = each
     for name in whole.keys() - {"cloud", "weight"}:
-        whole[name] = whole[name][:, start : last + 1]
+        whole[name] = whole[name][:, :own]
     fails = whole.pop("fails") > 0
     if request.has_rule:
         whole["measured"] = whole["measured"][..., 0] > 0
@@ -224,7 +224,7 @@ def _filtered(
 def _run(request: _Filter, given: State) -> State:
     """The results of a block, with draws first."""
     block = _Block(request, given)
-    cloud, found = lax.fori_loop(given["start"], given["last"] + 1, block.instant, block.first())
+    cloud, found = lax.fori_loop(0, given["end"], block.instant, block.first())
     found = {name: jnp.moveaxis(found[name], -1, 0) for name in found.keys() - {"past"}}
     return found | {"cloud": jnp.stack(cloud["x"], axis=1), "weight": cloud["weight"]}
 
@@ -271,41 +271,41 @@ class _Block:
             found["past"], cloud["parent"] = jnp.zeros((instants, q + 1, *size)), self._every
         return cloud, found | {"measured": given["measured"]}
 
-    def instant(self, t: Any, state: tuple[State, State]) -> tuple[State, State]:
-        """The state after the measurements at t, from that after those at t - 1."""
+    def instant(self, k: Any, state: tuple[State, State]) -> tuple[State, State]:
+        """The state after the measurements at t = start + k, from that after those before."""
         request, given, (cloud, found) = self.request, self.given, state
-        sensors, none = len(request.sensors), jnp.zeros_like(cloud["fails"])
-        x = _where(t > given["start"], partial(self._moved, t - 1), cloud["x"])
+        sensors, none, t = len(request.sensors), jnp.zeros_like(cloud["fails"]), given["start"] + k
+        x = _where(k > 0, partial(self._moved, t - 1), cloud["x"])
         if ALL_SCHEMES[request.resampling].holds_truth:
-            x = [each.at[:, 0].set(true) for each, true in zip(x, given["truth"][t], strict=True)]
-        cloud = cloud | {"x": x, "weighs": none, "fails": none, "measured": given["measured"][t]}
+            x = [each.at[:, 0].set(true) for each, true in zip(x, given["truth"][k], strict=True)]
+        cloud = cloud | {"x": x, "weighs": none, "fails": none, "measured": given["measured"][k]}
         if request.has_rule:
-            cloud = self._decided(t, cloud)
+            cloud = self._decided(t, k, cloud)
         for number in range(sensors):
-            weighed = partial(self._weighed, t, number)
+            weighed = partial(self._weighed, t, given["y"][k], number)
             cloud = _where(cloud["measured"][number].any(), weighed, cloud)
         z, weight = request.quantity(t, given["p"], x=cloud["x"]), cloud["weight"]
         now = cloud | dict(zip(("estimate", "variance"), self._estimated(z, weight), strict=True))
-        now |= {"lines": found["lines"][t]}
+        now |= {"lines": found["lines"][k]}
         now["sizes"] = jnp.where(cloud["weighs"], _sizes(weight), jnp.nan)
         if request.has_lag:
             now["past"], cloud["parent"] = jnp.stack([*z, cloud["parent"]]), self._every
-        found = {name: each.at[t].set(now[name]) for name, each in found.items()}
+        found = {name: each.at[k].set(now[name]) for name, each in found.items()}
         if request.has_lag:
-            smoothed = partial(self._smoothed, t, found["past"], weight)
+            smoothed = partial(self._smoothed, k, found["past"], weight)
             changed = {name: found[name] for name in ("estimate", "variance", "lines")}
             found |= _where(cloud["measured"].any(), smoothed, changed)
         resampled = partial(self._resampled, (t + 1) * sensors - 1, True)
         return _where(cloud["weighs"].any(), resampled, cloud), found
 
-    def _decided(self, t: Any, cloud: State) -> State:
+    def _decided(self, t: Any, k: Any, cloud: State) -> State:
         """Let a rule decide at which of the given points of a sensor each row is measured."""
         given = self.given
         z = self.request.quantity(t, given["p"], x=cloud["x"])
         deviation = jnp.sqrt(self._estimated(z, cloud["weight"])[1].sum(axis=0))
         left, limit = given["limit"] - cloud["spent"], given["limit"]
-        factor = ((given["instants"] - t) / jnp.where(left > 0, left, 1.0)) ** given["exponent"]
-        level = given["levels"][t] * jnp.where(limit > 0, factor, 1.0)
+        factor = ((given["instants"] - k) / jnp.where(left > 0, left, 1.0)) ** given["exponent"]
+        level = given["levels"][k] * jnp.where(limit > 0, factor, 1.0)
         may = cloud["measured"] & ((left > ROUNDING * limit) | (limit == 0))
         measured = may & (deviation > level)
         return cloud | {"measured": measured, "spent": cloud["spent"] + measured[0]}
@@ -314,14 +314,13 @@ class _Block:
         w = self._noise_of(1, t, int(FILTER_PROCESS))
         return self.request.transition(t, self.given["p"], x=x, w=w)
 
-    def _weighed(self, t: Any, number: int, cloud: State) -> State:
+    def _weighed(self, t: Any, y: Any, number: int, cloud: State) -> State:
         """Weigh the particles of the rows that a sensor measures."""
         request, measured = self.request, cloud["measured"][number]
         if number:
             cloud = self._resampled(t * len(request.sensors) + number - 1, measured, cloud)
         log_likelihood, begin, end = request.sensors[number]
-        y = self.given["y"][t, begin:end, :, None]
-        (value,) = log_likelihood(t, self.given["p"], y=y, x=cloud["x"])
+        (value,) = log_likelihood(t, self.given["p"], y=y[begin:end, :, None], x=cloud["x"])
         if request.threshold < np.inf:  # else weights are resampled before they are carried
             value = value + jnp.log(cloud["weight"])
         value = jnp.where(jnp.isfinite(value), value, -jnp.inf)
@@ -374,14 +373,14 @@ class _Block:
         moments = map(partial(_moments, share), counted, self.request.is_angle)
         return [jnp.stack(each) for each in zip(*moments, strict=True)]
 
-    def _smoothed(self, t: Any, past: Any, weight: Any, found: State) -> State:
+    def _smoothed(self, k: Any, past: Any, weight: Any, found: State) -> State:
         """Estimate earlier instants along the lines of the particles, from the last backwards."""
-        first, end = self.given["lines"][t]
+        first, end = self.given["lines"][k]
         rows = jnp.arange(len(weight))[:, None]
 
         def estimated(back: Any, state: tuple[State, Any]) -> tuple[State, Any]:
             found, line = state
-            at = t - back
+            at = k - back
             *z, parent = past[at, :, rows, line].transpose(2, 0, 1)
             mean, variance = self._estimated(z, weight)
             passed = jnp.zeros(weight.shape, bool).at[rows, line].max(weight > 0)
@@ -391,7 +390,7 @@ class _Block:
             found = found | {name: found[name].at[at].set(each) for name, each in kept.items()}
             return found, jnp.int32(parent)
 
-        instants = jnp.where(first < end, t + 1 - first, 0).max()
+        instants = jnp.where(first < end, k + 1 - first, 0).max()
         found, _ = lax.fori_loop(0, instants, estimated, (found, jnp.int32(self._every)))
         return found
 

@@ -27,8 +27,7 @@ HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2
 LARGEST_Z = 4.0  # standard errors
-WITH_BITS = [engine for engine in ENGINES if engine != "jax"]  # those of a step, in any company
-NOT_COMPILED = [engine for engine in WITH_BITS if engine != "compiled"]  # it equals NumPy's
+NOT_COMPILED = [engine for engine in ENGINES if engine != "compiled"]  # it equals NumPy's
 
 SENSORS = StateSpaceModel(  # two sensors of a random walk, either of which may fail
     name="sensors",
@@ -95,8 +94,8 @@ def _check_equal(
 @pytest.mark.parametrize(
     ("engine", "resampling"),
     [
-        *((engine, "systematic") for engine in WITH_BITS),
-        *((engine, "multinomial") for engine in WITH_BITS if engine != "kalman"),
+        *((engine, "systematic") for engine in ENGINES),
+        *((engine, "multinomial") for engine in ENGINES if engine != "kalman"),
     ],
 )
 def test_it_equals_the_batch_filter_draw_for_draw(
@@ -409,7 +408,7 @@ def test_a_wrong_measurement_is_named_and_the_filter_stays(
 def test_a_missing_component_needs_the_models_word() -> None:
     silent = replace(SENSORS, missing_components=False)
     words = r"all .* or none, got y\[1\] missing at t = 2: the model sensors does not declare"
-    for engine in WITH_BITS:
+    for engine in ENGINES:
         with pytest.raises(MeasurementsError, match=words):
             Filter(silent, 20, engine=engine).update(2, [1.0, np.nan])
         assert not Filter(silent, 20, engine=engine).update(2, [np.nan, np.nan]).measured
