@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain
 from typing import Any
 
 import jax.numpy as jnp
 from jax import lax
 
-from pfdist.models.program import GROUPS, Program
+from pfdist.models.program import Program
 from pfdist.models.tracing import MODES, Traced
 
 
@@ -23,18 +25,14 @@ class CompiledFormula:
         traced, instants = self.traced, self.traced.instants
         at = jnp.clip(t - instants[0], 0, len(instants) - 1)
         row = 0 if traced.mode == MODES[0] else jnp.asarray(traced.row)[at]
-        shape = jnp.broadcast_shapes(
-            *(jnp.shape(each) for group in groups.values() for each in group)
-        )
+        shape = jnp.broadcast_shapes(*map(jnp.shape, chain(*groups.values())))
+        leaves = {"t": {None: jnp.asarray(t, float)}, "parameter": parameters, **groups}
 
-        def branch(program: Program) -> Any:
-            def values() -> list[Any]:
-                found = _Run(program, groups, t, parameters, row).outputs()
-                return [jnp.broadcast_to(jnp.asarray(each, float), shape) for each in found]
+        def values(program: Program) -> list[Any]:
+            found = _Run(program, leaves, row, shape).outputs()
+            return [jnp.broadcast_to(jnp.asarray(each, float), shape) for each in found]
 
-            return values
-
-        branches = [branch(each) for each in traced.programs]
+        branches = [partial(values, each) for each in traced.programs]
         chosen = jnp.asarray(traced.which)[at] if len(branches) > 1 else 0
         found: list[Any] = lax.switch(chosen, branches)
         return found
@@ -42,13 +40,12 @@ class CompiledFormula:
 
 @dataclass
 class _Run:
-    """One interpretation of a program."""
+    """One interpretation of a program, whose particles have a shape."""
 
     program: Program
-    groups: Mapping[str, Sequence[Any]]
-    t: Any
-    parameters: Mapping[str, Any]
+    leaves: Mapping[str, Any]
     row: Any
+    shape: tuple[int, ...]
 
     def outputs(self) -> list[Any]:
         values = dict[int, Any]()
@@ -83,8 +80,7 @@ class _Run:
         )  # fmt: skip
         count, *first = (values[each] for each in operations[begin].arguments)
         steps = jnp.where(count >= 1, jnp.minimum(count, operations[begin].which), 1)
-        shapes = [jnp.shape(each) for group in self.groups.values() for each in group]
-        shape = jnp.broadcast_shapes(*shapes, *map(jnp.shape, first))
+        shape = jnp.broadcast_shapes(self.shape, *map(jnp.shape, first))
 
         def alike(given: Iterable[Any]) -> list[Any]:
             return [jnp.broadcast_to(jnp.asarray(each, float), shape) for each in given]
@@ -98,13 +94,12 @@ class _Run:
         return end
 
     def _value(self, name: str, which: Any, given: list[Any]) -> Any:
-        leaves = {"t": jnp.asarray(self.t, float), "parameter": self.parameters.get(which)}
-        if name in leaves or name in GROUPS:
-            return leaves[name] if name in leaves else self.groups[name][which]
-        if name == "covariate":
-            return jnp.asarray(self.parameters[which])[jnp.int32(given[0])]
+        if name in self.leaves:
+            return self.leaves[name][which]
         if name == "constant":
-            return jnp.asarray(self.program.constants, float)[self.row, which]
+            return jnp.asarray(self.program.constants[:, which], float)[self.row]
+        if name == "covariate":
+            return jnp.asarray(self.leaves["parameter"][which])[jnp.int32(given[0])]
         if name == "take":
             table, (index,) = jnp.asarray(self.program.tables[which], float), given
             inside = (index >= 0) & (index < table.size)

@@ -3,8 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from pfdist.errors import ModelError
 
 AUTO: Final = "auto"  # the compiled engine, or the batched one for a batched model
 
@@ -26,6 +29,16 @@ class Engine:
     exact: bool = False  # whether the expected MSE is known without draws
     has_particles: bool = True
     least_draws: int = 1  # of a task: so many take hardly longer than one
+    libraries: tuple[str, ...] = ()  # of the extra with its name; a run notes their versions
+
+    def check(self) -> None:
+        """Raise `ModelError` if a library that it needs is not installed."""
+        for name in self.libraries:
+            if find_spec(name) is None:
+                raise ModelError(
+                    f"filter.engine = {self.name!r} needs pip install 'pfdist[{self.name}]', got "
+                    f"no {name}"
+                )
 
     @property
     def simulate(self) -> Callable[..., Any]:
@@ -72,11 +85,12 @@ KALMAN = Engine(
 )
 JAX = Engine(
     "jax",
-    "Formulas compiled by JAX, as for a GPU.",
+    "Formulas compiled by JAX, for a GPU.",
     simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.accelerator.filter",
     seconds_a_step=2e-8,
-    least_draws=200,
+    least_draws=24,
+    libraries=("jax", "jaxlib"),
 )
 ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN, JAX)}
 if TYPE_CHECKING:
