@@ -170,10 +170,11 @@ def test_corners_are_those_of_the_compiled_engine(
 def test_a_particle_without_weight_is_never_chosen(resampling: str) -> None:
     """Although sums of 32 bits are rounded."""
     model, rng = recorded(load_model("ungm"), range(2)), np.random.default_rng(1)
-    settings = Estimation(500, resampling)
+    rows, particles = 3, 10**6
+    settings = Estimation(particles, resampling)
     request = accelerator._request(model, simulate(model, 1, range(1), 7), settings)
-    given = {"stream": np.array([1, 2], np.uint32), "draws": np.arange(2000)}
-    weight = np.float32(rng.random((2000, 500)) * (rng.random((2000, 500)) < 0.05))
+    given = {"stream": np.array([1, 2], np.uint32), "draws": np.arange(rows)}
+    weight = np.float32(rng.random((rows, particles)) * (rng.random((rows, particles)) < 0.1))
     found = np.asarray(accelerator._Block(request, given)._ancestors(weight, 3))
     assert (np.take_along_axis(weight, found, axis=1) > 0).all()
 
