@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import pfdist
 from oracles.batched import batched
+from oracles.bytes_of import hashes
 from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR
 from pfdist import StateSpaceModel, load_model
@@ -23,6 +25,7 @@ from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import ALWAYS, Applied, Thresholds
 from pfdist.models.loader import installed_models
 from pfdist.models.recorded import recorded
+from pfdist.store import read_run
 
 pytest.importorskip("jax")
 
@@ -281,6 +284,12 @@ def test_its_error_is_the_known_one_of_a_linear_gaussian_model(lag: int) -> None
     assert (abs(mse.mean(axis=0) - exact * (1 + 1 / 100)) <= LARGEST_Z * error).all()
 
 
+def test_a_library_that_is_missing_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pfdist.filters.engines.find_spec", lambda name: None)
+    with pytest.raises(ModelError, match=r"needs pip install 'pfdist\[jax\]', got no jax"):
+        Evaluator(load_model("ungm"), 8, engine="jax")
+
+
 def test_a_job_can_name_it() -> None:
     given: dict[str, Any] = {"horizon": 60, "measurement_budget": 21, "engine": "jax"}
     problem = pfdist.Problem("ungm", resampling="systematic", proposal="plain", **given)
@@ -291,3 +300,15 @@ def test_a_job_can_name_it() -> None:
         Evaluator(model, 8, engine="jax", estimations=(Estimation(9, proposal=GUIDED),))
     with pytest.raises(TraceError, match="the engine 'batched' calls its functions"):
         pfdist.Filter(batched(model), 9, engine="jax")
+
+
+@pytest.mark.slow
+def test_a_run_has_the_same_bytes_with_any_workers(tmp_path: Path) -> None:
+    problem = pfdist.Problem("ungm", horizon=8, measurement_budget=3, particles=40, engine="jax")
+    search = [{"method": "genetic", "population": 6, "generations": 2}]
+    job = problem.job(seed=1, evaluation={"draws": 30}, search=search, comparison={"draws": 60})
+    for pool, workers in (("serial", 1), ("threads", 2)):
+        pfdist.run(job, tmp_path / pool, pool=pool, workers=workers)
+    assert hashes(tmp_path / "serial") == hashes(tmp_path / "threads")
+    about = read_run(tmp_path / "serial")[0]
+    assert {"jax", "jaxlib"} <= about["provenance"]["libraries"].keys()
