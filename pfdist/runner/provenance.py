@@ -46,10 +46,9 @@ def provenance(built: Built) -> dict[str, Any]:
 
 def _here(built: Built) -> dict[str, Any]:
     """The machine of this process, and the versions that compute on it."""
-    libraries = _LIBRARIES + built.evaluator.computed_by.libraries
     return {
         "python": platform.python_version(),
-        "libraries": {name: _version(name) for name in libraries},
+        "libraries": _versions(_LIBRARIES + built.evaluator.computed_by.libraries),
         "machine": {
             "node": platform.node(),
             "system": platform.platform(),
@@ -60,8 +59,8 @@ def _here(built: Built) -> dict[str, Any]:
 
 
 @cache
-def _version(name: str) -> str:
-    return version(name)
+def _versions(libraries: tuple[str, ...]) -> dict[str, str]:
+    return {name: version(name) for name in libraries}
 
 
 @cache
