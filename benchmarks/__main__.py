@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from benchmarks import (
+    accelerator,
     backtest,
     coverage,
     densities,
@@ -37,7 +38,7 @@ from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
 from benchmarks.results import Benchmark, redraw, save, write_readme
 
-# Peers come last: JAX leaves threads behind, and later benchmarks start processes.
+# JAX comes last: it leaves threads behind, and other benchmarks start processes.
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
     "densities": densities,
@@ -61,6 +62,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "size": size,
     "simulators": simulators,
     "peers": peers,
+    "accelerator": accelerator,
 }
 FOLDER = Path(__file__).parent / "results"
 

@@ -3,8 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from pfdist.errors import ModelError
 
 AUTO: Final = "auto"  # the compiled engine, or the batched one for a batched model
 
@@ -21,12 +24,21 @@ class Engine:
     # contracts of those in `pfdist.filters.particle_filter`.
     filtered_by: str
     seconds_a_step: float = 2e-9  # about how long a particle takes for one instant
-    # Whether all formulas are compiled: they keep no lock of Python, and the figures have the same
-    # bits on every processor.
+    # whether all formulas are compiled, and keep no lock of Python
     compiled: bool = True
     exact: bool = False  # whether the expected MSE is known without draws
     has_particles: bool = True
     least_draws: int = 1  # of a task: so many take hardly longer than one
+    libraries: tuple[str, ...] = ()  # of the extra with its name; a run notes their versions
+
+    def check(self) -> None:
+        """Raise `ModelError` if a library that it needs is not installed."""
+        for name in self.libraries:
+            if find_spec(name) is None:
+                raise ModelError(
+                    f"filter.engine = {self.name!r} needs pip install 'pfdist[{self.name}]', got "
+                    f"no {name}"
+                )
 
     @property
     def simulate(self) -> Callable[..., Any]:
@@ -71,7 +83,16 @@ KALMAN = Engine(
     has_particles=False,
     least_draws=200,
 )
-ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN)}
+JAX = Engine(
+    "jax",
+    "Formulas compiled by JAX, for a GPU.",
+    simulated_by="pfdist.filters.simulation",
+    filtered_by="pfdist.accelerator.filter",
+    seconds_a_step=2e-8,
+    least_draws=24,
+    libraries=("jax", "jaxlib"),
+)
+ENGINES = {engine.name: engine for engine in (COMPILED, BATCHED, NUMPY, KALMAN, JAX)}
 if TYPE_CHECKING:
     EngineName = str
 else:

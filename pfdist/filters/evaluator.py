@@ -88,6 +88,7 @@ class Evaluator:
     gives_information: bool = False
 
     def __post_init__(self) -> None:
+        self.computed_by.check()
         check_fits(self.believed, self.model)
         if self.prior is not None:
             for each in (self.model, self.believed):

@@ -136,7 +136,7 @@ def one_by_one(
         degenerate[:, column] = np.any([each.degenerate for each in filters], axis=0)
         with np.errstate(all="ignore"):
             if errors:
-                each_draw[:, column, :until] = _errors(filters, some, estimator)
+                each_draw[:, column, :until] = errors_of_filters(filters, some, estimator)
             if errors == SUMS:
                 weighted = weighed(each_draw[:, column, :until], some.instant_weights)
                 sums[column, :until] = sum_of_draws(weighted)
@@ -175,7 +175,7 @@ def errors_by_variance(
     return errors
 
 
-def _errors(filters: Sequence[FilterArrays], draws: Draws, estimator: Estimator) -> Array:
+def errors_of_filters(filters: Sequence[FilterArrays], draws: Draws, estimator: Estimator) -> Array:
     """The estimated error of each draw at each instant, (D, T+1), without its weight."""
     model = draws.model
     estimates, variances = (
@@ -206,6 +206,6 @@ def _mse(filters: Sequence[FilterArrays], draws: Draws, estimator: Estimator) ->
     if estimator == SQUARED_ERROR:
         return mse
     with np.errstate(all="ignore"):
-        errors = weighed(_errors(filters, draws, estimator), draws.instant_weights)
+        errors = weighed(errors_of_filters(filters, draws, estimator), draws.instant_weights)
         mean = np.mean(errors, axis=1)
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))

@@ -54,7 +54,7 @@ class OneFilter:
     settings: Estimation
     stream: int  # key of the filter's noise, 64 bits
     draw: int = 0  # index of the draw in the stream
-    engine: str = COMPILED.name  # "compiled", "numpy" or "kalman"
+    engine: str = COMPILED.name
     measured: bool = False  # whether the instant t was measured
 
     def __post_init__(self) -> None:

@@ -113,8 +113,8 @@ def _filter(
     log_likelihoods = np.zeros((2, count, instants))
     fails = np.zeros((count, instants), np.bool_)
     first_kept = first_smoothed(settings.lag, draws.instants)
-    estimated = _estimated(model, draws.instants, times, settings.lag)
-    x, carried = _first(model, draws, stream, settings)
+    estimates = estimated(model, draws.instants, times, settings.lag)
+    x, carried = first(model, draws, stream, settings)
     kept = particles if keeps_lines else 0
     line_weight, line_z = np.ones((count, instants, kept)), np.empty((*draws.z.shape, kept))
     # z at the last instants, along the particles' lines, and which particles these go through
@@ -137,7 +137,7 @@ def _filter(
         if scheme.holds_truth and measured:
             ranks[:, :, k] = np.stack([_shares_below(z, share) for z in past[-1][:-1]], axis=-1)
         # The lines of a measurement give a better estimate of the instants before it.
-        for at in estimated[k]:
+        for at in estimates[k]:
             *components, through = past[at - k - 1]
             if settings.lag:
                 of_lines, z_of_lines = _by_particle(through, weight, components)
@@ -153,17 +153,28 @@ def _filter(
         sizes[weighs, k] = _effective_sizes(weight)[weighs]
         key = model.points.at(t)[-1]
         x, carried = _resampled(x, past, weight, settings, stream, draws.index, key, weighs)
-    mse, ends = _mse(draws, mean)
-    before = np.arange(instants) <= ends[:, None]
-    mean[~before], variance[~before], sizes[~before] = np.nan, np.nan, np.nan
-    degenerate = np.any(fails & before, axis=1)
-    last = np.stack(x, axis=1)
-    last[ends < instants] = np.nan
-    mse[degenerate & scheme.holds_truth] = np.nan
-    return FilterArrays(
-        mse, degenerate, mean, variance, sizes, np.empty((0, 0)), ranks, last, carried, lines,
-        line_z, line_weight, log_likelihoods, np.empty((count, 0), np.uint8),
-    )  # fmt: skip
+    return finished(draws, settings, fails, FilterArrays(
+        np.empty(0), np.empty(0, np.bool_), mean, variance, sizes, np.empty((0, 0)), ranks,
+        np.stack(x, axis=1), carried, lines, line_z, line_weight, log_likelihoods,
+        np.empty((count, 0), np.uint8),
+    ))  # fmt: skip
+
+
+def finished(
+    draws: Draws, settings: Estimation, fails: NDArray[np.bool_], found: FilterArrays
+) -> FilterArrays:
+    """The results with MSE and degenerate draws, and without what follows an infinite error.
+
+    `fails` are the instants of each draw at which no particle explains a measurement, (D, T+1).
+    """
+    mse, ends = _mse(draws, found.estimate)
+    after = np.arange(fails.shape[1]) > ends[:, None]
+    for array in (found.estimate, found.variance, found.sizes):
+        array[after] = np.nan
+    found.cloud[ends < fails.shape[1]] = np.nan
+    degenerate = np.any(fails & ~after, axis=1)
+    mse[degenerate & ALL_SCHEMES[settings.resampling].holds_truth] = np.nan
+    return found._replace(mse=mse, degenerate=degenerate)
 
 
 def _mse(draws: Draws, mean: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -179,7 +190,7 @@ def _mse(draws: Draws, mean: Array) -> tuple[Array, NDArray[np.int64]]:
     return total / instants, ends
 
 
-def _estimated(model: StateSpaceModel, instants: range, times: Times, lag: Lag) -> list[range]:
+def estimated(model: StateSpaceModel, instants: range, times: Times, lag: Lag) -> list[range]:
     """The instants that each instant estimates, unless a later measurement estimates them again.
 
     All count from the first. An instant without a measurement estimates itself.
@@ -210,7 +221,7 @@ def _shares_below(z: Array, share: Array) -> Array:
     return below
 
 
-def _first(
+def first(
     model: StateSpaceModel, draws: Draws, stream: int, settings: Estimation
 ) -> tuple[tuple[Array, ...], Array]:
     """States and weights, each (D, particles), with which the filters begin."""

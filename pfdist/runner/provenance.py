@@ -38,17 +38,17 @@ def provenance(built: Built) -> dict[str, Any]:
         "name_of_model": model.name,
         "names": {"z": [*model.z_names], "y": [*model.y_names]},
         "angles": [*model.is_angle] if model.error is squared_error else [],
-        **_here(),
+        **_here(built),
         "execution": job.execution.model_dump(mode="json"),
         **({"declared": declared} if declared else {}),
     }
 
 
-def _here() -> dict[str, Any]:
+def _here(built: Built) -> dict[str, Any]:
     """The machine of this process, and the versions that compute on it."""
     return {
         "python": platform.python_version(),
-        "libraries": dict(_libraries()),
+        "libraries": _versions(_LIBRARIES + built.evaluator.computed_by.libraries),
         "machine": {
             "node": platform.node(),
             "system": platform.platform(),
@@ -59,8 +59,8 @@ def _here() -> dict[str, Any]:
 
 
 @cache
-def _libraries() -> dict[str, str]:
-    return {name: version(name) for name in _LIBRARIES}
+def _versions(libraries: tuple[str, ...]) -> dict[str, str]:
+    return {name: version(name) for name in libraries}
 
 
 @cache
@@ -86,7 +86,7 @@ def note_machine(path: Path, built: Built, say: Callable[[str], Any]) -> None:
 
     This process must hold the run's folder.
     """
-    provenance, here = read_run(path)[0]["provenance"], _here()
+    provenance, here = read_run(path)[0]["provenance"], _here(built)
     others = provenance.get(CONTINUED, [])
     if here not in ({key: provenance[key] for key in here}, *others):
         add_to_provenance(path, {CONTINUED: [*others, here]})
@@ -101,7 +101,7 @@ def what_may_differ(built: Built) -> str:
     engine = built.evaluator.engine
     if engine == COMPILED.name:
         return ""
-    return f"numbers of filter.engine = {engine!r} agree to about 12 digits, not to the last"
+    return f"numbers of filter.engine = {engine!r} depend on the processor"
 
 
 def lender(path: Path, built: Built | None = None) -> Store:

@@ -30,7 +30,7 @@ UNITS = {
     "filters/one_filter.py Followed.again": "cloud: again number",
     "filters/particle_filter.py _truth_noise": "draw: index",
     "filters/plain.py simulate": "draw: index t",
-    "filters/plain.py _first": "draw: draws.index",
+    "filters/plain.py first": "draw: draws.index",
     "filters/plain.py step": "draw: draws t",
     "filters/predicted.py circular_measurements": "nothing, it only looks for angles:",
     "filters/scenarios.py scenarios_of_draws": "block of draws: begins",

@@ -27,7 +27,10 @@ HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2
 LARGEST_Z = 4.0  # standard errors
-NOT_COMPILED = [engine for engine in ENGINES if engine != "compiled"]  # it equals NumPy's
+EACH = [  # JAX compiles every filter for seconds
+    pytest.param(engine, marks=[pytest.mark.slow] * (engine == "jax")) for engine in ENGINES
+]
+NOT_COMPILED = [each for each in EACH if each.values != ("compiled",)]  # it equals NumPy's
 
 SENSORS = StateSpaceModel(  # two sensors of a random walk, either of which may fail
     name="sensors",
@@ -91,13 +94,8 @@ def _check_equal(
         np.testing.assert_array_equal(estimate.standard_deviation, np.sqrt(batch[1][t]))
 
 
-@pytest.mark.parametrize(
-    ("engine", "resampling"),
-    [
-        *((engine, "systematic") for engine in ENGINES),
-        *((engine, "multinomial") for engine in ENGINES if engine != "kalman"),
-    ],
-)
+@pytest.mark.parametrize("engine", EACH)
+@pytest.mark.parametrize("resampling", ["systematic", "multinomial"])
 def test_it_equals_the_batch_filter_draw_for_draw(
     ungm: StateSpaceModel, engine: str, resampling: str
 ) -> None:
@@ -405,13 +403,13 @@ def test_a_wrong_measurement_is_named_and_the_filter_stays(
         filtering.predict(3)
 
 
-def test_a_missing_component_needs_the_models_word() -> None:
+@pytest.mark.parametrize("engine", EACH)
+def test_a_missing_component_needs_the_models_word(engine: str) -> None:
     silent = replace(SENSORS, missing_components=False)
     words = r"all .* or none, got y\[1\] missing at t = 2: the model sensors does not declare"
-    for engine in ENGINES:
-        with pytest.raises(MeasurementsError, match=words):
-            Filter(silent, 20, engine=engine).update(2, [1.0, np.nan])
-        assert not Filter(silent, 20, engine=engine).update(2, [np.nan, np.nan]).measured
+    with pytest.raises(MeasurementsError, match=words):
+        Filter(silent, 20, engine=engine).update(2, [1.0, np.nan])
+    assert not Filter(silent, 20, engine=engine).update(2, [np.nan, np.nan]).measured
 
 
 def _walk(**formulas: Any) -> StateSpaceModel:

@@ -50,11 +50,12 @@ def test_every_version_that_computed_for_a_run_stands_in_run_json(
     path = tmp_path / "run"
     first = pfdist.run(small_job, path, figures=False)
     before = provenance(first.path)
-    others = {name: f"9.{name}" for name in provenance_module._libraries()}
-    monkeypatch.setattr(provenance_module, "_libraries", lambda: others)
+    monkeypatch.setattr("pfdist.runner.provenance.version", lambda name: f"9.{name}")
+    provenance_module._versions.cache_clear()
     for draws in (10, 20):
         more = small_job.comparison.draws + draws
         pfdist.run(small_job.with_changes([f"comparison.draws={more}"]), path, figures=False)
+    provenance_module._versions.cache_clear()
     after = provenance(path)
     (there,) = after.pop("continued_on")
     assert after == before

@@ -119,7 +119,7 @@ def keys_in_messages(source: str) -> Iterator[str]:
 # A formula of a model, a function of an engine, a figure and a command have names of their kinds.
 OF_A_KIND = ("pfdist/models/library/", "pfdist/cli/own.py")
 PLOTS = (ROOT / "pfdist/pages/plots.py").read_text()
-ENGINES_HAVE = {"filter_checked_draws", "log_evidence", "simulate"}
+ENGINES_HAVE = {"filter_checked_draws", "filter_checked_sets", "log_evidence", "simulate"}
 
 
 def public_names(source: str) -> Iterator[str]:
