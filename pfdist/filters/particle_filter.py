@@ -181,6 +181,8 @@ def _filter(
     )
     filter_all(blocks, request, planned, results, scheme.name, ruling)
     callbacks.raise_callback_error()
+    if ESTIMATORS[settings.estimator].weights.distance:  # of an estimate that may be infinite
+        mse[np.isnan(mse)] = np.inf
     degenerate = results.degenerate.view(np.bool_)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement

@@ -3,14 +3,17 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from oracles.in_turn import in_turn
 from oracles.kalman import TRACKING, riccati_cost
 from pfdist import load_model
 from pfdist.common.measurement_times import Times, regular
 from pfdist.common.scenario import Scenario
+from pfdist.filters import particle_filter, plain
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
@@ -70,6 +73,18 @@ def test_of_a_linear_gaussian_model_the_mean_is_the_riccati_cost(estimator: str)
     assert (np.abs(without.mean(axis=0) - exact) < limit).all()
     if estimator != "squared_error":  # the truth's own chance is gone
         assert (found.std(axis=0) < 0.4 * exact).all()
+
+
+@in_turn("engine", [particle_filter, plain])
+def test_two_filters_of_which_one_is_infinite_have_an_infinite_difference(engine: Any) -> None:
+    overflow = replace(
+        UNGM, transition=lambda x, t, w, p: (np.exp(np.where(w[0] > 3.0, 1000.0, w[0])),)
+    )
+    draws, settings = simulate(UNGM, HORIZON, range(60), 1), Estimation(20, estimator="two_errors")
+    with np.errstate(all="ignore"):
+        found = engine.filter_checked_sets(overflow, draws, SETS, ENDS, 9, settings).mse
+    assert 0 < np.isinf(found).mean() < 1
+    assert not np.isnan(found).any()
 
 
 def by_hand(draws: Draws, times: Times, end: int, estimator: str) -> Array:
