@@ -1,6 +1,9 @@
 """The engine `jax` against the compiled engine, the plain filter, and exactly known errors."""
 
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -288,6 +291,14 @@ def test_a_library_that_is_missing_is_named_at_once(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("pfdist.filters.engines.find_spec", lambda name: None)
     with pytest.raises(ModelError, match=r"needs pip install 'pfdist\[jax\]', got no jax"):
         Evaluator(load_model("ungm"), 8, engine="jax")
+
+
+def test_without_a_device_a_line_says_so() -> None:
+    call = [sys.executable, "-c", "import pfdist.accelerator"]
+    environment = os.environ | {"JAX_PLATFORMS": "abacus"}
+    ended = subprocess.run(call, env=environment, capture_output=True, text=True, check=False)
+    last = ended.stderr.splitlines()[-1]
+    assert "needs JAX and a device, got Unable to initialize backend 'abacus'" in last
 
 
 def test_a_job_can_name_it() -> None:
