@@ -8,6 +8,7 @@ notes that the code of today draws the same. It needs ``.[dev,bench]`` and Chrom
 import argparse
 import ast
 import hashlib
+import io
 import json
 import os
 import re
@@ -16,6 +17,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tokenize
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,14 +96,22 @@ def _needed(paths: tuple[str, ...]) -> set[str]:
 
 
 def _code(path: Path) -> bytes:
+    """The text of a file without docstrings and comments, the same with every Python."""
+    text = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
-        return path.read_bytes()
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
+        return text.encode()
+    lines = text.splitlines()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            row, column = token.start
+            lines[row - 1] = lines[row - 1][:column]
+    for node in ast.walk(ast.parse(text)):
         match node:
             case ast.Module() | ast.ClassDef() | ast.FunctionDef() if ast.get_docstring(node):
-                node.body = node.body[1:]
-    return ast.unparse(tree).encode()
+                docstring = node.body[0]
+                for row in range(docstring.lineno, (docstring.end_lineno or 0) + 1):
+                    lines[row - 1] = ""
+    return "\n".join(line.rstrip() for line in lines if line.strip()).encode()
 
 
 # --- groups ---------------------------------------------------------------------------------------

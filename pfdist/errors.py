@@ -14,6 +14,7 @@
     │   ├── BusyError               another process is computing the run
     │   └── RunMismatchError        the folder holds a different run
     ├── SearchError                 a search found no usable set
+    ├── MissingExtraError           a library of an extra is missing; also a ModuleNotFoundError
     ├── SweepError                  some points of a sweep failed; the others are finished
     └── PoolError                   workers cannot be started
         ├── SilenceError            workers no longer answer
@@ -197,6 +198,23 @@ class RunMismatchError(StoreError):
 
 class SearchError(PfdistError):
     """A search found no usable set of times."""
+
+
+class MissingExtraError(PfdistError, ModuleNotFoundError):
+    """A library of an extra is not installed.
+
+    Parameters
+    ----------
+    needed_by : str
+        What needs the extra, in the words of the user.
+    extra : str
+        Name of the extra.
+    library : str
+        The missing library.
+    """
+
+    def __init__(self, needed_by: str, extra: str, library: str | None) -> None:
+        super().__init__(f"{needed_by} needs pip install -e '.[{extra}]', got no {library}")
 
 
 class SweepError(PfdistError):

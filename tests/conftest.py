@@ -23,6 +23,7 @@ from pfdist.errors import started_in
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
+from oracles.extras import SkipsWithoutExtra, lack_of
 from oracles.undrawn import undraw
 
 # No test depends on measured time, and each finds the same when it is repeated.
@@ -42,6 +43,16 @@ def no_flush() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def commit_seconds(pytestconfig: pytest.Config) -> Iterator[None]:
+    """Commit rows as often as ``--commit-seconds`` says: as a slow machine does, or never."""
+    seconds = pytestconfig.getoption("commit_seconds")
+    with pytest.MonkeyPatch.context() as patch:
+        if seconds is not None:
+            patch.setattr("pfdist.runner.door.COMMIT_SECONDS", seconds)
         yield
 
 
@@ -188,6 +199,13 @@ def ray_cluster() -> Iterator[None]:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--keep-golden", action="store_true", help="write the golden numbers anew")
+    parser.addoption(
+        "--commit-seconds", type=float, help="commit after the work of so many seconds: 0.001, inf"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(SkipsWithoutExtra())
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -195,6 +213,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Mark the quick tests and the faults; let `pytest -m crash` run the whole table of faults."""
     quick = tuple(f"tests/{folder}/" for folder in QUICK)
     for item in items:
+        for mark in item.iter_markers("needs"):
+            if lack := lack_of(*mark.args):
+                item.add_marker(pytest.mark.skip(reason=lack))
         if item.nodeid.startswith(quick) and not item.get_closest_marker("notebook"):
             item.add_marker("quick")
         # Slurm must be installed first, so its tests are run by their own name alone.

@@ -1,15 +1,17 @@
 """The engine `jax`: recorded programs interpreted with `jax.numpy`, on a GPU, a TPU or processors.
 
-It needs the extra ``pfdist[jax]``. The package can do without this room, and without the engine in
+It needs the extra ``jax``. The package can do without this room, and without the engine in
 `pfdist.filters.engines`.
 """
 
-from pfdist.errors import PfdistError
+from pfdist.errors import MissingExtraError, PfdistError
 
 try:
     import jax
 
     jax.default_backend()
+except ModuleNotFoundError as error:
+    raise MissingExtraError("filter.engine = 'jax'", "jax", error.name) from error
 except Exception as error:
     reason = str(error).partition("\n")[0] or type(error).__name__
     raise PfdistError(f"filter.engine = 'jax' needs JAX and a device, got {reason}") from error

@@ -13,7 +13,7 @@ JOB = """#:schema ./job.schema.json
 #
 #   pfdist check-model NAME.toml    # after each change: is anything wrong?
 #   pfdist plan NAME.toml           # when to measure, and how good that is
-#   pfdist explore NAME.toml        # move the times by hand: pip install 'pfdist[explore]'
+#   pfdist explore NAME.toml        # move the times by hand: pip install -e '.[explore]'
 
 seed = 1
 

@@ -173,7 +173,7 @@ def _error(error: Exception, *, debug: bool) -> int:
         reason = reason if reason.startswith(option) else f"{option}: {reason}"
     elif isinstance(error, MemoryError):
         reason = "not enough memory; fewer draws or particles need less"
-    elif isinstance(error, OSError | ImportError):
+    elif isinstance(error, OSError | ImportError) and not isinstance(error, PfdistError):
         reason = str(_output_error() or error.__cause__ or error)
     elif isinstance(error, TaskError) or not isinstance(error, PfdistError):
         hint = " (--debug shows the traceback)"

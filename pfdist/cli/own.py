@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from pfdist.common.arguments import path_argument
-from pfdist.errors import ArgumentError, ModelError, PfdistError, StoreError
+from pfdist.errors import ArgumentError, ModelError, StoreError
 from pfdist.questions.options import Options, with_options
 from pfdist.runner.progress import silent
 
@@ -139,7 +139,7 @@ def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:
 
     The page answers this machine alone, at an address that is printed, and ends with the command:
     press Ctrl-C. Whoever has the address can ask, so show it to nobody. Needs
-    pip install 'pfdist[explore]'.
+    pip install -e '.[explore]'.
 
     Parameters
     ----------
@@ -150,12 +150,8 @@ def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:
     browser : bool
         Whether the page is opened in the browser.
     """
-    try:
-        from pfdist.explorer.server import explorer_page
-    except ModuleNotFoundError as error:
-        raise PfdistError(
-            f"explore needs {error.name}, which is not installed: pip install 'pfdist[explore]'"
-        ) from error
+    from pfdist.explorer.server import explorer_page
+
     yield from explorer_page(job, port=port, browser=browser)
 
 

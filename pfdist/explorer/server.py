@@ -21,19 +21,22 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import uvicorn
-import websockets  # noqa: F401  uvicorn needs it
-from starlette.applications import Starlette
-from starlette.middleware import Middleware
-from starlette.responses import Response
-from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect
-
 from pfdist.common import stopping
-from pfdist.errors import ArgumentError
+from pfdist.errors import ArgumentError, MissingExtraError
 from pfdist.explorer.session import ExplorerSession, reply
 from pfdist.problem.problem import JobSource
 from pfdist.results import Run
+
+try:
+    import uvicorn
+    import websockets  # noqa: F401  uvicorn needs it
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+    from starlette.responses import Response
+    from starlette.routing import Route, WebSocketRoute
+    from starlette.websockets import WebSocket, WebSocketDisconnect
+except ModuleNotFoundError as error:
+    raise MissingExtraError("explore", "explore", error.name) from error
 
 _MOST_PORT = 65_535
 ADDRESS = "127.0.0.1"

@@ -4,7 +4,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from pfdist.errors import PfdistError
+from pfdist.errors import MissingExtraError
 from pfdist.explorer.session import ExplorerSession, reply
 from pfdist.problem.problem import JobSource
 from pfdist.results import Run
@@ -40,10 +40,8 @@ def explore(problem_or_run: JobSource | Run) -> Any:
 def _widget_class() -> type[Any]:
     try:
         import anywidget  # noqa: PLC0415  an optional library
-    except ModuleNotFoundError:
-        raise PfdistError(
-            "explore needs anywidget, which is not installed: pip install 'pfdist[explore]'"
-        ) from None
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("explore", "explore", error.name) from error
     folder = files("pfdist.explorer")
 
     class Explorer(anywidget.AnyWidget):  # type: ignore[misc, unused-ignore]

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from pfdist.errors import ModelError
+from pfdist.errors import MissingExtraError
 
 AUTO: Final = "auto"  # the compiled engine, or the batched one for a batched model
 
@@ -32,13 +32,10 @@ class Engine:
     libraries: tuple[str, ...] = ()  # of the extra with its name; a run notes their versions
 
     def check(self) -> None:
-        """Raise `ModelError` if a library that it needs is not installed."""
+        """Raise `MissingExtraError` if a library that it needs is not installed."""
         for name in self.libraries:
             if find_spec(name) is None:
-                raise ModelError(
-                    f"filter.engine = {self.name!r} needs pip install 'pfdist[{self.name}]', got "
-                    f"no {name}"
-                )
+                raise MissingExtraError(f"filter.engine = {self.name!r}", self.name, name)
 
     @property
     def simulate(self) -> Callable[..., Any]:

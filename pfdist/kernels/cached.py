@@ -1,14 +1,16 @@
 """Functions that Numba compiles once per machine; their machine code is kept in a folder.
 
 The folder belongs to this user alone, because the files in it are code. Its name contains a hash of
-the sources of the code, and of the versions. Numba itself checks only the file in which a function
-is defined, not those of the functions that it calls.
+the sources of the code, the versions and the processor. Numba itself checks only the file in which
+a function is defined, not those of the functions that it calls. Whatever is wrong with the folder,
+a warning says so, and functions are compiled again.
 """
 
 import ctypes
 import hashlib
 import os
 import platform
+import shutil
 import tempfile
 import threading
 import warnings
@@ -20,6 +22,7 @@ from typing import Any, Final
 import llvmlite
 import numba
 import numpy as np
+from llvmlite import binding
 from numba import types
 
 from pfdist.common.arguments import address_fault
@@ -82,27 +85,64 @@ def entry(kind: type) -> Callable[[Callable[..., Any]], Entry]:
 
 
 def _with_code_kept(function: Callable[..., Any], place: Place) -> Any:
-    """The compiled function, from the folder if it is there.
+    """The compiled function, loaded from the folder if its code is there, else kept there.
+
+    ``<function>-<hash>/`` has what Numba keeps of a function. It gets this name in one step, when
+    it is whole, and never changes. So a process that dies leaves nothing half, and machine code
+    with another hash is never loaded.
+    """
+    signature, folder = types.void(place), _folder(Path(function.__code__.co_filename).parent)
+    start = f"{function.__module__}.{function.__qualname__}-"
+    try:
+        for kept in folder.glob(f"{start}*") if folder else ():
+            if kept.name != start + _hash_of_files(kept):
+                raise ValueError(f"{kept.name} has another hash")
+            return _compiled_in(kept, function, signature)
+    except Exception as error:  # unpickling and LLVM raise errors of many types
+        _warn(folder, "code that was kept is damaged, and is compiled again", error)
+        for each in folder.glob("[!.]*"):
+            shutil.rmtree(each, ignore_errors=True)
+    if folder and not _full:
+        try:
+            with tempfile.TemporaryDirectory(
+                prefix=".",
+                dir=folder,
+                ignore_cleanup_errors=True,  # it gets another name
+            ) as unfinished:
+                code = _compiled_in(unfinished, function, signature)
+                kept = folder / f"{start}{_hash_of_files(Path(unfinished))}"
+                if not kept.exists():  # another process may have been quicker
+                    Path(unfinished).rename(kept)
+                return code
+        except OSError as error:
+            _full.append(folder)
+            _warn(folder, _NOT_KEPT, error)
+    return numba.cfunc(signature, error_model="numpy")(function)
+
+
+def _compiled_in(folder: str | Path, function: Callable[..., Any], signature: Any) -> Any:
+    """The function, which Numba loads from a folder, or compiles and writes to it.
 
     Numba's setting of the folder holds for a whole process. It is read when a function is declared,
     so it is changed for this time only, and cached functions of the user do not move.
     """
-    folder, before = _folder(), numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = folder or before
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
     try:
-        signature = types.void(place)
-        return numba.cfunc(signature, cache=bool(folder), error_model="numpy")(function)
+        return numba.cfunc(signature, cache=True, error_model="numpy")(function)
     finally:
         numba.config.CACHE_DIR = before
 
 
 @cache
-def _folder() -> str:
-    """The folder, which is made if necessary; empty, with a warning, if it cannot be used."""
+def _folder(sources: Path) -> Path | None:
+    """The folder for functions in a folder of sources; None, with a warning, if it is not usable.
+
+    It is made if necessary.
+    """
     place = os.environ.get(FOLDER_VARIABLE)
     usual = Path(tempfile.gettempdir()) / f"pfdist-{os.getuid()}"
     parent = Path(place).resolve() if place else usual
-    folder = parent / _hash_of_sources()
+    folder = parent / _hash_of_sources(sources)
     try:
         if place and (fault := address_fault(place)):
             raise OSError(fault)
@@ -114,23 +154,50 @@ def _folder() -> str:
                     "it must belong to this user, and be writable by its owner alone"
                 )
     except OSError as error:
-        warnings.warn(
-            f"compiled code is not kept, so each process compiles for some seconds: {error} "
-            f"({FOLDER_VARIABLE}: {parent})",
-            EngineWarning,
-            stacklevel=2,
-        )
-        return ""
+        _warn(parent, _NOT_KEPT, error)
+        return None
     if not any(folder.iterdir()):
         tell("Compiling the filter, once on this machine (about 10 s)...")
-    return str(folder)
+    return folder
 
 
-def _hash_of_sources() -> str:
-    """Hash of the sources of this room, and of all versions on which machine code depends."""
+_NOT_KEPT = "compiled code is not kept, so each process compiles for some seconds"
+_full = list[Path]()  # folders that could not be written
+
+
+def _warn(folder: Path, what: str, error: Exception) -> None:
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    warnings.warn(
+        f"{what}: {reason or type(error).__name__} ({FOLDER_VARIABLE}: {folder})",
+        EngineWarning,
+        stacklevel=3,
+    )
+
+
+def _hash_of_files(folder: Path) -> str:
+    """Hash of the names and contents of all files below a folder."""
     content = hashlib.blake2b(digest_size=8)
-    for file in sorted(Path(__file__).parent.glob("*.py")):
+    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
+        content.update(f"{file.relative_to(folder)}:{file.stat().st_size}:".encode())
         content.update(file.read_bytes())
+    return content.hexdigest()
+
+
+def _hash_of_sources(folder: Path) -> str:
+    """Hash of the sources of compiled code, and of all else on which machine code depends.
+
+    These are all files of each folder of the package in which one imports this module, and those of
+    the given folder. Numba compares the size and time of the file that has the function.
+    """
+    package = Path(__file__).parents[1]
+    texts = {file: file.read_bytes() for file in package.rglob("*.py")}
+    texts |= {file: file.read_bytes() for file in folder.glob("*.py")}
+    folders = {folder, *(file.parent for file, text in texts.items() if __name__.encode() in text)}
+    content = hashlib.blake2b(digest_size=8)
+    for file in sorted(file for file in texts if file.parent in folders):
+        content.update(f"{file}:{file.stat().st_mtime_ns}:".encode() + texts[file])
+    processor = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
+    chosen = numba.config.CPU_NAME, numba.config.CPU_FEATURES
     versions = (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
-    content.update(repr(versions).encode())
+    content.update(repr((processor, chosen, versions)).encode())
     return content.hexdigest()

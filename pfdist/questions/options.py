@@ -6,7 +6,6 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
-from textwrap import indent
 from typing import Annotated, Any, ParamSpec, TypedDict, TypeVar
 
 from pydantic import Field
@@ -60,7 +59,7 @@ def criteria_in(also: Names | None) -> list[str] | None:
 
 P = ParamSpec("P")
 R = TypeVar("R")
-_PLACE = "    options\n        See `Options`.\n"
+_PLACE = "options\n    See `Options`."
 
 
 class Options(TypedDict, total=False):
@@ -170,9 +169,10 @@ def with_options(function: Callable[P, R], without: str = "") -> Callable[P, R]:
     described = inspect.cleandoc(Options.__doc__ or "").partition("\n\n")[2]
     if without:
         described = re.sub(rf"(?m)^{without} : .*\n(?: .*\n)*", "", described)
-    given = (function.__doc__ or "").partition(_PLACE)
+    # Python 3.13 strips docstrings of their indentation, earlier versions do not.
+    before, _, after = inspect.cleandoc(function.__doc__ or "").partition(_PLACE)
     listed = ", ".join(each.name for each in added)
     see = "Where to compute, and what to show: see `pfdist.Options`."
-    call.__doc__ = f"{given[0]}    {listed} : options\n        {see}\n{given[2]}"
-    call.described = given[0] + indent(described, "    ") + "\n" + given[2]  # type: ignore[attr-defined]
+    call.__doc__ = f"{before}{listed} : options\n    {see}{after}"
+    call.described = f"{before}{described}{after}"  # type: ignore[attr-defined]
     return call

@@ -17,7 +17,8 @@ from oracles.bytes_of import hashes
 from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR
 from pfdist import StateSpaceModel, load_model
-from pfdist.errors import ModelError, TraceError
+from pfdist.accelerator import filter as accelerator
+from pfdist.errors import MissingExtraError, ModelError, TraceError
 from pfdist.filters import kalman, particle_filter
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
@@ -30,9 +31,6 @@ from pfdist.models.loader import installed_models
 from pfdist.models.recorded import recorded
 from pfdist.store import read_run
 
-pytest.importorskip("jax")
-
-accelerator: Any = pytest.importorskip("pfdist.accelerator.filter")
 LARGEST_Z = 4.0  # standard errors
 PAPER = tuple(range(0, 61, 3))
 SHIPPED = sorted(
@@ -289,7 +287,7 @@ def test_its_error_is_the_known_one_of_a_linear_gaussian_model(lag: int) -> None
 
 def test_a_library_that_is_missing_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pfdist.filters.engines.find_spec", lambda name: None)
-    with pytest.raises(ModelError, match=r"needs pip install 'pfdist\[jax\]', got no jax"):
+    with pytest.raises(MissingExtraError, match=r"needs pip install -e '\.\[jax\]', got no jax"):
         Evaluator(load_model("ungm"), 8, engine="jax")
 
 

@@ -151,5 +151,5 @@ def test_a_cache_at_an_address_is_named_and_not_made(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(cached.FOLDER_VARIABLE, ADDRESS)
     with pytest.warns(UserWarning, match=f"compiled code is not kept.*{ADDRESS}"):
-        assert cached._folder.__wrapped__() == ""
+        assert cached._folder.__wrapped__(tmp_path) is None
     assert os.listdir(tmp_path) == []

@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 
 import pfdist
+from oracles.extras import lack_of
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
 from pfdist.common.parsing import parse_toml
@@ -85,12 +86,19 @@ def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     async def serve(*_: Any, **__: Any) -> None:
         pass
 
-    monkeypatch.setattr("uvicorn.Server.serve", serve)
+    if not lack_of("explore"):
+        monkeypatch.setattr("uvicorn.Server.serve", serve)
     monkeypatch.setattr("webbrowser.open", lambda _: None)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", EXAMPLES)
+@pytest.mark.parametrize(
+    "line",
+    [
+        pytest.param(line, marks=[pytest.mark.needs("explore")] * line.startswith("pfdist explore"))
+        for line in EXAMPLES
+    ],
+)
 @pytest.mark.usefixtures("no_figures", "no_page")
 def test_an_example_runs(line: str, folder: Path) -> None:
     program, *words = shlex.split(line)

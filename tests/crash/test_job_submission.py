@@ -12,8 +12,6 @@ from crash.nodes import Nodes, nodes
 from crash.runs import until
 from oracles.bytes_of import hashes
 
-pytest.importorskip("aiohttp_cors", reason="needs the extra `cluster`: ray[default]")
-
 
 def ray_job(cluster: Nodes, word: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(

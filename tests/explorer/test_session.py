@@ -468,6 +468,7 @@ def test_a_message_is_answered_whatever_it_causes(error: BaseException) -> None:
 # --- the widget -----------------------------------------------------------------------------------
 
 
+@pytest.mark.needs("explore")
 def test_the_widget_answers_messages() -> None:
     widget = pfdist.explore(job_of())
     sent: list[dict[str, object]] = []
@@ -484,12 +485,10 @@ def test_without_the_extra_one_line_says_what_to_install(
 
     monkeypatch.setitem(sys.modules, "anywidget", None)
     widget._widget_class.cache_clear()
-    with pytest.raises(PfdistError, match=r"pip install 'pfdist\[explore\]'"):
+    with pytest.raises(PfdistError, match=r"pip install -e '.\[explore\]'"):
         pfdist.explore(job_of())
     monkeypatch.delitem(sys.modules, "pfdist.explorer.server", raising=False)
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     code, out, error = call(f"explore {Path(__file__).parents[1] / 'small.toml'}")  # type: ignore[misc]
     assert (code, out) == (1, "")
-    assert error == (
-        "pfdist: explore needs uvicorn, which is not installed: pip install 'pfdist[explore]'\n"
-    )
+    assert error == "pfdist: explore needs pip install -e '.[explore]', got no uvicorn\n"

@@ -1,16 +1,19 @@
 """The folder of compiled code: it belongs to one user and one version, and nobody needs it."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numba
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from pfdist.errors import EngineWarning
 from pfdist.kernels import cached
 
@@ -28,19 +31,25 @@ print(repr((weight.tolist(), said, weights_of.__code__.co_filename)))
 
 
 def computed(
-    cache: Path | None, package: Path = PACKAGE, **environment: str
+    cache: Path | None, package: Path = PACKAGE, code: str = COMPUTES, **environment: str
 ) -> tuple[list[list[float]], list[str], str]:
     """Weights that another process computes, the warnings, and the file that it imports."""
+    result: tuple[list[list[float]], list[str], str]
+    result = eval(printed(code, cache, package, **environment))
+    assert result[0] == [[1.0, pytest.approx(0.5, rel=1e-6)]]
+    return result
+
+
+def printed(code: str, cache: Path | None, package: Path, **environment: str) -> str:
+    """What a code prints in another process."""
     given = {**os.environ, **environment, "PYTHONPATH": str(package.parent)}
     given.pop("PFDIST_CACHE_DIR", None)
     if cache is not None:
         given["PFDIST_CACHE_DIR"] = str(cache)
-    command = [sys.executable, "-c", COMPUTES]
+    command = [sys.executable, "-c", code]
     done = subprocess.run(command, env=given, capture_output=True, text=True, check=False, cwd="/")
     assert done.returncode == 0, done.stderr
-    result: tuple[list[list[float]], list[str], str] = eval(done.stdout)
-    assert result[0] == [[1.0, pytest.approx(0.5, rel=1e-6)]]
-    return result
+    return done.stdout
 
 
 def folders(cache: Path) -> set[str]:
@@ -59,14 +68,109 @@ def test_two_processes_fill_one_folder_at_a_time_and_the_third_compiles_nothing(
     assert files == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb*")}
 
 
-def test_an_edited_source_has_another_hash(tmp_path, monkeypatch):
-    copy = shutil.copytree(PACKAGE / "kernels", tmp_path / "kernels")
-    before = cached._hash_of_sources()
-    monkeypatch.setattr(cached, "__file__", str(copy / "cached.py"))
-    assert cached._hash_of_sources() == before
-    with (copy / "vectors.py").open("a") as file:
-        file.write("\n# edited\n")
-    assert cached._hash_of_sources() != before
+def _emptied(file: Path) -> None:
+    file.write_bytes(b"")
+
+
+def _cut(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def _flipped(file: Path) -> None:
+    content = file.read_bytes()
+    middle = len(content) // 2
+    file.write_bytes(content[:middle] + bytes(64) + content[middle + 64 :])
+
+
+def _added(file: Path) -> None:
+    file.with_name("another").touch()
+
+
+@in_turn(
+    ("damage", "suffix"), [(_emptied, "nbi"), (_cut, "nbi"), (_flipped, "nbc"), (_added, "nbc")]
+)
+def test_damaged_code_is_compiled_again_after_one_warning(damage, suffix, kept, tmp_path):
+    """As after a power cut, or on a bad disk; the next process finds whole code."""
+    folder = shutil.copytree(kept, tmp_path / damage.__name__)
+    for file in [*folder.rglob(f"*.{suffix}")]:
+        damage(file)
+    _, said, _ = computed(folder)
+    assert len(said) == 1
+    assert "code that was kept is damaged, and is compiled again: " in said[0]
+    assert str(folder) in said[0]
+    assert computed(folder)[1] == []
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A folder with the code of one function."""
+    folder = tmp_path_factory.mktemp("kept")
+    computed(folder)
+    return folder
+
+
+def test_code_that_numba_cannot_load_is_compiled_again(kept, tmp_path):
+    """Its hash is right: it was damaged before it was kept."""
+    shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
+    (index,) = tmp_path.rglob("*.nbi")
+    _cut(index)
+    folder = index.parents[1]
+    start = folder.name.rpartition("-")[0]
+    folder.rename(folder.with_name(f"{start}-{cached._hash_of_files(folder)}"))
+    assert len(computed(tmp_path)[1]) == 1
+    assert computed(tmp_path)[1] == []
+
+
+def test_on_a_full_disk_functions_are_compiled_and_not_kept(tmp_path):
+    """No file may have more than 100 bytes: the disk is full after some."""
+    full = "import resource as r; r.setrlimit(r.RLIMIT_FSIZE, (100, 100))\n"
+    _, said, _ = computed(tmp_path, code=full + COMPUTES)
+    assert len(said) == 1
+    assert re.search("compiled code is not kept.*: File too large .*" + str(tmp_path), said[0])
+    (folder,) = tmp_path.iterdir()
+    assert [*folder.iterdir()] == []
+
+
+CALLS = """
+import numpy as np
+from numpy.typing import NDArray
+from typing import NamedTuple
+from pfdist.kernels.cached import entry
+from pfdist.kernels.memory import read
+from pfdist.other.helper import added
+
+class Numbers(NamedTuple):
+    values: NDArray[np.float64]
+
+@entry(Numbers)
+def add(numbers):
+    values, = read(numbers)
+    values[0] += added()
+"""
+PRINTS = """
+import numpy as np
+from pfdist.other.call import Numbers, add
+values = np.zeros(1)
+add(Numbers(values))
+print(values[0])
+"""
+HELPER = """
+from pfdist.kernels.cached import compiled
+
+@compiled
+def added():
+    return {}
+"""
+
+
+def test_an_edited_helper_in_any_folder_of_the_package_counts(tmp_path):
+    """Numba looks only at the file of the function that calls it."""
+    copy = shutil.copytree(PACKAGE, tmp_path / "copy" / "pfdist")
+    (copy / "other").mkdir()
+    (copy / "other" / "call.py").write_text(CALLS)
+    for number in (1.0, 2.0, 3.0):
+        (copy / "other" / "helper.py").write_text(HELPER.format(number))
+        assert printed(PRINTS, tmp_path / "kept", copy) == f"{number}\n"
 
 
 def test_nothing_is_written_beside_the_package_or_at_home(tmp_path):
@@ -87,16 +191,16 @@ def test_nothing_is_written_beside_the_package_or_at_home(tmp_path):
 
 def test_the_folder_of_another_user_and_a_file_are_not_used(tmp_path, monkeypatch):
     monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path / "kept"))
-    find = cached._folder.__wrapped__
-    assert Path(find()).is_relative_to(tmp_path)
+    find = partial(cached._folder.__wrapped__, tmp_path)
+    assert find().is_relative_to(tmp_path)
     user = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: user + 1)
     with pytest.warns(EngineWarning, match="it must belong to this user"):
-        assert find() == ""
+        assert find() is None
     (tmp_path / "file").touch()
     monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path / "file"))
     with pytest.warns(EngineWarning, match="compiled code is not kept, so each process compiles"):
-        assert find() == ""
+        assert find() is None
 
 
 def test_the_users_own_cached_functions_do_not_move():

@@ -1,6 +1,7 @@
 """Named tuples that Python and compiled code hand to compiled functions."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -80,11 +81,11 @@ def test_a_terminal_sees_when_the_filter_is_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path / "cache"))
-    folder = cached._folder.__wrapped__
+    folder = partial(cached._folder.__wrapped__, tmp_path)
     folder()
     assert capsys.readouterr().err == ""  # no terminal
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    (Path(folder()) / "code").touch()
+    (folder() / "code").touch()
     folder()
     assert capsys.readouterr().err == "Compiling the filter, once on this machine (about 10 s)...\n"
 
@@ -95,4 +96,4 @@ def test_code_is_not_kept_in_a_folder_that_others_can_write(
     tmp_path.chmod(0o777)
     monkeypatch.setenv(cached.FOLDER_VARIABLE, str(tmp_path))
     with pytest.warns(EngineWarning, match="compiled code is not kept"):
-        assert cached._folder.__wrapped__() == ""
+        assert cached._folder.__wrapped__(tmp_path) is None

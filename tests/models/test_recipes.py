@@ -58,16 +58,19 @@ def test_numpy_functions_of_arrays() -> None:
 
 
 @pytest.mark.recipes
+@pytest.mark.needs("bench")
 def test_jax_functions() -> None:
-    jax = pytest.importorskip("jax")
+    import jax
+
     jax.config.update("jax_enable_x64", True)
     expected, found = errors_of(UNGM, growth(jax.numpy, jax.jit, libraries=("jax", "jaxlib")))
     np.testing.assert_allclose(found, expected, rtol=1e-7)
 
 
 @pytest.mark.recipes
+@pytest.mark.needs("bench")
 def test_pytorch_functions() -> None:
-    torch = pytest.importorskip("torch")
+    import torch
 
     def in_torch(function: Any) -> Any:
         def call(*arguments: Any) -> Any:
@@ -157,10 +160,12 @@ def test_a_class_with_its_own_steps_as_formulas() -> None:
 
 
 @pytest.mark.recipes
+@pytest.mark.needs("bench")
 def test_a_transition_of_stone_soup() -> None:
     """A constant velocity, whose transition is a matrix and its noise a covariance."""
-    linear = pytest.importorskip("stonesoup.models.transition.linear")
     from datetime import timedelta
+
+    from stonesoup.models.transition import linear
 
     theirs, step = linear.ConstantVelocity(0.05), timedelta(seconds=1)
     matrix = np.array(theirs.matrix(time_interval=step), float)
@@ -187,9 +192,9 @@ def test_a_transition_of_stone_soup() -> None:
 
 
 @pytest.mark.recipes
+@pytest.mark.needs("bench")
 def test_a_model_of_particles() -> None:
     """A class of the package `particles`: its distributions give draws and log-densities."""
-    pytest.importorskip("particles")
     from particles import distributions, state_space_models
     from scipy.special import ndtr
 

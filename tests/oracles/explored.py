@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from pfdist import Job, load_job
-from pfdist.explorer.server import ADDRESS, server_of
 
 SMALL = Path(__file__).parents[1] / "small.toml"
 TOKEN = "a-token"
@@ -23,6 +22,8 @@ def job_of(*changes: str) -> Job:
 @contextlib.contextmanager
 def served(session: Any, port: int = 0) -> Iterator[str]:
     """The address of the page of a session, as long as it is served."""
+    from pfdist.explorer.server import ADDRESS, server_of  # it needs the extra `explore`
+
     listening = socket.create_server((ADDRESS, port))
     port = listening.getsockname()[1]
     server = server_of(session, TOKEN, port)

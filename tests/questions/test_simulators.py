@@ -207,10 +207,10 @@ def test_it_is_the_filter_of_the_same_formulas(
         np.testing.assert_allclose(found, expected, rtol=1e-7)
 
 
+@pytest.mark.needs("jax")
 @pytest.mark.filterwarnings(DECLARED)
 def test_workers_have_the_precision_of_jax_that_the_models_file_sets(tmp_path: Path) -> None:
     """They do not run the file, and float32 plus float64 noise would be float64 all the same."""
-    pytest.importorskip("jax")
     job = written(tmp_path / "here", line="x = np.asarray(np_of_jax(x) * 0.9)")
     file = job.with_name("simulator.py")
     lines = (

@@ -141,7 +141,7 @@ def test_a_formula_that_cannot_be_traced_is_one_line_that_names_batched_models(
 @pytest.mark.slow
 def test_ray_workers_load_what_the_driver_has_compiled(tmp_path: Path, ray_cluster: None) -> None:
     def kept() -> dict[str, int]:
-        files = Path(cached._folder()).rglob("*.nbc")
+        files = cached._folder(Path(cached.__file__).parent).rglob("*.nbc")
         return {file.name: file.stat().st_ino for file in files}
 
     job = job_with(tmp_path, *OWN)

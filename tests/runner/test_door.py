@@ -61,6 +61,7 @@ def test_a_run_commits_after_counted_work_and_later_after_five_times_as_much(
     """A busy machine, whose tasks take four times as long, makes no more commits."""
     tasks, commits = 0, list[int]()
     monkeypatch.setattr(session.store, "commit", lambda *_: commits.append(tasks))
+    monkeypatch.setattr(door, "COMMIT_SECONDS", 1.0)
     session.pace(2, is_shared=False)
     a_second = session._pace.in_seconds(door.COMMIT_SECONDS)
     rows = pa.table({"draw": [0]})
