@@ -19,7 +19,7 @@ from cyclopts import CycloptsError
 
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import complaint, line_of, welcome
-from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stream_for_json
+from pfdist.cli.streams import encode_all_text, make_harmless, stream_for_json
 from pfdist.common import stopping
 from pfdist.common.parent import report_code
 from pfdist.errors import (
@@ -83,7 +83,7 @@ def _main(words: list[str], *, ends: bool) -> int:
 
         check_settings()
         line = line_of(words) if words else print(welcome())
-        flush_output()
+        sys.stdout.flush()
     except CycloptsError as error:
         print(complaint(error), file=sys.stderr)
         return _WRONG_WORDS
@@ -115,7 +115,7 @@ def _run(line: "Line", *, ends: bool) -> int:
             except PoolError:  # the workers have received the signal, too
                 stopping.check()
                 raise
-            flush_output()
+            sys.stdout.flush()
         stopping.check()  # the exit code shows a signal that was received, even at the very end
     except KeyboardInterrupt:
         resumes = COMMANDS[line.name].resumes and not line.options.get("dry_run")
@@ -126,8 +126,8 @@ def _run(line: "Line", *, ends: bool) -> int:
     except SilenceError as error:
         code = _error(error, debug=line.debug)
         if ends:  # threads of a lost cluster could end the process with another code
-            with contextlib.suppress(OSError):
-                flush_output()
+            with contextlib.suppress(OSError, PfdistError):
+                sys.stdout.flush()
             os._exit(report_code(code))
         return code
     except Exception as error:
@@ -159,7 +159,6 @@ def _answer(line: "Line") -> Any:
 
 def _unread() -> int:
     """The exit code after the reader of the output has ended, as ``head`` does; without a line."""
-    _output_error()
     sys.stderr.close()
     return stopping.exit_code() or _ERROR
 
@@ -174,7 +173,7 @@ def _error(error: Exception, *, debug: bool) -> int:
     elif isinstance(error, MemoryError):
         reason = "not enough memory; fewer draws or particles need less"
     elif isinstance(error, OSError | ImportError) and not isinstance(error, PfdistError):
-        reason = str(_output_error() or error.__cause__ or error)
+        reason = str(error.__cause__ or error)
     elif isinstance(error, TaskError) or not isinstance(error, PfdistError):
         hint = " (--debug shows the traceback)"
     if not isinstance(error, PfdistError | MemoryError | OSError | ImportError):
@@ -186,15 +185,6 @@ def _error(error: Exception, *, debug: bool) -> int:
         line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     print(f"pfdist: {line}{hint}", file=sys.stderr)
     return stopping.exit_code() or (_AGAIN if isinstance(error, SilenceError) else _ERROR)
-
-
-def _output_error() -> OSError | None:
-    """The error that a flush of standard output raises; None if there is none."""
-    try:
-        flush_output()
-    except OSError as error:
-        return error
-    return None
 
 
 @contextlib.contextmanager

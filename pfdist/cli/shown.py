@@ -50,8 +50,17 @@ def _show_each(answers: Iterator[Any], line: Line, stream: TextIO) -> None:
         is_whole = True
     finally:
         if line.json and (made or is_whole):
-            checks = [dataclasses.asdict(each) for each in made if not isinstance(each, str)]
-            _print_json({"checks": checks} if checks else {"lines": made}, stream)
+            _print_json(_as_one(made, line.name), stream)
+
+
+def _as_one(made: list[Any], command: str) -> dict[str, Any]:
+    """Lines, names with descriptions, or checks as one object."""
+    match made:
+        case [tuple(), *_]:
+            return {command: {name.strip(): description for name, description in made}}
+        case [str(), *_] | []:
+            return {"lines": made}
+    return {"checks": [dataclasses.asdict(each) for each in made]}
 
 
 def _lines(each: Any) -> list[str]:

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+from pfdist.errors import PfdistError
+
 _NAMES = ("stdin", "stdout", "stderr")
 _REPLACEMENTS = {"±": "+-"}  # of characters that an encoding lacks; others become "?"
 
@@ -22,8 +24,31 @@ class _Forgiving(io.FileIO):
             return memoryview(data).nbytes
 
 
+class _Answer(io.FileIO):
+    """A file whose error says once that it has the answer of a command; the rest is discarded.
+
+    At its end the interpreter could no longer report an error.
+    """
+
+    _failed = False
+
+    def write(self, data: Any) -> int:
+        if self._failed:
+            return memoryview(data).nbytes
+        try:
+            return super().write(data)
+        except OSError as error:
+            self._failed = True
+            if isinstance(error, BrokenPipeError):
+                raise
+            reason = (error.strerror or "").lower().removesuffix(" on device")
+            raise PfdistError(f"cannot write the answer: {reason}") from error
+
+
 def make_harmless() -> None:
     """Connect closed standard streams to nothing, and let no write to standard error fail.
+
+    A write to standard output that fails says that this is the answer.
 
     A file that is opened gets the lowest free descriptor. Without this function, a file of a run
     could get the descriptor of a closed standard error, and libraries would write messages to it.
@@ -39,6 +64,15 @@ def make_harmless() -> None:
         encoding, errors = sys.stderr.encoding, sys.stderr.errors
         quiet: Any = _Forgiving(sys.stderr.fileno(), "w", closefd=False)
         sys.stderr = io.TextIOWrapper(quiet, encoding, errors, write_through=True)
+    if sys.stdout is sys.__stdout__ and isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout = sys.__stdout__ = _answers(sys.stdout.fileno(), sys.stdout, closefd=False)
+
+
+def _answers(descriptor: int, stream: Any, *, closefd: bool) -> io.TextIOWrapper:
+    """A text stream to a descriptor that encodes and flushes as another one."""
+    writer = io.BufferedWriter(_Answer(descriptor, "w", closefd=closefd))
+    lines = stream.line_buffering or stream.write_through
+    return io.TextIOWrapper(writer, stream.encoding, stream.errors, line_buffering=lines)
 
 
 def encode_all_text() -> None:
@@ -58,26 +92,6 @@ def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
         return lacking.encode("ascii", "surrogateescape"), error.end
     except UnicodeEncodeError:
         return "".join(_REPLACEMENTS.get(character, "?") for character in lacking), error.end
-
-
-def flush_output() -> None:
-    """Write all that was printed; at its end the interpreter could no longer report an error.
-
-    Raises
-    ------
-    OSError
-        Standard output cannot be written; the unwritten text is discarded.
-    """
-    try:
-        sys.stdout.flush()
-    except OSError as error:
-        if sys.stdout is sys.__stdout__:
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, 1)
-            os.close(nowhere)
-        if isinstance(error, BrokenPipeError):
-            raise
-        raise OSError(f"standard output cannot be written: {error.strerror}") from error
 
 
 @contextlib.contextmanager
@@ -115,7 +129,7 @@ def _separate_stream(stream: Any, *, ends: bool) -> Iterator[Any]:
             os.dup2(os.open(os.devnull, os.O_WRONLY), number)
     answers = os.dup(copies[stream.fileno()])
     try:
-        with open(answers, "w", encoding=stream.encoding, errors=stream.errors) as separate:
+        with _answers(answers, stream, closefd=True) as separate:
             yield separate
     finally:
         for number, copy in copies.items():

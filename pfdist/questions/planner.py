@@ -69,11 +69,11 @@ class Planner:
 
     Examples
     --------
-    >>> import pfdist
-    >>> planner = pfdist.Planner("jobs/quick.toml")  # doctest: +SKIP
-    >>> planner.next_time()  # doctest: +SKIP
-    1
-    >>> planner.update(1.3)  # doctest: +SKIP
+    Measure when the planner says so::
+
+        planner = pfdist.Planner("jobs/quick.toml")
+        while (t := planner.next_time()) is not None:
+            planner.update(measured(t))
     """
 
     def __init__(

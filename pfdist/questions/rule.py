@@ -302,7 +302,7 @@ def rule(
             session.reporter.finish()
         if store.path != run.path:  # of another version
             return found
-        keep_rule(run.path, found.as_json())
+        keep_rule(run.path, {key: value for key, value in found.as_json().items() if key != "run"})
     return replace(found, figures=_draw(found, built)) if chosen.figures else found
 
 

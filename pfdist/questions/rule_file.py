@@ -40,11 +40,13 @@ class Rule:
 
     Examples
     --------
-    >>> rule = pfdist.Rule.load("results/robot/rule.json")  # doctest: +SKIP
-    >>> belief = pfdist.Filter("robot", particles=1000)  # doctest: +SKIP
-    >>> for t in range(rule.instants):  # doctest: +SKIP
-    ...     if rule.decide(belief, t):
-    ...         belief.update(t, bearings())
+    Measure by the rule of a run::
+
+        rule = pfdist.Rule.load("results/robot/rule.json")
+        belief = pfdist.Filter("robot", particles=1000)
+        for t in range(rule.instants):
+            if rule.decide(belief, t):
+                belief.update(t, bearings())
     """
 
     def __init__(self, rule: Thresholds, limits: StepLimits, sensors: Sequence[str]) -> None:

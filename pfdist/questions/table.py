@@ -20,6 +20,7 @@ from pfdist.store import holds_run, write_file
 from pfdist.store.files import check_replaceable
 from pfdist.store.folder import runs_below
 from pfdist.store.tables import holds_table, write_table
+from pfdist.store.user_tables import csv_of
 
 _MARK = b"runs"  # the metadata "table" of a Parquet file
 _ENDS = ",".join(RESULTS), ",".join((*RESULTS, *CRITERION))
@@ -133,8 +134,7 @@ def _write_csv(frame: pd.DataFrame, path: Path) -> None:
     for name in frame.select_dtypes(object):
         texts = [formatted_value(cell) if isinstance(cell, tuple) else cell for cell in frame[name]]
         plain[name] = pd.Series(texts, dtype=object)
-    with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
-        plain.to_csv(file, index=False, lineterminator="\n")
+    path.write_bytes(csv_of(plain))
 
 
 def _write_parquet(frame: pd.DataFrame, path: Path) -> None:

@@ -45,18 +45,21 @@ def checked_export(path: str | Path, clock: Clock) -> Path:
 
 def export_plan(run: "Run", path: str | Path) -> Path:
     """Write the plan of a run, with its sampling windows where `pfdist.why` was asked."""
-    import pandas as pd  # noqa: PLC0415  a run is opened without it
+    # A run is opened without pandas.
+    import pandas as pd  # noqa: PLC0415
+
+    from pfdist.store.user_tables import csv_of  # noqa: PLC0415
 
     points = problem_of(run).points
     clock, measured = points.clock, measured_of(run)[run.best.name]
     file, rows = checked_export(path, clock), _rows(run, measured)
     if file.suffix.lower() == ".ics" and clock.calendar:
         dates = [clock.dates[points.made_at(each)] for each in measured]
-        text = _in_icalendar(run, rows, dates, clock.calendar.by_days)
+        content = _in_icalendar(run, rows, dates, clock.calendar.by_days).encode()
     else:
         columns = None if rows else ["measurement", "t"]
-        text = pd.DataFrame(rows, columns=columns).to_csv(index=False, lineterminator="\n")
-    write_file(file, lambda temporary: temporary.write_bytes(text.encode()))
+        content = csv_of(pd.DataFrame(rows, columns=columns))
+    write_file(file, lambda temporary: temporary.write_bytes(content))
     return file
 
 

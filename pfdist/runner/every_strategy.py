@@ -119,7 +119,8 @@ def _least(
         windows, stream, of_draws, (0, 1), estimation, ends=tuple(relaxation.ends.tolist())
     )
     compared = len(windows) * (REPLICATES + 1) if penalty else 0
-    parts = relaxation.windows, relaxation.ends.tolist(), stream, of_draws
+    limits = feasible.step_limits.recorded, [*feasible.allowed]
+    parts = relaxation.windows, relaxation.ends.tolist(), stream, of_draws, limits
     ids = tuple(truth.id_of(estimation, *parts, most, n) for n in range(most + 1))
     given = [()] * len(ids), stream, of_draws, (0, draws), estimation
     work = LeastWork(

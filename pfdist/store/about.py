@@ -8,10 +8,13 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from datetime import datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from pfdist.common.parsing import (
     MOST_BYTES,
@@ -20,8 +23,9 @@ from pfdist.common.parsing import (
     parse_toml,
     text_of,
 )
+from pfdist.common.section import explained
 from pfdist.common.streams import stream_key
-from pfdist.errors import StoreError
+from pfdist.errors import StoreError, shown
 from pfdist.store import files
 from pfdist.store.folder import ANSWERS, FILES, MODELS, holds_run, no_run
 from pfdist.store.listing import change_listing, read_listing
@@ -33,6 +37,73 @@ if TYPE_CHECKING:
 
 # Keys that may change; only runs of earlier versions have "until".
 _GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}
+
+
+class _Recorded(BaseModel):
+    """Base class of the parts of run.json, which other versions may extend."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+
+
+class _Processor(_Recorded):
+    compiled_for: str
+    model: str
+
+
+class _Names(_Recorded):
+    z: list[str] = []
+    y: list[str] = []
+
+
+def _instant(text: str) -> str:
+    try:
+        datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ValueError(f"provenance.started must be a date, got {shown(text)}") from error
+    return text
+
+
+class _Provenance(_Recorded):
+    """The values that pages show; those without a default are in every run."""
+
+    started: Annotated[str, AfterValidator(_instant)]
+    command: list[str]
+    processor: _Processor
+    continued_on: list[dict[str, Any]] = []
+    libraries: dict[str, str] = {}
+    machine: dict[str, str | int] = {}
+    execution: dict[str, str | int] = {}
+    declared: dict[str, str] = {}
+    python: str = ""
+    name_of_model: str = ""
+    names: _Names = _Names()
+    angles: list[bool] = []
+    unproved: str = ""
+    few_lines: str = ""
+    on_the_way: str = ""
+
+
+class _Run(_Recorded):
+    schema_version: int
+    pfdist: str
+    kernel: int
+    engine: str
+    model: str
+    filter_model: str
+    estimations: dict[str, dict[str, Any]] = {}
+    provenance: _Provenance
+
+
+def _checked(path: Path, text: str) -> dict[str, Any]:
+    """The content of a run.json, in which every value that is shown has its type."""
+    try:
+        run: dict[str, Any] = parse_json(text)
+        _Run.model_validate(run)
+    except ValidationError as error:
+        raise unreadable(path, "run.json", explained(error, _Run)) from error
+    except ValueError as error:
+        raise unreadable(path, "run.json", str(error)) from error
+    return run
 
 
 def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -55,7 +126,7 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             name for name in texts if _hash_of(texts[name]) not in listing.about.get(name, ())
         ]
         if not damaged:
-            return parse_json(texts["run.json"]), parse_toml(texts["job.toml"])
+            return _checked(path, texts["run.json"]), parse_toml(texts["job.toml"])
     name = FILES if len(damaged) == len(texts) else damaged[0]  # a list of another run fits neither
     raise unreadable(path, name, "its content has another hash")
 

@@ -46,6 +46,8 @@ _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lo
 SEPARATORS = (
     "columns must be separated by commas, semicolons, tabs, | or spaces; decimals have a point"
 )
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_BEGINS_A_FORMULA = tuple("=+-@\t")
 _VALUE = re.compile(r"[<>]?\s*[+-]?[.\d][-+.,:/\deETZ ]*")  # a number, or a date
 
 
@@ -343,10 +345,29 @@ def write_user_table(path: Path, table: pa.Table) -> None:
         if is_parquet(path):
             write_table(table, temporary)
         else:
-            with temporary.open("w", encoding="utf-8", newline="") as file:
-                table.to_pandas().to_csv(file, index=False, lineterminator="\n")
+            temporary.write_bytes(csv_of(table.to_pandas()))
 
     write_file(path, write)
+
+
+def csv_of(frame: pd.DataFrame) -> bytes:
+    """A table as CSV, whose texts are texts for a spreadsheet, too.
+
+    A spreadsheet would compute what begins with ``=``, ``+``, ``-`` or ``@``, so such a text gets
+    an apostrophe before it. Numbers stay as they are.
+    """
+    plain = frame.rename(columns=_as_plain_text)
+    for name in plain:
+        if not pd.api.types.is_numeric_dtype(plain[name]):
+            cells = map(_as_plain_text, plain[name])
+            plain[name] = pd.Series([*cells], plain.index, object)
+    text: str = plain.to_csv(index=False, lineterminator="\n")
+    return text.encode(errors="surrogateescape")  # paths need not be UTF-8
+
+
+def _as_plain_text(cell: Any) -> Any:
+    is_computed = isinstance(cell, str) and cell[:1] in _BEGINS_A_FORMULA
+    return f"'{cell}" if is_computed and not _NUMBER.fullmatch(cell) else cell
 
 
 def check_table_replaceable(path: Path, schema: pa.Schema) -> None:
@@ -357,5 +378,5 @@ def check_table_replaceable(path: Path, schema: pa.Schema) -> None:
 def _is_earlier(schema: pa.Schema, path: Path) -> bool:
     if is_parquet(path):
         return holds_table(path, schema.metadata[b"table"])
-    line = ",".join(schema.names).encode() + b"\n"
+    line = csv_of(schema.empty_table().to_pandas())
     return begins_with(path, line, len(line))

@@ -1,11 +1,12 @@
 """Every example of the help runs, on small jobs of the same names; so does the committed run."""
 
+import json
 import os
 import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -91,21 +92,42 @@ def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("webbrowser.open", lambda _: None)
 
 
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Let the command `init` run in an empty folder: it replaces no file."""
+    return lambda command: monkeypatch.chdir(tmp_path) if command == "init" else None
+
+
+def _with_marks(lines: Iterable[str]) -> list[Any]:
+    needs = [pytest.mark.needs("explore")]
+    return [pytest.param(each, marks=needs * ("explore" in each)) for each in lines]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "line",
-    [
-        pytest.param(line, marks=[pytest.mark.needs("explore")] * line.startswith("pfdist explore"))
-        for line in EXAMPLES
-    ],
-)
+@pytest.mark.parametrize("line", _with_marks(EXAMPLES))
 @pytest.mark.usefixtures("no_figures", "no_page")
-def test_an_example_runs(line: str, folder: Path) -> None:
+def test_an_example_runs(line: str, folder: Path, elsewhere: Callable[[str], None]) -> None:
     program, *words = shlex.split(line)
+    elsewhere(words[0])
     if program != "pfdist" or ">" in words:
         _run_in_bash(line, folder)
         return
     assert main(_shortened(words)) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", _with_marks(COMMANDS))
+@pytest.mark.usefixtures("folder", "no_figures", "no_page")
+def test_every_command_prints_one_json_object(
+    command: str, call: Callable[..., Any], elsewhere: Callable[[str], None]
+) -> None:
+    elsewhere(command)
+    example = next(iter(COMMANDS[command].examples))
+    in_bash = {"completion": ["completion", "bash"], "schema": ["schema"]}
+    words = in_bash.get(command) or _shortened(shlex.split(example)[1:])
+    called = call("", *words, "--json")
+    assert called.code == 0, called.err
+    assert isinstance(json.loads(called.out), dict)
 
 
 def _shortened(words: list[str]) -> list[str]:

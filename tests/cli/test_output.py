@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from oracles.in_turn import in_turn
 from pfdist.cli.main import main
 from pfdist.common.estimate import Estimate
 from pfdist.questions.display import Display
@@ -20,17 +21,17 @@ HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray",
 ASSET = Path(__file__).parents[1] / "assets" / "schema-4"
 SAYS = """
 import os, sys
-from pfdist.cli.streams import flush_output, make_harmless
+from pfdist.cli.streams import make_harmless
 make_harmless()
 first = os.open(os.devnull, os.O_RDONLY)
 print("display" * 10_000, file=sys.stderr)
 sys.stderr.flush()
 try:
     print("answer")
-    flush_output()
+    sys.stdout.flush()
     code = 0
-except OSError as error:
-    code = 3 + ("standard output cannot be written" in str(error))
+except Exception as error:
+    code = 3 + (str(error) == "cannot write the answer: no space left")
 sys.exit(code if first > 2 else 9)
 """
 _FOUND = SetGain("genetic", Estimate(0.26, 0.002))
@@ -224,6 +225,19 @@ def test_what_is_said_is_no_markup() -> None:
     out = io.StringIO()
     Display(Console(file=out, width=80)).say("runs/[bold]x[/y]:smile:\n\x1b[2J is ready")
     assert out.getvalue() == "runs/[bold]x[/y]:smile: ?[2J is ready\n"
+
+
+@in_turn(("flags", "unbuffered"), [("", ""), ("", "1"), ("--json", ""), ("--json", "1")])
+def test_on_a_full_device_one_line_says_that_the_answer_is_lost(
+    flags: str, unbuffered: str
+) -> None:
+    command = f"'{sys.executable}' -m pfdist models {flags} > /dev/full"
+    given = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(
+        command, shell=True, capture_output=True, text=True, env=given, check=False
+    )
+    assert done.stderr == "pfdist: cannot write the answer: no space left\n"
+    assert done.returncode == 1
 
 
 @pytest.mark.parametrize(

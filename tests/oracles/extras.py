@@ -1,4 +1,4 @@
-"""What is skipped where an extra is not installed: modules by their names, and marked tests."""
+"""Modules and marked tests that are skipped where an extra is not installed."""
 
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, requires, version

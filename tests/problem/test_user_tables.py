@@ -1,5 +1,6 @@
 """Tables that a user brings: measurements and priors, in CSV and Parquet, right and wrong."""
 
+import io
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from pfdist.problem.clock import Clock
 from pfdist.problem.measurements import Reading, read_measurements
 from pfdist.problem.replicates import read_replicates
 from pfdist.store import user_tables
+from pfdist.store.user_tables import csv_of
 
 NAN = float("nan")
 
@@ -498,3 +500,14 @@ def test_between_spaces_an_empty_cell_is_no_missing_value(
     (tmp_path / "ship.txt").write_text(f"t y0 y1\n{row}\n4 1.0 3.0\n")
     with pytest.raises(MeasurementsError, match="each row must have as many values as the first"):
         read_measurements(tmp_path / "ship.txt", ship, Clock.counting(10))
+
+
+def test_a_spreadsheet_computes_no_text_of_a_table_that_is_written() -> None:
+    """Texts come from models and jobs of others; OWASP calls this CSV injection."""
+    computed = ["=1+1", "+1 a", "-x", "@SUM(A1)", "\t=1", "=cmd|' /C calc'!A0"]
+    plain = ["-1.5", "+2e3", "a=1", "", "2027-03-01", "'x", "9 b"]
+    frame = pd.DataFrame({"=name": [*computed, *plain], "number": -1.0})
+    read = pd.read_csv(io.BytesIO(csv_of(frame)), keep_default_na=False, dtype=str)
+    assert [*read] == ["'=name", "number"]
+    assert read["'=name"].tolist() == [*(f"'{text}" for text in computed), *plain]
+    assert set(read["number"]) == {"-1.0"}

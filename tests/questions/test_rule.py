@@ -6,7 +6,7 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,9 @@ from pfdist.questions.rule import (
 from pfdist.questions.rule_file import _Written, keep_rule, rule_json, rule_of
 from pfdist.runner import door, every_strategy, ruling
 from pfdist.runner.build import build
-from pfdist.store import listing
+from pfdist.runner.door import RunSession
+from pfdist.search.first_windows import relaxation_for
+from pfdist.store import Store, listing
 from pfdist.store.verify import verify_run
 
 SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
@@ -92,6 +94,7 @@ def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
     )
     counted = answer["measurements"]["draws_by_number"]
     assert sum(counted.values()) == answer["draws"] == 250
+    assert str(run.path) not in (run.path / "rule.json").read_text()
     assert json.loads((run.path / "rule.json").read_text())["rule"] == rule_json(
         found.rule, found.feasible
     )
@@ -302,6 +305,21 @@ def test_the_tuned_thresholds_of_two_sensors_are_about_the_best(
     assert watched.best_set(watched.BUDGET) < best < min(alone)
     assert error.value < min(alone) - 3 * error.standard_error
     assert error.value < 1.1 * best  # 200 particles decide as the exact deviation would, nearly
+
+
+def test_the_id_of_a_bound_names_the_constraints(tmp_path: Path) -> None:
+    """They decide which strategies there are, also where the windows are the same."""
+    windows, ids = list[Any](), list[str]()
+    for changes in ([], ["problem.required=[4]"], ["problem.minimum_spacing=2"]):
+        (tmp_path / "job.toml").write_text(SMALL)
+        built = build(pfdist.load_job(tmp_path / "job.toml", changes))
+        relaxation = relaxation_for(built.feasible, 1, built.study.usual, 20_000)
+        session = RunSession(built, Store(tmp_path / "run"))
+        [batch] = islice(every_strategy._least(session, relaxation, 0.0, "draws", 2, 4, True), 1)
+        windows.append((relaxation.windows, relaxation.ends.tolist()))
+        ids += batch.works[0].ids[:1]
+    assert windows[0] == windows[1] == windows[2]
+    assert len({*ids}) == 3
 
 
 def test_a_quantile_is_judged_as_elsewhere(
