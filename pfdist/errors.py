@@ -206,7 +206,7 @@ class MissingExtraError(PfdistError, ModuleNotFoundError):
     Parameters
     ----------
     needed_by : str
-        What needs the extra, in the words of the user.
+        A name for users of that which needs the extra.
     extra : str
         Name of the extra.
     library : str

@@ -23,7 +23,7 @@ from pfdist.errors import started_in
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
-from oracles.extras import SkipsWithoutExtra, lack_of
+from oracles.extras import SkipsWithoutExtra, extra_of, lack_of
 from oracles.undrawn import undraw
 
 # No test depends on measured time, and each finds the same when it is repeated.
@@ -213,6 +213,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Mark the quick tests and the faults; let `pytest -m crash` run the whole table of faults."""
     quick = tuple(f"tests/{folder}/" for folder in QUICK)
     for item in items:
+        if extra := extra_of(item.path):
+            item.add_marker(pytest.mark.needs(extra))  # it is installed: `pytest -m needs` runs it
         for mark in item.iter_markers("needs"):
             if lack := lack_of(*mark.args):
                 item.add_marker(pytest.mark.skip(reason=lack))

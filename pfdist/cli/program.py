@@ -1,6 +1,7 @@
 """The program: its commands, their help, and the messages about wrong words."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ PROGRAM = (
     "they are."
 )
 _BEGIN_WITH = ("plan", "why", "budget")  # commands, in the order in which they are tried
+_BEGIN_WITHOUT_JOBS = ("init", "plan", "why")
 _EXIT_CODES = (
     "Exit codes: 0 done; 1 error; 2 wrong arguments; 130 interrupted by Ctrl-C; "
     "75 ended by SIGTERM or SIGUSR1, which batch systems send, or by a closed terminal, because no "
@@ -86,8 +88,20 @@ def _end_of_help(note: str, examples: Mapping[str, str]) -> str:
 
 
 def _way_in() -> dict[str, str]:
-    """The command lines to begin with: the first examples of some commands."""
-    return dict(next(iter(COMMANDS[name].examples.items())) for name in _BEGIN_WITH)
+    """The command lines to begin with: the first examples of some commands.
+
+    Where the jobs of a checkout are missing, they are about the job that `pfdist init` writes.
+    """
+    if Path("jobs/plan.toml").exists():
+        return _first_examples(_BEGIN_WITH)
+    examples = _first_examples(_BEGIN_WITHOUT_JOBS).items()
+    return {
+        line.replace("jobs/plan", "mine"): does.replace("/plan", "/mine") for line, does in examples
+    }
+
+
+def _first_examples(commands: Sequence[str]) -> dict[str, str]:
+    return dict(next(iter(COMMANDS[name].examples.items())) for name in commands)
 
 
 def welcome() -> str:

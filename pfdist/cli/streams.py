@@ -65,7 +65,7 @@ def make_harmless() -> None:
         quiet: Any = _Forgiving(sys.stderr.fileno(), "w", closefd=False)
         sys.stderr = io.TextIOWrapper(quiet, encoding, errors, write_through=True)
     if sys.stdout is sys.__stdout__ and isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout = sys.__stdout__ = _answers(sys.stdout.fileno(), sys.stdout, closefd=False)
+        sys.stdout = _answers(sys.stdout.fileno(), sys.stdout, closefd=False)
 
 
 def _answers(descriptor: int, stream: Any, *, closefd: bool) -> io.TextIOWrapper:

@@ -91,18 +91,19 @@ def _with_code_kept(function: Callable[..., Any], place: Place) -> Any:
     it is whole, and never changes. So a process that dies leaves nothing half, and machine code
     with another hash is never loaded.
     """
-    signature, folder = types.void(place), _folder(Path(function.__code__.co_filename).parent)
+    signature = types.void(place)
+    folder = _folder(Path(function.__code__.co_filename).parent)
+    if folder is None:
+        return numba.cfunc(signature, error_model="numpy")(function)
     start = f"{function.__module__}.{function.__qualname__}-"
     try:
-        for kept in folder.glob(f"{start}*") if folder else ():
+        for kept in folder.glob(f"{start}*"):
             if kept.name != start + _hash_of_files(kept):
                 raise ValueError(f"{kept.name} has another hash")
             return _compiled_in(kept, function, signature)
     except Exception as error:  # unpickling and LLVM raise errors of many types
-        _warn(folder, "code that was kept is damaged, and is compiled again", error)
-        for each in folder.glob("[!.]*"):
-            shutil.rmtree(each, ignore_errors=True)
-    if folder and not _full:
+        _empty(folder, error)
+    if folder not in _unwritable:
         try:
             with tempfile.TemporaryDirectory(
                 prefix=".",
@@ -115,7 +116,7 @@ def _with_code_kept(function: Callable[..., Any], place: Place) -> Any:
                     Path(unfinished).rename(kept)
                 return code
         except OSError as error:
-            _full.append(folder)
+            _unwritable.append(folder)
             _warn(folder, _NOT_KEPT, error)
     return numba.cfunc(signature, error_model="numpy")(function)
 
@@ -162,7 +163,14 @@ def _folder(sources: Path) -> Path | None:
 
 
 _NOT_KEPT = "compiled code is not kept, so each process compiles for some seconds"
-_full = list[Path]()  # folders that could not be written
+_unwritable = list[Path]()  # for instance on a full disk
+
+
+def _empty(folder: Path, error: Exception) -> None:
+    """Remove all code that is kept in a folder, after a warning."""
+    _warn(folder, "code that was kept is damaged, and is compiled again", error)
+    for each in folder.glob("[!.]*"):
+        shutil.rmtree(each, ignore_errors=True)
 
 
 def _warn(folder: Path, what: str, error: Exception) -> None:

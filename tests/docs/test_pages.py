@@ -301,6 +301,7 @@ def test_the_tables_of_a_run_are_read_without_pfdist(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.notebook
+@pytest.mark.needs("notebook")
 def test_duckdb_and_polars_read_what_pandas_reads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     draws = pd.read_parquet("results/example/tables/comparison")
@@ -353,6 +354,7 @@ def test_the_example_of_the_page_about_python_runs_and_its_run_goes_on(
 
 
 @pytest.mark.notebook
+@pytest.mark.needs("notebook")
 def test_in_the_notebook_a_model_is_written_planned_compared_and_plotted_without_a_file(
     tmp_path: Path,
 ) -> None:
@@ -412,6 +414,6 @@ def test_benchmarks_read_the_best_set_known(problem: str, count: int) -> None:
 
 def test_contributing_names_every_mark_of_tests() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
-    marks = {mark.partition(":")[0] for mark in settings["markers"]}
+    marks = {re.split(r"\W", mark)[0] for mark in settings["markers"]}
     named = re.findall(r"`pytest -m (\w+)`", (ROOT / "CONTRIBUTING.md").read_text())
     assert sorted(named) == sorted(marks)

@@ -16,7 +16,7 @@ import pytest
 
 import pfdist
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.needs("browser"), pytest.mark.needs("docs")]
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted(path.stem for path in DOCS.glob("*.md"))

@@ -19,7 +19,7 @@ from pfdist import load_job
 from pfdist.explorer import server
 from pfdist.explorer.session import ExplorerSession, reply
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.needs("browser")]
 
 HOSTILE = "<img src=x onerror=alert(1)>"
 EXACT = ("model.name=random_walk", "filter.engine=kalman", "search=[{method='survivors'}]")

@@ -41,7 +41,7 @@ def computed(
 
 
 def printed(code: str, cache: Path | None, package: Path, **environment: str) -> str:
-    """What a code prints in another process."""
+    """Output of a code in another process."""
     given = {**os.environ, **environment, "PYTHONPATH": str(package.parent)}
     given.pop("PFDIST_CACHE_DIR", None)
     if cache is not None:

@@ -42,6 +42,12 @@ def lack_of(extra: str) -> str:
     return f"needs pip install -e '.[{extra}]', got no {', '.join(lacking)}" if lacking else ""
 
 
+def extra_of(path: Path) -> str:
+    """The extra that a module needs; empty if it needs none."""
+    own = path.relative_to(ROOT) if path.is_relative_to(ROOT) else path
+    return next((extra for each, extra in MODULES.items() if own.is_relative_to(each)), "")
+
+
 class SkipsWithoutExtra:
     """A plugin that skips each module of `MODULES` whose extra is not installed.
 
@@ -55,10 +61,8 @@ class SkipsWithoutExtra:
         """The report of a skipped module, which is not imported."""
         if not isinstance(collector, pytest.File | pytest.Directory):
             return None
-        path = collector.path.relative_to(ROOT) if collector.path.is_relative_to(ROOT) else None
-        for module, extra in MODULES.items() if path is not None else ():
-            if path.is_relative_to(module) and (lack := lack_of(extra)):
-                return pytest.CollectReport(
-                    collector.nodeid, "skipped", (str(path), 1, f"Skipped: {lack}"), []
-                )
-        return None
+        extra = extra_of(collector.path)
+        if not extra or not (lack := lack_of(extra)):
+            return None
+        reason = str(collector.path.relative_to(ROOT)), 1, f"Skipped: {lack}"
+        return pytest.CollectReport(collector.nodeid, "skipped", reason, [])
