@@ -166,7 +166,7 @@ import numpy as np
 from pfdist import load_model, where
 ungm = load_model("ungm")
 model = replace(ungm, log_likelihood=lambda y, x, t, p:
-    where(y[0] > 12.0, -np.inf, -0.5 * (y[0] - x[0] ** 2 / 20) ** 2))
+    where(y[0] > 14.0, -np.inf, -0.5 * (y[0] - x[0] ** 2 / 20) ** 2))
 """
 
 
@@ -181,7 +181,7 @@ def test_degenerate_draws_count_with_their_errors_and_are_counted(tmp_path: Path
     assert not rows["degenerate"].all()
     assert all(len(times) == 4 for times in rows["measurement_times"])
     compared, online = compared[compared["draw"] < 30], run.as_json()["online"]
-    either = compared["degenerate_regular"] | compared["degenerate_survivors"]
+    either = compared["degenerate_evenly_spaced"] | compared["degenerate_survivors"]
     degenerate = rows["degenerate"].to_numpy() | either.to_numpy()
     assert (online["draws"], online["degenerate_draws"]) == (30, degenerate.sum())
     assert online["expected_mse"] == pytest.approx(rows["mse"].mean())
