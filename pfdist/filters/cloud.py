@@ -1,6 +1,6 @@
 """Distributions of x(s) from which draws and filters start at s, instead of `initial`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,6 +27,11 @@ class Gaussian:
     def components(self) -> int:
         """The number n of components of x."""
         return self.mean.size
+
+    def remembered(self, instants: int) -> "Gaussian":
+        """The distribution of a state that also holds those of instants before, all alike."""
+        covariance = np.tile(self.covariance, (instants + 1, instants + 1))
+        return Gaussian(self.t, np.tile(self.mean, instants + 1), covariance)
 
     @property
     def gaussian(self) -> "Gaussian":
@@ -88,6 +93,11 @@ class Cloud:
     def components(self) -> int:
         """The number n of components of x."""
         return int(self.x.shape[0])
+
+    def remembered(self, instants: int) -> "Cloud":
+        """The cloud of states that also hold those of instants before, all alike."""
+        truths = None if self.truths is None else self.truths.remembered(instants)
+        return replace(self, x=np.tile(self.x, (instants + 1, 1)), truths=truths)
 
     @property
     def particles(self) -> int:

@@ -50,6 +50,7 @@ from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
 from pfdist.models.parameters import Parameter, check_lengths
 from pfdist.models.recorded import check_same_functions, declared, recorded
+from pfdist.models.sensed import late
 from pfdist.models.written import key_of_model
 
 
@@ -84,6 +85,9 @@ class Evaluator:
     # The estimate of z(t) uses measurements until t + lag, in instants: 0 for that of the filter, T
     # for that from all measurements. See `Estimation`.
     lag: Lag = 0
+    # (ways,): the instants after which a value arrives; only for an estimate that waits for all values,
+    # and for that at the moment, see `at_the_moment`. Otherwise a point is that of the arrival.
+    delays: tuple[int, ...] = ()
     # whether its error is minus the information, in nats; see `of_information`
     gives_information: bool = False
 
@@ -162,6 +166,32 @@ class Evaluator:
         """The evaluators of the errors that answers show beside this one's, by name."""
         return {each.named: each.evaluator(self) for each in errors_beside(self.lag)}
 
+    @cached_property
+    def at_the_moment(self) -> "Evaluator":
+        """The evaluator of the filtered estimate, which has a value when it has arrived."""
+        filtered = replace(self, lag=0, estimations=())
+        if not self.delays:
+            return filtered
+        known, instants = [each.parameters for each in self.scenarios], range(self.horizon + 1)
+        model, believed = (
+            recorded(late(each, self.delays), instants, known)
+            for each in (self.model, self.believed)
+        )
+        return replace(
+            filtered,
+            model=model,
+            filter_model=None if believed == model else believed,
+            prior=self.prior and self.prior.remembered(max(self.delays)),
+        )
+
+    def _arriving(self, sets: Sequence[Times]) -> Sequence[Times]:
+        """Sets of the points at which values arrive, until T, for an estimate at the moment."""
+        if not self.delays or self.lag:
+            return sets
+        ways, end = self.points.ways, self.points.first(self.horizon + 1)
+        later = [[point + ways * self.delays[point % ways] for point in times] for times in sets]
+        return [tuple(sorted(point for point in times if point < end)) for times in later]
+
     def is_limit(self, error: ErrorBeside) -> bool:
         """Whether this error beside the own is an upper limit: the model has its own error."""
         return error.is_raised and self.has_particles and not self.has_particle_loss
@@ -173,7 +203,7 @@ class Evaluator:
         The sum over all instants is a mean of errors that are scaled by their number.
         """
         instants = self.horizon + 1 - self.start
-        mean = replace(self, lag=0, weights=None, scale=1 / instants, estimations=())
+        mean = replace(self, lag=0, weights=None, scale=1 / instants, estimations=(), delays=())
         return replace(mean, gives_information=True)
 
     def for_estimation(self, estimation: Estimation, *, knows_truth: bool) -> "Evaluator":
@@ -301,7 +331,7 @@ class Evaluator:
         return self._exact_errors_of(self._shares, sets, weighted)
 
     def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
-        given = self.model, self.horizon, sets, self.prior, self.lag
+        given = self.model, self.horizon, self._arriving(sets), self.prior, self.lag
         errors = kalman.expected_errors(
             *given, gives_information=self.gives_information, believed=self.believed
         )
@@ -486,7 +516,13 @@ class Evaluator:
         each draw are also divided by the scale. Raises `ModelError` if a formula failed.
         """
         found: FilterArrays = self.computed_by.filters.filter_checked_sets(
-            self.believed, draws, sets, ends, stream, self.settings(estimation), errors
+            self.believed,
+            draws,
+            self._arriving(sets),
+            ends,
+            stream,
+            self.settings(estimation),
+            errors,
         )
         return found._replace(errors=found.errors / self.scale) if errors == EACH_DRAW else found
 
@@ -499,7 +535,7 @@ class Evaluator:
     ) -> Iterator[FilterArrays]:
         """Filter draws with checked sets, each under noise of its own, with trajectories."""
         filters, settings = self.computed_by.filters, self.settings(estimation)
-        for times, stream in zip(sets, streams, strict=True):
+        for times, stream in zip(self._arriving(sets), streams, strict=True):
             yield filters.filter_checked_draws(self.believed, draws, times, stream, settings, True)
 
     def results(self, works: Iterable[FilterWork]) -> list[Result]:

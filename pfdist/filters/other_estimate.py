@@ -52,7 +52,7 @@ FILTERED = ErrorBeside(
     start="filtered",
     description="MSE of the filtered estimate with this set",
     fits=bool,
-    evaluator=lambda own: replace(own, lag=0, estimations=()),
+    evaluator=lambda own: own.at_the_moment,
     exact="exact_other_mse",
     head="at the moment",
     meaning="expected MSE of the filtered estimate, if the job's own estimate uses later "

@@ -69,6 +69,12 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
     return dataclasses.replace(model, sensors=sensors, y_names=(), **changes)
 
 
+def late(model: StateSpaceModel, delays: Sequence[int]) -> StateSpaceModel:
+    """The model of which each sensor measures, so many instants later, the state of before."""
+    each = zip(model.parts, delays, strict=True)
+    return sensed(model, {part.name: Sensing(delay=delay) for part, delay in each})
+
+
 def without_failures(model: StateSpaceModel, fails: Sequence[bool]) -> StateSpaceModel:
     """The model of `sensed`, some of whose sensors may fail, if no measurement does."""
 

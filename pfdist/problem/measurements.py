@@ -128,6 +128,18 @@ class Measurements:
         rows = zip(self.t, self.y[:, : model.components[1]], strict=True)
         return tuple(chain.from_iterable(made(model, t, y) for t, y in rows))
 
+    def arriving(self, model: StateSpaceModel, delays: Sequence[int]) -> "Measurements":
+        """The values at the instants at which they arrive, until T, each sensor after its delay."""
+        components, found = model.components[1], dict[int, Array]()
+        for part, delay in zip(model.parts, delays, strict=True):
+            columns = np.arange(self.y.shape[1]).reshape(-1, components)[:, part.y].ravel()
+            for t, y in zip(self.t, self.y[:, columns], strict=True):
+                if t + delay <= self.clock.horizon and not np.isnan(y).all():
+                    row = found.setdefault(t + delay, np.full(self.y.shape[1], np.nan))
+                    row[columns] = y
+        rows = [found[t] for t in sorted(found)]
+        return replace(self, t=tuple(sorted(found)), y=np.array(rows).reshape(-1, self.y.shape[1]))
+
 
 def read_measurements(
     path: Path | pd.DataFrame,

@@ -203,7 +203,7 @@ class ProblemSection(JobSection):
                     "errors of several sensors need a column each"
                 )
         try:
-            self.feasible, self.weights, self.instants_of_lag  # noqa: B018  made here: they check the values together
+            self.feasible, self.weights, self.instants_of_lag, self.waited_for  # noqa: B018  made here: they check the values together
         except MeasurementTimesError as error:
             raise ValueError(self._said(str(error))) from error
         return self
@@ -217,12 +217,30 @@ class ProblemSection(JobSection):
     @cached_property
     def sensings(self) -> dict[str, Sensing]:
         """The limits, failures and repeats of each sensor; the only one has the name ""."""
-        own: dict[str, Any] = {"": self.sensor} if self.sensor else self.sensors or {}
-        keys, waits = {name: f"sensors.{name}" for name in own}, self.estimate == SMOOTHED
+        waits = self.estimate == SMOOTHED
         return {
-            name: each.sensing(keys[name] if name else "sensor", self.clock, waits=waits)
-            for name, each in own.items()
+            name: each.sensing(f"sensors.{name}" if name else "sensor", self.clock, waits=waits)
+            for name, each in self._own_sensors.items()
         }
+
+    @cached_property
+    def waited_for(self) -> tuple[int, ...]:
+        """The delay of each sensor of the model, in instants, if the estimate waits for values.
+
+        Empty if no value is late.
+        """
+        if self.estimate != SMOOTHED:
+            return ()
+        of_each = {
+            name: each.delay_in(f"sensors.{name}" if name else "sensor", self.clock)
+            for name, each in self._own_sensors.items()
+        }
+        delays = tuple(of_each[name] for name in self.sensed.names)
+        return delays if any(delays) else ()
+
+    @property
+    def _own_sensors(self) -> dict[str, Any]:
+        return {"": self.sensor} if self.sensor else self.sensors or {}
 
     @cached_property
     def sensed(self) -> Sensings:

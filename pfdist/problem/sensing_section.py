@@ -52,13 +52,16 @@ class SensingSection(JobSection):
 
         Raises `MeasurementTimesError` unless the delay is a number of steps of an even clock.
         """
-        delay = 0 if waits or self.delay is None else self._instants(f"{key}.delay", clock)
+        delay = 0 if waits else self.delay_in(key, clock)
         low = -math.inf if self.limit is None else float(self.limit)
         low, high = self.limits or (low, math.inf)
         return Sensing(float(low), float(high), self.fails or 0.0, self.repeats or 1, delay)
 
-    def _instants(self, key: str, clock: Clock) -> int:
-        delay, step = float(self.delay or 0), clock.times[1] - clock.times[0]
+    def delay_in(self, key: str, clock: Clock) -> int:
+        """The delay in instants; raises as `sensing`."""
+        if self.delay is None:
+            return 0
+        key, delay, step = f"{key}.delay", float(self.delay), clock.times[1] - clock.times[0]
         steps = round(delay / step)
         if not clock.is_even or abs(steps * step - delay) > clock.slack or steps > clock.horizon:
             raise MeasurementTimesError(

@@ -48,7 +48,7 @@ from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.runner.identity import time_columns
-from pfdist.runner.progress import Say, silent
+from pfdist.runner.progress import Say, heard, silent
 from pfdist.store import FILTERED_PERCENTS, SMOOTHED_START, filtered_schema, frame_of
 from pfdist.store.schema import components_in
 from pfdist.store.user_tables import write_user_table
@@ -285,6 +285,13 @@ def filter_measurements(
     nearest = of_job.clock.nearest(clock.times[points.instant(t)] for t in tried)
     meant = [points.first(places[k]) + points.way(t) for k, t in zip(nearest, tried, strict=True)]
     filtered_estimates, lag = [*_estimates(filtering, rows)], plan.built.evaluator.lag
+    if delays := plan.built.evaluator.delays:
+        moment = replace(plan.built, evaluator=plan.built.evaluator.at_the_moment)
+        prior_then = plan.prior and plan.prior.remembered(max(delays))
+        late = filter_of(moment, prior_then, repeats=rows.repeats)
+        filtered_estimates = [*_estimates(late, rows.arriving(believed, delays))]
+    elif plan.built.job.problem.waited_for:
+        heard(say, "Estimates at the moment leave the delay out: times are not on the job's clock")
     smoothed = list[FilterEstimate]()
     if len(filtered_estimates) <= filtering.unmeasured.most_smoothed:
         smoothed = filtering.smoothed(filtering.horizon, lag or None)

@@ -206,6 +206,7 @@ def evaluator_of(
             dates=on.dates_in_formulas,
             weights=problem.weights if clock is None else None,
             lag=problem.lag_on(on),
+            delays=problem.waited_for if clock is None else (),
             others=[each.parameters for each in scenarios],
             knows_scenario=knows_scenario,
         )

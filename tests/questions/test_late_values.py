@@ -9,12 +9,16 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.in_turn import in_turn
 from oracles.late import LATE, late_walk, meter_and_laboratory, of_delays, of_late_walk
+from oracles.three_sensors import SYSTEMS
 from pfdist import Problem
 from pfdist.errors import MeasurementsError
 from pfdist.explorer.session import ExplorerSession
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.pages.terminal import lines_of
+from pfdist.runner.build import build
 
 
 def best_completion(taken: set[str], now: int, money: int) -> set[str]:
@@ -231,3 +235,87 @@ def test_a_backtest_judges_values_when_they_are_made_by_those_that_have_arrived(
     each = pfdist.backtest(problem, table, plan_each=True, pool="serial", report=False)
     assert {*each.table["set"]} == {"plan", "from_start", "centred"}
     assert not each.left_out
+
+
+THREE = {"near": {"delay": 3}, "far": {"delay": 1}, "both": {}}
+LATE_JOBS = {  # of smoothed estimates: the model, its sensors, and sets of three and four
+    "one": (late_walk(), {"sensor": {"delay": 4}}, [[2, 6, 8], [0, 3, 5, 8]]),
+    "two": (meter_and_laboratory(), {"sensors": LATE}, [["1 lab", "3 bedside", "6 lab"]]),
+    "three": (
+        SYSTEMS[2].as_model(),
+        {"sensors": THREE},
+        [["1 near", "4 far", "4 both"], ["0 far", "9 near"]],
+    ),
+}
+
+
+@in_turn("name", LATE_JOBS)
+def test_at_the_moment_a_value_counts_when_it_has_arrived(name: str) -> None:
+    """The other estimate of a smoothed job is the filtered job's, also with particles.
+
+    A value that arrives after T counts only afterwards.
+    """
+    model, sensors, sets = LATE_JOBS[name]
+    given = {"horizon": 12, "measurement_budget": 4, **sensors}
+    for times in sets:
+        own, other, sampled = (
+            build(Problem(model, estimate=estimate, engine=engine, **given).job())
+            for estimate, engine in (
+                ("smoothed", "kalman"), ("filtered", "kalman"), ("smoothed", "compiled")
+            )
+        )  # fmt: skip
+        [set_of_own], [set_of_other] = (
+            [each.job.problem.points.read(times)] for each in (own, other)
+        )
+        [right] = other.evaluator.expected_mse([set_of_other])
+        moment = own.evaluator.beside["filtered"]
+        assert moment.expected_mse([set_of_own]) == pytest.approx([right], rel=1e-9)
+        works = sampled.evaluator.beside["filtered"].work(
+            [set_of_own], 1, 2, (0, 2000), Estimation(400, "systematic")
+        )
+        mse = sampled.evaluator.beside["filtered"].filtered(works).mse
+        error = mse.std() / math.sqrt(mse.size)
+        assert abs(mse.mean() - right) <= 4 * error + right / 400
+
+
+def test_the_other_estimate_of_a_plan_and_of_a_comparison_has_the_delay(tmp_path: Path) -> None:
+    """`plan` and `compare` show it beside the smoothed one; a run from its folder has it, too."""
+    job = Problem(
+        late_walk(), horizon=12, measurement_budget=3, sensor={"delay": 4}, estimate="smoothed",
+        engine="kalman",
+    )  # fmt: skip
+    changes = ["comparison.draws=2"]
+    run = pfdist.plan(job, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    compared = pfdist.compare(
+        job, times={"a": [2, 6, 8], "b": [1, 5, 8]}, results=tmp_path / "c", changes=changes,
+        figures=False,
+    )  # fmt: skip
+    filtered = Problem(
+        late_walk(), horizon=12, measurement_budget=3, sensor={"delay": 4}, engine="kalman"
+    )
+    for rows in (
+        run.table("sets"),
+        compared.table("sets"),
+        pfdist.open_run(run.path).table("sets"),
+    ):
+        for row in rows.to_dict("records"):
+            in_time = [t for t in row["measurement_times"] if t + 4 <= 12]
+            right = pfdist.evaluate(filtered, in_time).expected_mse
+            assert row["filtered_mse"] == pytest.approx(right, rel=1e-9)
+
+
+def test_filtered_estimates_of_a_smoothed_job_use_values_that_have_arrived(tmp_path: Path) -> None:
+    """The columns of the filtered estimate are those of the filtered job, with one row a value."""
+    table = pd.DataFrame({"t": [1, 4, 4, 9], "sensor": ["near", "far", "both", "near"],
+                          "y0": [0.7, 1.1, 0.2, -0.4]})  # fmt: skip
+    given = {"horizon": 12, "measurement_budget": 4, "sensors": THREE}
+    for engine in ("kalman", "compiled"):
+        smoothed, filtered = (
+            pfdist.filter_measurements(
+                Problem(SYSTEMS[2].as_model(), estimate=estimate, engine=engine, **given), table
+            ).table
+            for estimate in ("smoothed", "filtered")
+        )
+        columns = [name for name in filtered if not name.startswith("smoothed")]
+        pd.testing.assert_frame_equal(smoothed[columns], filtered[columns])
+        assert smoothed["measured"].to_numpy().nonzero()[0].tolist() == [4, 5, 12]
