@@ -27,9 +27,8 @@ HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2
 LARGEST_Z = 4.0  # standard errors
-EACH = [  # JAX compiles every filter for seconds
-    pytest.param(engine, marks=[pytest.mark.slow] * (engine == "jax")) for engine in ENGINES
-]
+JAX = [pytest.mark.slow, pytest.mark.needs("jax")]  # it compiles every filter for seconds
+EACH = [pytest.param(engine, marks=JAX * (engine == "jax")) for engine in ENGINES]
 NOT_COMPILED = [each for each in EACH if each.values != ("compiled",)]  # it equals NumPy's
 
 SENSORS = StateSpaceModel(  # two sensors of a random walk, either of which may fail

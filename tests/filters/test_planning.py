@@ -126,7 +126,7 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
 @pytest.mark.slow
 def test_replanning_two_modes_gains_what_exact_dynamic_programming_says() -> None:
     """A state of two values: a filter that excludes its truth excludes it for certain."""
-    horizon, measurements, count = 7, 3, 400
+    horizon, measurements, count = 7, 3, 1600
     exact = oracles.modes.Modes(switch=0.02, sd=0.4, horizon=horizon)
     plan, cost = exact.best_fixed(measurements)
     evaluator = Evaluator(oracles.modes.model(switch=0.02, sd=0.4), horizon)

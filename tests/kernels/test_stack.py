@@ -124,9 +124,9 @@ def frames(text):
         if label := re.match(r"_?(\w+):", line):
             name = label[1]
         # sub $24, %rsp (x86); sub sp, sp, #16 or sub x9, sp, #9, lsl #12; sub x9, x9, #8 (aarch64)
-        taken = re.match(r"\s+subq?\s+(?:\$?(\S+), %rsp|(?:sp|x9), (?:sp|x9), (.*))", line)
-        if taken:
-            size = re.match(r"#?(\d+)(?:, lsl #(\d+))?$", (taken[1] or taken[2]).strip())
+        taken = re.match(r"\s+subq?\s+(?:\$?(\S+), %rsp|(?:sp|x9), sp, (.*)|x9, x9, (#.*))", line)
+        if taken:  # x9 may hold anything else, too
+            size = re.match(r"#?(\d+)(?:, lsl #(\d+))?$", taken[taken.lastindex].strip())
             bytes_taken = int(size[1]) << int(size[2] or 0) if size else float("inf")
             found[name] = found.get(name, 0.0) + bytes_taken
     return found

@@ -269,7 +269,7 @@ def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
     table = pd.DataFrame({"t": list(times), "surprise": surprises})
     clock = Clock.counting(HORIZON)
     found = FilteredMeasurements(
-        Path(), Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path()), clock
+        Path(), "", Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path()), clock
     )
     assert found.is_improbable is (min(surprises) * len(surprises) < IMPROBABLE)
     return found.is_improbable

@@ -89,7 +89,14 @@ def test_no_two_phases_share_a_draw(
         streams, lambda: pfdist.plan(small_job, tmp_path / "plan", changes=changes, figures=False)
     )
     assert plan.pop("evenly.spaced") & plan["comparison"]  # judged on the same draws
-    assert plan.keys() == _phases("", ".polish", ".shortlist") | {"comparison", "bound"}
+    others = {
+        "comparison",
+        "bound",
+        "evenly_spaced.ranking",
+        "rule.draws.choice",
+        "rule.draws.tuning",
+    }
+    assert plan.keys() == _phases("", ".polish", ".shortlist") | others
     budget = _asked_by(
         streams,
         lambda: pfdist.budget(

@@ -67,4 +67,6 @@ def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     assert f"The reference has {len(times)} of 4 measurements." in text
     assert "regular" not in text
     assert main(["why", str(run.path / "job.toml"), "--draws", "20"]) == 0
-    assert "reference: expected MSE " in capsys.readouterr().out
+    assert "Measurements of the random plan" in capsys.readouterr().out
+    worth = pfdist.open_run(run.path).table("worth")
+    assert {*worth["name"]} - {"genetic", "random"} == ({"reference"} if times else set())

@@ -91,7 +91,8 @@ def test_a_model_and_a_search_of_an_installed_package_are_run(tmp_path: Path) ->
     installed = _install(WORKING, tmp_path / "site")
     (tmp_path / "job.toml").write_text(JOB)
     search = "search=[{method='greedy', kept=2, evaluation={draws=20}}]"
-    changes = ("model.name=added_walk", "filter.engine=kalman", search)
+    regular = "comparison.reference=regular"
+    changes = ("model.name=added_walk", "filter.engine=kalman", search, regular)
     command = ("run", tmp_path / "job.toml", "--json", "--results", tmp_path / "run")
     done = _python(installed, "-m", "pfdist", *command, "--set", *changes)
     assert done.returncode == 0, done.stderr
