@@ -283,11 +283,15 @@ def checked_instant(t: Any, start: int, horizon: int) -> int:
 
 
 def checked_measurement(
-    y: float | Sequence[float] | Array, model: StateSpaceModel, t: str, names: Sequence[str] = ()
+    y: float | Sequence[float] | Array,
+    model: StateSpaceModel,
+    t: str,
+    names: Sequence[str] = (),
+    limits: tuple[Any, Any] = (-math.inf, math.inf),
 ) -> Array | None:
     """A checked measurement as an array (m,); None if every component is missing.
 
-    `t` and `names` are the time and the components in error messages. Raises `MeasurementsError` if
+    A number beyond the limits of its sensor is the censored reading: the limit. `t` and `names` are the time and the components in error messages. Raises `MeasurementsError` if
     the number of components is wrong, if one is not a finite number, or if one is missing and the
     model does not declare `missing_components`.
     """
@@ -320,7 +324,7 @@ def checked_measurement(
             f"t = {t}: the model {model.name} does not declare missing_components=True, that is, "
             "that its log_likelihood takes NaN"
         )
-    return values
+    return values.clip(*limits)
 
 
 def plain_number(value: Any) -> Any:

@@ -160,9 +160,8 @@ class Calendar:
 
     def elapsed(self, text: str) -> float:
         """The time of a written date or number; raises `MeasurementTimesError`."""
-        word = _WITH_SPACE.sub("T", text)
         try:
-            return float(word) if NUMBER.fullmatch(word) else self.time(self.read(word))
+            return float(text) if NUMBER.fullmatch(text) else self.time(self.read(text))
         except ValueError as error:
             raise MeasurementTimesError(f"t {error}") from error
 
@@ -245,6 +244,7 @@ def names_dates(text: str) -> bool:
 
 
 def _moment(text: str, zone: tzinfo | None) -> datetime:
+    text = _WITH_SPACE.sub("T", text)
     if not (_DATE.fullmatch(text) or _MOMENT.fullmatch(text)):
         hint = "; hours are 00:00 to 23:59" * text.lower().rstrip(".").endswith(("am", "pm"))
         rule = "must be a date, as 2026-04-01 or 2026-04-01T08:00"

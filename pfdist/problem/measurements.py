@@ -263,10 +263,10 @@ def _placed(
     late = 0
     for t, arrival, way, row in rows:
         text, name = clock.text(clock.times[t]), model.parts[way].name
-        y = _of_sensor(model, way, row, columns, text)
+        sensing = reading.sensings.by_way(way)
+        y = _of_sensor(model, way, row, columns, text, (sensing.low, sensing.high))
         if y is None:
             continue
-        y = y.clip(reading.sensings.by_way(way).low, reading.sensings.by_way(way).high)
         if arrival > clock.horizon:
             late += 1
             continue
@@ -287,7 +287,12 @@ def _placed(
 
 
 def _of_sensor(
-    model: StateSpaceModel, way: int, row: Array, columns: Sequence[str], t: str
+    model: StateSpaceModel,
+    way: int,
+    row: Array,
+    columns: Sequence[str],
+    t: str,
+    limits: tuple[float, float],
 ) -> Array | None:
     """The checked measurement of a row; None if all is missing."""
     name, alone, own, _ = model.parts[way]
@@ -297,7 +302,7 @@ def _of_sensor(
             f"the sensor {name} must have {count} components of y, got more at t = {t}"
         )
     names = [f"{column} of {name}" if name else column for column in columns[:count]]
-    return checked_measurement(row[:count], alone, t, names)
+    return checked_measurement(row[:count], alone, t, names, limits)
 
 
 def _check_parameter(

@@ -293,7 +293,7 @@ def _next_by_plan(
     start = clock.instant(planner.estimate().t)
     rows = read_measurements(table, believed, clock, start, reading)
     made, is_own = rows.made_with(believed), rows.clock is clock and rows.repeats == 1
-    is_own = is_own and not rows.given
+    is_own = (is_own and not rows.given) or not (rows.t or rows.missed)
     late = (point for point in made if points.made_at(point) < points.instant(point))
     rest = planner.rest
     rest.count(in_flight=(*rows.in_flight, *late))

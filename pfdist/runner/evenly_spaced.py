@@ -178,7 +178,7 @@ class _Scan:
         if not self.built.job.comparison.is_even:
             return [feasible.regular()]
         even = even_sets(feasible)
-        return [*even.sets_of(even.lines(lines))]
+        return [*even.sets_of(even.lines(lines))] or [feasible.regular()]  # on an uneven clock
 
     def _best_of(self, number: int) -> list[Times]:
         """The best evenly spaced sets of a number by the programme, or regular times."""

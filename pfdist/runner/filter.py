@@ -61,6 +61,7 @@ from pfdist.models.recorded import declared
 from pfdist.problem.job import Job
 from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, Problem, as_job
+from pfdist.problem.sensing_section import Sensings
 from pfdist.runner.build import Built, build
 from pfdist.store import holds_run
 
@@ -105,6 +106,9 @@ class Filter(Followed):
         Index of the filter in the stream of its noise.
     horizon : int, optional
         The last instant T that is allowed, by default 32,000.
+    limits : tuple of sequences of float, (m,), optional
+        For each component of y, the values below the first and above the second that its sensor
+        reads as these: such a number is the censored reading. By default those of the job.
 
     Raises
     ------
@@ -142,9 +146,10 @@ class Filter(Followed):
         prior: Prior | ArrayLike | None = None,
         draw: Annotated[Whole, Field(ge=0, lt=2**32)] = 0,
         horizon: Annotated[Whole, Field(ge=0, le=LAST)] | None = None,
+        limits: tuple[Sequence[float], Sequence[float]] | None = None,
     ) -> None:
-        given = {"particles": particles, "seed": seed, "resampling": resampling}
-        given |= {"resample": resample, "engine": engine, "horizon": horizon}
+        given: dict[str, Any] = {"particles": particles, "seed": seed, "resampling": resampling}
+        given |= {"resample": resample, "engine": engine, "horizon": horizon, "limits": limits}
         own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         if not isinstance(model, StateSpaceModel) and _is_job(model):
             job = as_job(model)
@@ -170,11 +175,15 @@ class Filter(Followed):
         resample: str = "always",
         engine: EngineName = AUTO,
         horizon: int = LAST,
+        limits: tuple[Sequence[float], Sequence[float]] = ((-math.inf,), (math.inf,)),
         *,
         prior: Prior | ArrayLike | None,
         draw: int,
     ) -> None:
         self.model, self.horizon = _at_each_instant(model, horizon), horizon
+        repeats = self.model.components[1] // len(limits[0])  # those of a sensor have the same
+        low, high = (np.tile(ends, repeats) for ends in limits)
+        self._limits: tuple[Any, Any] = low, high
         self.stream = stream_of("filter", seed)
         """The 64-bit key of the filter's noise."""
         start = as_prior(prior, self.model)
@@ -268,7 +277,9 @@ class Filter(Followed):
                 f"measurements must be given in the order of time, each instant once: t must be "
                 f"{after} {self._formatted(self._filter.t)}, got {self._formatted(t)}"
             )
-        measurement = checked_measurement(y, self.model, self._formatted(t))
+        measurement = checked_measurement(
+            y, self.model, self._formatted(t), limits=self._limits
+        )
         before = self.model
         if given:
             self._follow(self._with(t, given))
@@ -496,7 +507,18 @@ def settings_of_job(built: Built) -> dict[str, Any]:
         "resample": job.filter.resample or "always",
         "engine": evaluator.engine,
         "horizon": evaluator.horizon,
+        "limits": _limits(evaluator.believed, job.problem.sensed),
     }
+
+
+def _limits(model: StateSpaceModel, sensed: Sensings) -> tuple[list[float], list[float]]:
+    """The limits of each component of y."""
+    each = [
+        sensed.by_way(way)
+        for way, part in enumerate(model.parts)
+        for _ in range(part.y.start, part.y.stop)
+    ]
+    return [sensing.low for sensing in each], [sensing.high for sensing in each]
 
 
 def _prior(at: OneFilter) -> Prior:

@@ -268,3 +268,13 @@ def test_a_mistake_is_an_error_of_one_line(keys: dict[str, Any], message: str) -
         Job(seed=1, problem=filled)
     assert re.search(message, str(error.value)), str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_date_may_have_a_space_before_its_hour_everywhere() -> None:
+    """As `start`, `required` and options have it."""
+    texts = [f"2026-04-03{mark}08:00" for mark in ("T", " ")]
+    first, second = (
+        section("2026-04-01 08:00", "2 h", horizon=text, required=[text]) for text in texts
+    )
+    assert first.clock == second.clock
+    assert first.feasible.required == second.feasible.required == (24,)

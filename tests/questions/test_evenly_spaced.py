@@ -146,3 +146,11 @@ def test_nothing_is_said_where_a_look_would_take_too_long(
         run = pfdist.plan(problem, tmp_path / str(limit), changes=changes, figures=False)
         said.append("evenly_spaced" in run.tables)
     assert said == [True, False]
+
+
+def test_numbers_without_an_evenly_spaced_set_have_regular_times(tmp_path: Path) -> None:
+    """On an uneven clock ten of fourteen times are never evenly spaced."""
+    times = [0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24]
+    problem = pfdist.Problem("random_walk", times=times, measurement_budget=6, engine="kalman")
+    run = pfdist.plan(problem, tmp_path / "run", changes=["comparison.draws=2"], figures=False)
+    assert {*run.table("evenly_spaced")["measurements"]} == {*range(6, 15)}

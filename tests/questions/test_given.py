@@ -249,3 +249,16 @@ def test_it_names_a_parameter_of_the_model_and_a_column_once() -> None:
     with pytest.raises(ModelError, match="given must be parameters of the model, u, sd, got"):
         pfdist.simulate(_problem(given={"v": "error"}))
     assert "wrong" not in {*pfdist.check_model(_problem())["state"]}
+
+
+def test_an_empty_table_asks_for_the_first_time() -> None:
+    """Also with the column of [problem.given], whose readings have not come yet."""
+    empty = pd.DataFrame({name: [] for name in ("t", "y0", "error")})
+    asked, alone = (
+        pfdist.next_time(problem, each)
+        for problem, each in (
+            (_problem(), empty),
+            (_problem((0.2,) * 7, given=None), empty[["t", "y0"]]),
+        )
+    )
+    assert asked.plan == alone.plan
