@@ -28,7 +28,6 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, StoreError, reason_of
 from pfdist.explorer.filtered import Change, FilteredSets
 from pfdist.filters.aspects import ErrorBeside
-from pfdist.filters.beside import errors_beside
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK
 from pfdist.problem.job import job_toml
@@ -92,7 +91,7 @@ class ExplorerSession:
         self.played = FilteredSets(self.built, stream)
         evaluator, own = self.built.evaluator, self.built.comparing
         self._beside = dict[ErrorBeside, FilteredSets]()
-        for each in errors_beside(evaluator.lag):
+        for each in evaluator.errors_beside:
             estimation = replace(each.settings(evaluator, own), particles=own.particles)
             of_error = replace(self.built, evaluator=evaluator.beside[each.named])
             self._beside[each] = FilteredSets(of_error, stream, estimation)

@@ -85,8 +85,8 @@ class Evaluator:
     # The estimate of z(t) uses measurements until t + lag, in instants: 0 for that of the filter, T
     # for that from all measurements. See `Estimation`.
     lag: Lag = 0
-    # (ways,): the instants after which a value arrives; only for an estimate that waits for all values,
-    # and for that at the moment, see `at_the_moment`. Otherwise a point is that of the arrival.
+    # (ways,): the instants after which a value arrives, of an estimate that waits for all values,
+    # and of that at the moment, see `at_the_moment`. Otherwise a point is that of the arrival.
     delays: tuple[int, ...] = ()
     # whether its error is minus the information, in nats; see `of_information`
     gives_information: bool = False
@@ -164,7 +164,12 @@ class Evaluator:
     @cached_property
     def beside(self) -> dict[str, "Evaluator"]:
         """The evaluators of the errors that answers show beside this one's, by name."""
-        return {each.named: each.evaluator(self) for each in errors_beside(self.lag)}
+        return {each.named: each.evaluator(self) for each in self.errors_beside}
+
+    @property
+    def errors_beside(self) -> list[ErrorBeside]:
+        """The errors that answers show beside this one's."""
+        return errors_beside(self.lag, self.weights, self.delays)
 
     @cached_property
     def at_the_moment(self) -> "Evaluator":

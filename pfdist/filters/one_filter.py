@@ -291,9 +291,10 @@ def checked_measurement(
 ) -> Array | None:
     """A checked measurement as an array (m,); None if every component is missing.
 
-    A number beyond the limits of its sensor is the censored reading: the limit. `t` and `names` are the time and the components in error messages. Raises `MeasurementsError` if
-    the number of components is wrong, if one is not a finite number, or if one is missing and the
-    model does not declare `missing_components`.
+    A number beyond the limits of its sensor is the censored reading: the limit. `t` and `names` are
+    the time and the components in error messages. Raises `MeasurementsError` if the number of
+    components is wrong, if one is not a finite number, or if one is missing and the model does not
+    declare `missing_components`.
     """
     components = model.components[1]
     try:

@@ -24,6 +24,8 @@ from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.section import JobSection, Listed
 from pfdist.common.sensing import Sensing, names_of_repeats
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.filters.aspects import ErrorBeside
+from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import calendar_of
 from pfdist.problem.clock import Clock, Time
@@ -237,6 +239,11 @@ class ProblemSection(JobSection):
         }
         delays = tuple(of_each[name] for name in self.sensed.names)
         return delays if any(delays) else ()
+
+    @property
+    def errors_beside(self) -> list[ErrorBeside]:
+        """The errors that answers show beside that of the job."""
+        return errors_beside(self.instants_of_lag, self.weights, self.waited_for)
 
     @property
     def _own_sensors(self) -> dict[str, Any]:

@@ -22,7 +22,6 @@ from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.aspects import Aspect, ErrorBeside
-from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import MEAN, Criterion, OtherCriterion, Sample
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
@@ -500,7 +499,7 @@ def evaluated(
     start = time.perf_counter()  # after the compilation
     evaluations = compute()
     seconds = time.perf_counter() - start
-    errors = errors_beside(built.evaluator.lag)
+    errors = built.evaluator.errors_beside
     beside = {each: compute(beside=each) for each in errors}
     broken = {
         name: loaded.problem.broken(evaluation.measurement_times)

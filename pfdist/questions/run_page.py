@@ -229,7 +229,8 @@ def _beside(subject: Subject, row: Row, error: ErrorBeside) -> Iterator[Text]:
         return
     limit, label = "at most " * subject.is_limit(error), subject.criterion.mse_criterion.label
     differs = row.measurement_times != reference.measurement_times
-    beside = f" ({reference.label}: {mse.cell(reference).text})" * differs
+    # The reference is the best of its kind for the job's own estimate, not for this one.
+    beside = f" ({reference.label}, as above: {mse.cell(reference).text})" * differs
     said = f"the {label} is {limit}{mse.cell(row).text}{beside}."
     if not error.planned or subject.criterion.aspects:
         yield Text(f"{error.when}, {said}")

@@ -13,7 +13,6 @@ from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
 from pfdist.filters.aspects import DISTANCE, ErrorBeside
-from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.clock import Clock
@@ -149,7 +148,7 @@ class Subject:
     @cached_property
     def beside(self) -> list[ErrorBeside]:
         """The errors that are shown beside that of the job."""
-        return errors_beside(problem_of(self.run).instants_of_lag)
+        return problem_of(self.run).errors_beside
 
     def is_limit(self, error: ErrorBeside) -> bool:
         """Whether this error beside the job's is an upper limit; see `Evaluator`."""

@@ -16,7 +16,6 @@ from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.percent import HEAVY
 from pfdist.errors import reason_of
 from pfdist.filters.aspects import VARIANCE
-from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import CriterionValue
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.estimators import SQUARED_ERROR
@@ -148,7 +147,7 @@ def _given(run: StoredRun) -> Iterable[Row]:
             row.add(described(run.job, name, tuple(times), problem))
         if not math.isnan(exact := entry.get("exact_mse", math.nan)):
             row.add(_exact("expected_mse", exact) | {"standard_error": 0.0})
-        for each in errors_beside(problem.instants_of_lag):
+        for each in problem.errors_beside:
             if not math.isnan(exact := entry.get(each.exact_column, math.nan)):
                 row.add(each.columns(Estimate(exact)))
         yield row
@@ -203,7 +202,7 @@ def described(
 def _add_errors_beside(run: StoredRun, rows: dict[str, Row]) -> None:
     """Add the values that the job's criterion gives the errors beside that of the job."""
     form = criterion_of(run).mse_criterion
-    for error in errors_beside(problem_of(run).instants_of_lag):
+    for error in problem_of(run).errors_beside:
         draws = on_common_draws(run, error.table) if run._store.has(error.table) else pa.table({})
         columns = {name: draws[name].to_numpy() for name in draws.column_names}
         for name, row in rows.items() if columns else ():

@@ -19,7 +19,6 @@ from pfdist.common.measurement_times import Times, validated
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError, StoreError
 from pfdist.filters.aspects import DISTANCE, VARIANCE, Aspect, ErrorBeside
-from pfdist.filters.beside import errors_beside
 from pfdist.filters.work import (
     FilterWork,
     Result,
@@ -307,7 +306,7 @@ def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[
     work = work or _work(built, dict.fromkeys(built.names, built.job.problem.feasible.regular()))
     evaluator, has_details = built.evaluator, built.study.has_details
     tables = [trajectories(built, work)] * has_details
-    for each in errors_beside(evaluator.lag) if has_details and not evaluator.exact else ():
+    for each in evaluator.errors_beside if has_details and not evaluator.exact else ():
         tables += beside(built, work, each)
     wanted = [each.aspects for each in built.job.other_criteria.values() if not evaluator.exact]
     aspects = [aspect for of_criterion in wanted for aspect in of_criterion]

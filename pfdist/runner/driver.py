@@ -10,7 +10,6 @@ import pyarrow as pa
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError
-from pfdist.filters.beside import errors_beside
 from pfdist.filters.work import FilterWork, Result, cut
 from pfdist.problem.online_section import Online
 from pfdist.runner.bound_settings import BoundSettings
@@ -159,7 +158,7 @@ def _exact_columns(built: Built, sets: Sequence[Times]) -> dict[str, tuple[Any, 
     columns: dict[str, tuple[Any, Part]] = {
         "exact_mse": (evaluator.expected_mse(sets), "comparison")
     }
-    for each in errors_beside(evaluator.lag):
+    for each in evaluator.errors_beside:
         exact = evaluator.beside[each.named].expected_mse(sets, criterion=form)
         columns[each.exact_column] = exact, "other estimate"
     for form in built.job.other_criteria.values():

@@ -277,9 +277,7 @@ class Filter(Followed):
                 f"measurements must be given in the order of time, each instant once: t must be "
                 f"{after} {self._formatted(self._filter.t)}, got {self._formatted(t)}"
             )
-        measurement = checked_measurement(
-            y, self.model, self._formatted(t), limits=self._limits
-        )
+        measurement = checked_measurement(y, self.model, self._formatted(t), limits=self._limits)
         before = self.model
         if given:
             self._follow(self._with(t, given))

@@ -15,7 +15,8 @@ PACKAGE = Path(pfdist.__file__).parent
 
 @pytest.mark.parametrize("lag", [0, 3, 12, (2, 1, 0)])
 def test_a_job_shows_one_other_estimate(lag: int | tuple[int, ...]) -> None:
-    assert [each.named for each in errors_beside(lag)] == ["filtered" if lag else "smoothed"]
+    shown = [each.named for each in errors_beside(lag, None, ())]
+    assert shown == ["filtered" if lag else "smoothed"]
 
 
 @pytest.mark.parametrize("error", BESIDE, ids=lambda each: each.named)
@@ -32,3 +33,11 @@ def test_a_declared_error_has_its_table_and_its_column_and_no_module_names_it(
     }
     declared = {"filters/other_estimate.py", "filters/beside.py"}
     assert knowing == declared | {"store/schema.py"}
+
+
+def test_where_only_the_last_instant_counts_no_other_estimate_is_shown() -> None:
+    """The filtered and the smoothed estimate of z(T) are the same, unless a value arrives later."""
+    last = (0.0, 0.0, 1.0)
+    assert errors_beside(0, last, ()) == errors_beside(2, last, ()) == []
+    assert [each.named for each in errors_beside(2, last, (1,))] == ["filtered"]
+    assert len(errors_beside(0, (0.0, 1.0, 1.0), ())) == 1

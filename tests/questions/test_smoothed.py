@@ -18,7 +18,6 @@ from pfdist import Job
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError
-from pfdist.filters.beside import errors_beside
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.other_estimate import SMOOTHED as SMOOTHED_ERROR
@@ -150,7 +149,7 @@ def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
     run, swapped = pfdist.open_run(finished(*changes)), finished(*([] if changes else [SMOOTHED]))
     table, sets = run.table("other_estimate"), run.table("sets").set_index("name")
     built, of_run = build(load_job(swapped)), build(load_job(run.path))
-    (error,) = errors_beside(of_run.evaluator.lag)
+    (error,) = of_run.evaluator.errors_beside
     assert error.named == other
     estimation = error.settings(of_run.evaluator, of_run.comparing)
     filters = ESTIMATORS[estimation.estimator].filters
@@ -173,7 +172,7 @@ def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
         for name in (best.name, "regular")
     ]
     assert f"{when}, " in said
-    assert f"the expected MSE is {texts[0]} (regular: {texts[1]})." in said
+    assert f"the expected MSE is {texts[0]} (regular, as above: {texts[1]})." in said
     assert (HINT in said) == (other == "smoothed")
     assert (": the expected MSE of the smoothed estimate is " in said) == bool(changes)
 
