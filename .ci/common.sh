@@ -7,7 +7,7 @@ step() { echo "== $(date +%T) $*"; }
 
 # A new virtual environment with nothing in it, which is active then: environment NAME [PYTHON]
 environment() {
-    if [ -n "${VIRTUAL_ENV:-}" ]; then deactivate; fi
+    if declare -F deactivate > /dev/null; then deactivate; fi # of an environment of this script
     "${2:-python3}" -m venv "$scratch/$1"
     activate "$1"
 }
@@ -23,6 +23,7 @@ locked_environment() {
     environment locked
     pip install -q --require-hashes -r requirements/locked.txt
     pip install -q --no-deps --no-build-isolation -e .
+    touch "$scratch/locked.done"
 }
 
 # The path of a Python, by its version; empty if this machine lacks it.
@@ -56,11 +57,15 @@ run_readme() {
     bash -c "$command"
 }
 
-# Whether a program is there, or a package of Debian brings it: has PROGRAM PACKAGE...
+# Whether a program is there, or packages of Debian bring it: has PROGRAM PACKAGE...
 has() {
     if command -v "$1" > /dev/null; then return; fi
-    (apt-get update -q && apt-get install -y -q --no-install-recommends "${@:2}") > /dev/null 2>&1 &&
-        command -v "$1" > /dev/null
+    export DEBIAN_FRONTEND=noninteractive
+    if ! apt-get update -q > /dev/null ||
+        ! apt-get install -y -q --no-install-recommends "${@:2}" > /dev/null; then
+        echo "$1 is not on this machine, and $2 cannot be installed"
+        return 1
+    fi
 }
 
 # What the first command printed must be what README.md shows: as_readme_shows FILE

@@ -150,6 +150,7 @@ def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:
     browser : bool
         Whether the page is opened in the browser.
     """
+    path_argument("job", job)  # before it turns out what is not installed
     from pfdist.explorer.server import explorer_page
 
     yield from explorer_page(job, port=port, browser=browser)

@@ -25,7 +25,7 @@ class _Forgiving(io.FileIO):
 
 
 class _Answer(io.FileIO):
-    """A file whose error says once that it has the answer of a command; the rest is discarded.
+    """The file of a command's answer: its first error is raised, and later writes are discarded.
 
     At its end the interpreter could no longer report an error.
     """
@@ -48,7 +48,7 @@ class _Answer(io.FileIO):
 def make_harmless() -> None:
     """Connect closed standard streams to nothing, and let no write to standard error fail.
 
-    A write to standard output that fails says that this is the answer.
+    A write to standard output that fails is a `PfdistError`: the answer is lost.
 
     A file that is opened gets the lowest free descriptor. Without this function, a file of a run
     could get the descriptor of a closed standard error, and libraries would write messages to it.

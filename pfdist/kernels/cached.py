@@ -6,10 +6,12 @@ a function is defined, not those of the functions that it calls. Whatever is wro
 a warning says so, and functions are compiled again.
 """
 
+import contextlib
 import ctypes
 import hashlib
 import os
 import platform
+import re
 import shutil
 import tempfile
 import threading
@@ -84,54 +86,113 @@ def entry(kind: type) -> Callable[[Callable[..., Any]], Entry]:
     return lambda function: Entry(function, kind)
 
 
+Files = dict[str, bytes]
+"""The contents of files, by their paths below a folder."""
+
+
 def _with_code_kept(function: Callable[..., Any], place: Place) -> Any:
     """The compiled function, loaded from the folder if its code is there, else kept there.
 
     ``<function>-<hash>/`` has what Numba keeps of a function. It gets this name in one step, when
-    it is whole, and never changes. So a process that dies leaves nothing half, and machine code
-    with another hash is never loaded.
+    it is whole, and never changes. So a process that dies leaves nothing half.
     """
     signature = types.void(place)
     folder = _folder(Path(function.__code__.co_filename).parent)
+    start = f"{function.__module__}.{function.__qualname__}-"
     if folder is None:
         return numba.cfunc(signature, error_model="numpy")(function)
-    start = f"{function.__module__}.{function.__qualname__}-"
-    try:
-        for kept in folder.glob(f"{start}*"):
-            if kept.name != start + _hash_of_files(kept):
-                raise ValueError(f"{kept.name} has another hash")
-            return _compiled_in(kept, function, signature)
-    except Exception as error:  # unpickling and LLVM raise errors of many types
-        _empty(folder, error)
-    if folder not in _unwritable:
+    for files in (_kept(folder, start), Files()):
         try:
-            with tempfile.TemporaryDirectory(
-                prefix=".",
-                dir=folder,
-                ignore_cleanup_errors=True,  # it gets another name
-            ) as unfinished:
-                code = _compiled_in(unfinished, function, signature)
-                kept = folder / f"{start}{_hash_of_files(Path(unfinished))}"
-                if not kept.exists():  # another process may have been quicker
-                    Path(unfinished).rename(kept)
-                return code
+            code, after = _compiled(function, signature, files)
         except OSError as error:
-            _unwritable.append(folder)
             _warn(folder, _NOT_KEPT, error)
+            break
+        except Exception as error:  # unpickling and LLVM raise errors of many types
+            if not files:
+                raise
+            _empty(folder, error)
+            continue
+        if after != files:
+            _keep(folder, start, after)
+        return code
     return numba.cfunc(signature, error_model="numpy")(function)
 
 
-def _compiled_in(folder: str | Path, function: Callable[..., Any], signature: Any) -> Any:
-    """The function, which Numba loads from a folder, or compiles and writes to it.
+def _compiled(function: Callable[..., Any], signature: Any, files: Files) -> tuple[Any, Files]:
+    """The function, which Numba loads from some files or compiles, and the files for the next time.
 
-    Numba's setting of the folder holds for a whole process. It is read when a function is declared,
-    so it is changed for this time only, and cached functions of the user do not move.
+    Numba gets a private copy of the files, so it loads nothing but what was compared with its hash.
+    Its setting of the folder holds for a whole process. It is read when a function is declared, so
+    it is changed for this time only, and cached functions of the user do not move.
     """
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+    with tempfile.TemporaryDirectory(prefix="pfdist-compiling-") as name:
+        private, before = Path(name), numba.config.CACHE_DIR
+        # If Numba cannot make such a folder with a file, it looks elsewhere.
+        _write(private, files | {"probe/file": b""})
+        shutil.rmtree(private / "probe")
+        numba.config.CACHE_DIR = name
+        try:
+            code = numba.cfunc(signature, cache=True, error_model="numpy")(function)
+        finally:
+            numba.config.CACHE_DIR = before
+        return code, _read(private)
+
+
+def _kept(folder: Path, start: str) -> Files:
+    """The files that are kept of a function; none if there are none, or if they are damaged."""
     try:
-        return numba.cfunc(signature, cache=True, error_model="numpy")(function)
-    finally:
-        numba.config.CACHE_DIR = before
+        for each in folder.glob(f"{start}*"):
+            files = _read(each)
+            if each.name != start + _hash_of_files(files):
+                raise ValueError(f"{each.name} has another hash")
+            return files
+    except (OSError, ValueError) as error:
+        _empty(folder, error)
+    return Files()
+
+
+def _keep(folder: Path, start: str, files: Files) -> None:
+    """Keep the files of a function, unless the folder cannot be written."""
+    try:
+        with tempfile.TemporaryDirectory(
+            prefix=".", dir=folder, ignore_cleanup_errors=True
+        ) as unfinished:  # it gets another name
+            _write(Path(unfinished), files)
+            whole = folder / f"{start}{_hash_of_files(files)}"
+            if not whole.exists():  # another process may have been quicker
+                Path(unfinished).rename(whole)
+    except OSError as error:
+        _warn(folder, _NOT_KEPT, error)
+
+
+def _empty(folder: Path, error: Exception) -> None:
+    """Remove all that is kept in a folder, after a warning."""
+    _warn(folder, "code that was kept is damaged, and is compiled again", error)
+    with contextlib.suppress(OSError):
+        for each in folder.iterdir():
+            if each.is_dir() and not each.is_symlink():
+                shutil.rmtree(each, ignore_errors=True)
+            else:
+                each.unlink()
+
+
+def _read(folder: Path) -> Files:
+    """The contents of all files below a folder."""
+    files = sorted(file for file in folder.rglob("*") if not file.is_dir())
+    return {str(file.relative_to(folder)): file.read_bytes() for file in files}
+
+
+def _write(folder: Path, files: Files) -> None:
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def _hash_of_files(files: Files) -> str:
+    content = hashlib.blake2b(digest_size=8)
+    for name, own in files.items():
+        content.update(f"{name}:{len(own)}:".encode() + own)
+    return content.hexdigest()
 
 
 @cache
@@ -154,53 +215,42 @@ def _folder(sources: Path) -> Path | None:
                 raise PermissionError(
                     "it must belong to this user, and be writable by its owner alone"
                 )
+        is_empty = not any(folder.iterdir())
     except OSError as error:
         _warn(parent, _NOT_KEPT, error)
         return None
-    if not any(folder.iterdir()):
+    if is_empty:
         tell("Compiling the filter, once on this machine (about 10 s)...")
     return folder
 
 
 _NOT_KEPT = "compiled code is not kept, so each process compiles for some seconds"
-_unwritable = list[Path]()  # for instance on a full disk
-
-
-def _empty(folder: Path, error: Exception) -> None:
-    """Remove all code that is kept in a folder, after a warning."""
-    _warn(folder, "code that was kept is damaged, and is compiled again", error)
-    for each in folder.glob("[!.]*"):
-        shutil.rmtree(each, ignore_errors=True)
+_warned = set[Path]()  # each folder once
 
 
 def _warn(folder: Path, what: str, error: Exception) -> None:
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    warnings.warn(
-        f"{what}: {reason or type(error).__name__} ({FOLDER_VARIABLE}: {folder})",
-        EngineWarning,
-        stacklevel=3,
-    )
+    if folder not in _warned:
+        _warned.add(folder)
+        text = f"{what}: {reason or type(error).__name__} ({FOLDER_VARIABLE}: {folder})"
+        warnings.warn(text, EngineWarning, stacklevel=3)
 
 
-def _hash_of_files(folder: Path) -> str:
-    """Hash of the names and contents of all files below a folder."""
-    content = hashlib.blake2b(digest_size=8)
-    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
-        content.update(f"{file.relative_to(folder)}:{file.stat().st_size}:".encode())
-        content.update(file.read_bytes())
-    return content.hexdigest()
+_IMPORTS_THIS = re.compile(rb"pfdist\.kernels(\.| import .*\b)cached\b")
 
 
 def _hash_of_sources(folder: Path) -> str:
     """Hash of the sources of compiled code, and of all else on which machine code depends.
 
     These are all files of each folder of the package in which one imports this module, and those of
-    the given folder. Numba compares the size and time of the file that has the function.
+    the given folder. Compiled code reads no constant of any other. Some versions of Numba compare
+    the time of the file that has the function.
     """
     package = Path(__file__).parents[1]
-    texts = {file: file.read_bytes() for file in package.rglob("*.py")}
-    texts |= {file: file.read_bytes() for file in folder.glob("*.py")}
-    folders = {folder, *(file.parent for file, text in texts.items() if __name__.encode() in text)}
+    files = [*package.rglob("*.py"), *folder.glob("*.py")]
+    texts = {file: file.read_bytes() for file in files}
+    folders = {file.parent for file, text in texts.items() if _IMPORTS_THIS.search(text)}
+    folders |= {folder, Path(__file__).parent}
     content = hashlib.blake2b(digest_size=8)
     for file in sorted(file for file in texts if file.parent in folders):
         content.update(f"{file}:{file.stat().st_mtime_ns}:".encode() + texts[file])

@@ -43,6 +43,7 @@ from pfdist.results.stored_run import (
     values_of,
 )
 from pfdist.results.summary import keep_summary, read_summary, summary_of
+from pfdist.store.about import unreadable
 from pfdist.store.schema import components_in
 
 if TYPE_CHECKING:
@@ -268,6 +269,9 @@ def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
         return {}
     rows, problem = run.table("trajectories"), problem_of(run)
     suffixes = [each.suffix for each in components_in(rows, "z_")]
+    if len(angles) != len(suffixes):
+        reason = f"provenance.angles must have {len(suffixes)} values, got {len(angles)}"
+        raise unreadable(run.path, "run.json", reason)
     weights = dict(zip(problem.clock.times, problem.weights or (), strict=False))
     weight, shares = rows["t"].map(weights) if weights else 1.0, dict[str, list[float]]()
     for name in run.names:

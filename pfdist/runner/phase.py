@@ -214,8 +214,8 @@ def run_phase(
 ) -> Generator[WorkBatch, None, Sequence[Evaluation]]:
     """The finalists of an optimiser, which runs until it is done.
 
-    The phase is published after the next commit, with all parts of its name. So no other phase of
-    this name may begin before; a run has one phase of a name.
+    The next commit publishes the phase, with all parts of its name. Another phase of this name must
+    begin after it.
 
     Raises `MeasurementTimesError` if the optimiser requests times outside 0..T.
     """

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from pfdist.common.parsing import (
     MOST_BYTES,
@@ -50,9 +50,15 @@ class _Processor(_Recorded):
     model: str
 
 
+class _Machine(_Recorded):
+    node: str
+    system: str
+    cores: int
+
+
 class _Names(_Recorded):
-    z: list[str] = []
-    y: list[str] = []
+    z: list[Annotated[str, Field(min_length=1)]] = []
+    y: list[Annotated[str, Field(min_length=1)]] = []
 
 
 def _instant(text: str) -> str:
@@ -68,16 +74,16 @@ class _Provenance(_Recorded):
 
     started: Annotated[str, AfterValidator(_instant)]
     command: list[str]
+    python: str
+    libraries: dict[str, str]
+    machine: _Machine
     processor: _Processor
+    execution: dict[str, str | int]
     continued_on: list[dict[str, Any]] = []
-    libraries: dict[str, str] = {}
-    machine: dict[str, str | int] = {}
-    execution: dict[str, str | int] = {}
-    declared: dict[str, str] = {}
-    python: str = ""
     name_of_model: str = ""
     names: _Names = _Names()
     angles: list[bool] = []
+    declared: dict[str, str] = {}
     unproved: str = ""
     few_lines: str = ""
     on_the_way: str = ""
@@ -90,7 +96,7 @@ class _Run(_Recorded):
     engine: str
     model: str
     filter_model: str
-    estimations: dict[str, dict[str, Any]] = {}
+    estimations: dict[str, dict[str, Any]]
     provenance: _Provenance
 
 

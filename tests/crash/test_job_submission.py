@@ -29,9 +29,9 @@ def test_a_submitted_run_is_stopped_and_submitted_again_and_loses_nothing(tmp_pa
     small = (Path(__file__).parents[1] / "small.toml").read_text()
     job, run = tmp_path / "job.toml", tmp_path / "run"
     job.write_text(small.replace("250", "600000"))
-    whole = pfdist.run(job, tmp_path / "whole", pool="threads", workers=2)
+    whole = pfdist.run(job, tmp_path / "whole", pool="threads", workers=2, figures=False)
     words = [sys.executable, "-m", "pfdist", "run", str(job), "--results", str(run)]
-    words += ["--pool", "ray", "--address", "auto"]
+    words += ["--pool", "ray", "--address", "auto", "--verbose"]
     with nodes(tmp_path, 3, takes_jobs=True) as cluster:
         first = ray_job(cluster, "submit", "--no-wait", "--submission-id=first", "--", *words)
         assert first.returncode == 0, first.stderr[-2000:]

@@ -116,9 +116,41 @@ def test_code_that_numba_cannot_load_is_compiled_again(kept, tmp_path):
     _cut(index)
     folder = index.parents[1]
     start = folder.name.rpartition("-")[0]
-    folder.rename(folder.with_name(f"{start}-{cached._hash_of_files(folder)}"))
+    folder.rename(folder.with_name(f"{start}-{cached._hash_of_files(cached._read(folder))}"))
     assert len(computed(tmp_path)[1]) == 1
     assert computed(tmp_path)[1] == []
+
+
+@in_turn("left", ["a file", "a dangling link", "nothing"])
+def test_what_lies_in_the_place_of_kept_code_is_removed(left, kept, tmp_path):
+    folder = shutil.copytree(kept, tmp_path / left)
+    (code,) = folder.glob("*/*-*")
+    shutil.rmtree(code)
+    if left == "a file":
+        code.touch()
+    elif left == "a dangling link":
+        code.symlink_to("/proc/none")
+    assert len(computed(folder)[1]) == (left != "nothing")
+    assert computed(folder)[1] == []
+
+
+def test_a_folder_that_cannot_be_written_is_read_and_numba_writes_nowhere_else(kept, tmp_path):
+    """Numba would look beside the package, where nothing is compared with a hash."""
+    package = shutil.copytree(PACKAGE, tmp_path / "copy" / "pfdist")
+    cache, files = tmp_path / "kept", {*package.rglob("*")}
+    computed(cache, package)
+    before = {*cache.rglob("*")}
+    unwritable = "import tempfile as t, pathlib; make = t.mkdtemp\n"
+    unwritable += "def refuse(suffix=None, prefix=None, dir=None):\n"
+    unwritable += "    if dir is not None: raise PermissionError(13, 'Permission denied')\n"
+    unwritable += "    return make(suffix, prefix, dir)\nt.mkdtemp = refuse\n"
+    assert computed(cache, package, unwritable + COMPUTES)[1] == []  # it is loaded
+    assert {*cache.rglob("*")} == before
+    other = tmp_path / "other"
+    _, said, _ = computed(other, package, unwritable + COMPUTES)
+    assert len(said) == 1
+    assert "compiled code is not kept" in said[0]
+    assert {*package.rglob("*")} - files <= {*package.rglob("__pycache__"), *package.rglob("*.pyc")}
 
 
 def test_on_a_full_disk_functions_are_compiled_and_not_kept(tmp_path):

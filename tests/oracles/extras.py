@@ -59,7 +59,7 @@ class SkipsWithoutExtra:
         self, collector: pytest.Collector
     ) -> pytest.CollectReport | None:
         """The report of a skipped module, which is not imported."""
-        if not isinstance(collector, pytest.File | pytest.Directory):
+        if not isinstance(collector, pytest.File):
             return None
         extra = extra_of(collector.path)
         if not extra or not (lack := lack_of(extra)):

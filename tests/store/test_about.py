@@ -27,6 +27,7 @@ FORGED = {  # JSON of a value, and what is said
     "processor": ('{"model": "a"}', "provenance.processor.compiled_for must be given"),
     "declared": (_nested(3), "provenance.declared must be a section"),
     "command": (_nested(100_000), "nest at most 16 deep, got more"),
+    "libraries": ("[]", "provenance.libraries must be a section"),
     "continued_on": ("[7]", "each entry of provenance.continued_on must be a section, got 7"),
 }
 
@@ -49,3 +50,13 @@ def test_a_forged_value_is_named_with_its_file(
     assert "run.json is damaged: " in said
     assert reason in said
     assert "unexpected" not in said
+
+
+def test_a_value_that_is_missing_is_named(tmp_path: Path, call: Callable[..., Any]) -> None:
+    for key in ("started", "libraries", "machine", "python", "execution"):
+        run = shutil.copytree(EXAMPLE, tmp_path / key)
+        about = read_run(run)[0]
+        del about["provenance"][key]
+        write_about(run, run_key(run) or "", {"run.json": json.dumps(about)})
+        said = " ".join(call(f"report {run}").err.split())
+        assert f"run.json is damaged: provenance.{key} must be given" in said
