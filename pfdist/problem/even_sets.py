@@ -8,7 +8,8 @@ lie within half a step of the clock of the horizon, and no two have the same nea
   repeats may measure once or several times at each target.
 - Forbidden times are met in two ways: targets that fall into a gap are left out, or targets are
   spaced over the time that remains when the gaps are cut out of the clock.
-- Required measurements are there anyway; only the others are spaced.
+- Required measurements are among the spaced ones. Where no such set contains them all, there is no
+  evenly spaced set, and regular times are the reference.
 - With prices, any number of measurements that can be paid counts.
 
 On the paper's problem these are 39,627 sets, where there are 861 pairs of a first and a last
@@ -30,6 +31,7 @@ from pfdist.problem.feasible import Feasible
 Array = NDArray[np.float64]
 
 _MOST_SLOPES = 2_000_000  # critical steps that are computed; above, steps are taken equally
+_MOST_TRIED = 20_000  # lines by which it is found out whether there is any set
 _MOST_LEFT_OUT = 3  # as many targets for each measurement may fall into gaps
 
 
@@ -75,11 +77,12 @@ class EvenSets:
 
     def lines(self, most: int) -> list[EvenLine]:
         """One line of each set, or about `most` lines that are spread over all of them."""
-        own = max(1, most // max(1, len(self.families)))
+        own = min(max(1, most // max(1, len(self.families))), self.most_lines)
+        required = self.feasible.points.made(self.feasible.required)
         return [
             EvenLine(number, *values)
             for number, family in enumerate(self.families)
-            for values in _lines(family, min(own, self.most_lines))
+            for values in _lines(family, own, required)
         ]
 
     def near(self, line: EvenLine) -> list[EvenLine]:
@@ -114,12 +117,12 @@ class EvenSets:
         return [*self._families()]
 
     def _families(self) -> Iterator[EvenFamily]:
-        feasible, points = self.feasible, self.feasible.points
+        points = self.feasible.points
         times = np.array(points.clock.times, np.float64)
         every = np.arange(times.size)
         for turn in self._turns:
             ways = sorted({way for each in turn for way in each})
-            usable = np.array([t for t in self._optional if points.way(t) in ways], np.int64)
+            usable = np.array([t for t in self._possible if points.way(t) in ways], np.int64)
             made = np.unique([points.made_at(t) for t in usable.tolist()])
             rulers = [(every, times)]
             if 0 < made.size < times.size:
@@ -129,8 +132,8 @@ class EvenSets:
                 if rest:
                     continue
                 for instants, positions in rulers:
-                    # Only targets between measurements are left out, or are there anyway.
-                    most = min(instants.size, _MOST_LEFT_OUT * targets + len(feasible.required))
+                    # Only targets between measurements are left out.
+                    most = min(instants.size, _MOST_LEFT_OUT * targets)
                     is_cut = instants.size == made.size
                     for all_targets in range(targets, (targets if is_cut else most) + 1):
                         in_turn = tuple(turn[k % len(turn)] for k in range(all_targets))
@@ -151,15 +154,14 @@ class EvenSets:
         """The numbers of measurements that are spaced."""
         feasible = self.feasible
         if feasible.counted:
-            number = feasible.total - len(feasible.required)
-            return range(number, number + 1)
-        left = feasible.total - feasible.spent(feasible.required)
-        cheapest = min((feasible.units[t] for t in feasible.optional), default=1)
-        return range(1, min(left // cheapest, len(feasible.optional)) + 1)
+            return range(feasible.total, feasible.total + 1)
+        cheapest = min((feasible.units[t] for t in feasible.allowed), default=1)
+        most = min(feasible.total // cheapest, len(feasible.allowed))
+        return range(max(1, len(feasible.required)), most + 1)
 
     @cached_property
-    def _optional(self) -> Times:
-        return tuple(t for t in self.feasible.optional if self.feasible.points.made_at(t) >= 0)
+    def _possible(self) -> Times:
+        return tuple(t for t in self.feasible.allowed if self.feasible.points.made_at(t) >= 0)
 
     def _sets(self, family: EvenFamily, lines: list[EvenLine]) -> list[Times | None]:
         """The set of each line of a family; None if it is none."""
@@ -174,17 +176,19 @@ class EvenSets:
             instants[:, :, None] + np.array([points.delay(w) for w in range(points.ways)])[ways]
         )
         chosen = (points.first(1) * arrives + ways).reshape(len(lines), -1)
-        optional = np.zeros(points.number + 1, np.bool_)
-        optional[[*self._optional]] = True
-        kept = optional[np.minimum(chosen, points.number)]
+        possible = np.zeros(points.number + 1, np.bool_)
+        possible[[*self._possible]] = True
+        kept = possible[np.minimum(chosen, points.number)]
         differ = (np.diff(instants, axis=1) > 0).all(axis=1)
         whole = differ & kept[:, 0] & kept[:, -1]
+        for each in feasible.required:
+            whole &= (chosen == each).any(axis=1)
         if feasible.counted:
-            whole &= kept.sum(axis=1) == feasible.total - len(feasible.required)
+            whole &= kept.sum(axis=1) == feasible.total
         is_free = feasible.counted and feasible.spacing.is_free and not feasible.shared
         found: list[Times | None] = [None] * len(lines)
         for place in np.flatnonzero(whole).tolist():
-            times = feasible.with_required(chosen[place, kept[place]].tolist())
+            times = tuple(chosen[place, kept[place]].tolist())
             if is_free or (feasible.accepts(times) if feasible.counted else feasible.allows(times)):
                 found[place] = times
         return found
@@ -196,6 +200,12 @@ def even_sets(feasible: Feasible) -> EvenSets:
     return next(filter(None, shared), EvenSets(feasible))
 
 
+def has_even_sets(feasible: Feasible) -> bool:
+    """Whether an evenly spaced set contains all required measurements."""
+    even = even_sets(feasible)
+    return not feasible.required or bool(even.sets_of(even.lines(_MOST_TRIED)))
+
+
 def _cut(times: Array, instants: NDArray[np.int64]) -> Array:
     """Positions of instants on a clock from which the time of all other instants is cut out."""
     steps = np.diff(times, prepend=times[0] - (times[1] - times[0] if times.size > 1 else 1.0))
@@ -205,8 +215,13 @@ def _cut(times: Array, instants: NDArray[np.int64]) -> Array:
     return positions
 
 
-def _lines(family: EvenFamily, most: float) -> list[tuple[float, float, float]]:
-    """The first target and the step of lines of a family, and their distance from others."""
+def _lines(
+    family: EvenFamily, most: float, required: Times = ()
+) -> list[tuple[float, float, float]]:
+    """The first target and the step of lines of a family, and their distance from others.
+
+    If there are too many, and some instants are required, they go through one of these.
+    """
     edges, targets = family.edges, family.targets
     if not 1 <= targets <= family.positions.size:
         return []
@@ -225,8 +240,34 @@ def _lines(family: EvenFamily, most: float) -> list[tuple[float, float, float]]:
         lines += [(a, step, 0.0) for a in middles[gaps > 1e-9 * longest].tolist()]
         if len(lines) > most:
             break
-    if not lines or len(lines) > most:
-        return _spread(family, most, shortest)
+    if lines and len(lines) <= most:
+        return lines
+    return _through(family, most, required) if required else _spread(family, most, shortest)
+
+
+def _through(family: EvenFamily, most: float, required: Times) -> list[tuple[float, float, float]]:
+    """About `most` lines whose targets include the first required instant, and the last if more."""
+    places = np.flatnonzero(np.isin(family.instants, required))
+    if not places.size:
+        return []
+    edges, targets = family.edges, family.targets
+    thirds = np.array([1, 3, 5]) / 6  # of the time that is nearest to an instant
+    first, last = (edges[p] + (edges[p + 1] - edges[p]) * thirds for p in places[[0, -1]])
+    lines = list[tuple[float, float, float]]()
+    count = max(3, int(most // (3 * targets)))
+    for k in range(targets):
+        after = targets - 1 - k
+        for at in first.tolist():
+            if places.size > 1:
+                steps = [(b - at) / j for j in range(1, after + 1) for b in last.tolist()]
+            else:
+                room = min((at - edges[0]) / max(k, 1e-9), (edges[-1] - at) / max(after, 1e-9))
+                steps = (room * (np.arange(count) + 0.5) / count).tolist()
+            lines += [
+                (at - k * step, step, 0.0)
+                for step in steps
+                if at - k * step >= edges[0] and at + after * step <= edges[-1]
+            ]
     return lines
 
 

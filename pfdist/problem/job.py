@@ -28,6 +28,7 @@ from pfdist.filters.criterion import (
 )
 from pfdist.filters.engines import is_exact
 from pfdist.problem.covariates import times_of_file, with_columns
+from pfdist.problem.even_sets import has_even_sets
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
 from pfdist.problem.needs import CONTROL, fault_of
@@ -288,6 +289,16 @@ class Job(JobSection):
             except MeasurementTimesError as error:
                 what = " measurements" * (self.problem.total_price is None)
                 raise ValueError(f"budget of {number}{what}: {error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _has_evenly_spaced_sets(self) -> Self:
+        """Take regular times as the reference where no evenly spaced set has the required ones."""
+        numbers = () if self.budget is None else self.budget.each
+        each = [*map(self.feasible, numbers)] or [self.problem.feasible]
+        if self.comparison.is_even and not all(map(has_even_sets, each)):
+            regular = self.comparison.model_copy(update={"reference": REGULAR})
+            object.__setattr__(self, "comparison", regular)  # frozen from now on
         return self
 
     @model_validator(mode="after")

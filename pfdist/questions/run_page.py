@@ -25,6 +25,7 @@ from pfdist.common.percent import (
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
 from pfdist.filters.aspects import ErrorBeside
+from pfdist.problem.even_sets import has_even_sets
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.about_run import computed, made_by, problem, question, using
 from pfdist.questions.bound_page import proof
@@ -190,6 +191,8 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
         provenance_of(subject.run).get("on_the_way", ""),
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)
+    if subject.job_reference == REGULAR and not has_even_sets(problem.feasible):
+        yield Text("No evenly spaced times include all required ones.")
     yield from (Text(each, prominent=True) for each in beside_given_sets(subject, row))
     yield from subject.heavy_tail
     for error in subject.beside:

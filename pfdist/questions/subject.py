@@ -76,6 +76,11 @@ class Subject:
         return rows
 
     @property
+    def job_reference(self) -> Any:
+        """The reference that the job names, or has because no set is evenly spaced."""
+        return self.run.job["comparison"]["reference"]
+
+    @property
     def reference_row(self) -> Row:
         """The row of the reference."""
         return next(iter(self.rows.values()))

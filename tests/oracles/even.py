@@ -26,14 +26,15 @@ def even_instants(times: Sequence[float], number: int) -> list[tuple[int, ...]]:
 def spaced_around(
     times: Sequence[float], number: int, allowed: set[int], required: Sequence[int] = ()
 ) -> Iterator[tuple[int, ...]]:
-    """Sets of a number with the required ones: others in gaps are left out, or gaps are cut out."""
+    """Sets with the required ones among them: targets in gaps are left out, or gaps are cut out."""
     most = min(len(times), number + len(times) - len(allowed))  # others would measure more
-    for targets in range(number - len(required), most + 1):
+    free = sorted(allowed)
+    for targets in range(number, most + 1):
         for each in even_instants(times, targets):
-            kept = {*required} | {t for t in each if t in allowed}
-            if len(kept) == number:
-                yield tuple(sorted(kept))
-    free = sorted(allowed - {*required})
-    if len(free) > 1 and number - len(required) <= len(free):
-        for each in even_instants(range(len(free)), number - len(required)):
-            yield tuple(sorted({*required, *(free[t] for t in each)}))
+            kept = [t for t in each if t in allowed]
+            if len(kept) == number and {*kept} >= {*required}:
+                yield tuple(kept)
+    for each in even_instants(range(len(free)), number) if number <= len(free) else ():
+        kept = [free[t] for t in each]
+        if {*kept} >= {*required}:
+            yield tuple(kept)

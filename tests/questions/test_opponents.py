@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.even import even_instants
 from pfdist import Sensor, StateSpaceModel
 from pfdist.questions.run_page import answer_of
 
@@ -68,9 +69,6 @@ SITUATIONS: dict[str, tuple[Any, dict[str, Any], float]] = {
         {**WALK, "time_step": 1, "sensors": ["immunoassay", "chromatography"]},
         0.0,
     ),
-    "required": (
-        "random_walk", {"horizon": 60, "measurement_budget": 24, "required": ["0:20"]}, 0.0,
-    ),
     # 0, 7, 15, 23 are every 7.5 from 0.
     "a tie": (
         _season(), {"horizon": 24, "measurement_budget": 4, "estimate": "smoothed"}, 0.0,
@@ -117,6 +115,38 @@ def test_a_given_set_that_is_better_than_evenly_spaced_ones_is_the_reference(
     assert {*run.references.values()} == {"hand"}
     text = re.sub(r"\s+", " ", str(answer_of(run)))
     assert 'with "as others do" (the best opponent)' in text
+
+
+def test_evenly_spaced_times_contain_the_required_ones(tmp_path: Path) -> None:
+    """0, 7, 8 is not evenly spaced: 0, 7, 14 is. Gaps of 7 and 1 differ by more than a rounding."""
+    problem = pfdist.Problem(
+        ONE, engine="kalman", horizon=T, measurement_budget=3, required=[7]
+    )  # fmt: skip
+    changes = ["comparison.draws=2"]
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    even = [*map(int, run.sets["evenly_spaced"])]
+    assert 7 in even
+    assert abs((even[2] - even[1]) - (even[1] - even[0])) <= 1
+    sets = [each for each in even_instants(range(T + 1), 3) if 7 in each]
+    errors = [pfdist.evaluate(problem, each).expected_mse for each in sets]
+    rows = run.table("sets").set_index("name")
+    assert rows.loc["evenly_spaced", "expected_mse"] == pytest.approx(min(errors), rel=1e-9)
+
+
+def test_where_no_evenly_spaced_times_contain_the_required_ones_regular_times_are_the_reference(
+    tmp_path: Path,
+) -> None:
+    keys = {"horizon": 60, "measurement_budget": 6, "required": [0, 1, 2, 40]}
+    problem = pfdist.Problem("random_walk", engine="kalman", **keys)
+    changes = ["comparison.draws=2"]
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    assert run.names[0] == "regular"
+    said = " ".join(str(answer_of(run)).split())
+    assert "instead of" in said
+    assert "with regular times" in said
+    assert "No evenly spaced times include all required ones." in said
+    job = pfdist.Problem("random_walk", horizon=60, measurement_budget=24, required=[6]).job()
+    assert job.comparison.reference == "evenly spaced"
 
 
 def test_labels_name_given_sets() -> None:
