@@ -8,8 +8,8 @@ lie within half a step of the clock of the horizon, and no two have the same nea
   repeats may measure once or several times at each target.
 - Forbidden times are met in two ways: targets that fall into a gap are left out, or targets are
   spaced over the time that remains when the gaps are cut out of the clock.
-- Required measurements are among the spaced ones. Where no such set contains them all, there is no
-  evenly spaced set, and regular times are the reference.
+- Required measurements are among the spaced ones; those of sensors that are not spaced are there
+  anyway. Where no such set contains them all, regular times are the reference.
 - With prices, any number of measurements that can be paid counts.
 
 On the paper's problem these are 39,627 sets, where there are 861 pairs of a first and a last
@@ -17,9 +17,10 @@ instant; the expected MSE of the best is 3 % lower than that of the best pair.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -78,11 +79,12 @@ class EvenSets:
     def lines(self, most: int) -> list[EvenLine]:
         """One line of each set, or about `most` lines that are spread over all of them."""
         own = min(max(1, most // max(1, len(self.families))), self.most_lines)
-        required = self.feasible.points.made(self.feasible.required)
+        points, required = self.feasible.points, {*self.feasible.required}
         return [
             EvenLine(number, *values)
             for number, family in enumerate(self.families)
-            for values in _lines(family, own, required)
+            for spaced in [required - {*self._others({*chain.from_iterable(family.ways)})}]
+            for values in _lines(family, own, points.made(spaced))
         ]
 
     def near(self, line: EvenLine) -> list[EvenLine]:
@@ -127,7 +129,7 @@ class EvenSets:
             rulers = [(every, times)]
             if 0 < made.size < times.size:
                 rulers.append((made, _cut(times, made)))
-            for number in self.numbers:
+            for number in self._numbers(ways):
                 targets, rest = divmod(number, len(turn[0]))
                 if rest:
                     continue
@@ -149,15 +151,21 @@ class EvenSets:
             for phase in range(len(sensors)):
                 yield tuple((ways[0],) for ways in (*sensors[phase:], *sensors[:phase]))
 
-    @cached_property
-    def numbers(self) -> range:
-        """The numbers of measurements that are spaced."""
-        feasible = self.feasible
+    def _numbers(self, ways: Collection[int]) -> range:
+        """The numbers of measurements that are spaced, of sensors with these ways."""
+        feasible, others = self.feasible, self._others(ways)
         if feasible.counted:
-            return range(feasible.total, feasible.total + 1)
+            number = feasible.total - len(others)
+            return range(number, number + 1)
+        left = feasible.total - feasible.spent(others)
         cheapest = min((feasible.units[t] for t in feasible.allowed), default=1)
-        most = min(feasible.total // cheapest, len(feasible.allowed))
-        return range(max(1, len(feasible.required)), most + 1)
+        most = min(left // cheapest, len(feasible.allowed) - len(others))
+        return range(max(1, len(feasible.required) - len(others)), most + 1)
+
+    def _others(self, ways: Collection[int]) -> Times:
+        """The required measurements of all sensors but those with these ways."""
+        points = self.feasible.points
+        return tuple(t for t in self.feasible.required if points.way(t) not in ways)
 
     @cached_property
     def _possible(self) -> Times:
@@ -181,14 +189,15 @@ class EvenSets:
         kept = possible[np.minimum(chosen, points.number)]
         differ = (np.diff(instants, axis=1) > 0).all(axis=1)
         whole = differ & kept[:, 0] & kept[:, -1]
-        for each in feasible.required:
+        others = self._others({*ways.ravel().tolist()})
+        for each in {*feasible.required} - {*others}:
             whole &= (chosen == each).any(axis=1)
         if feasible.counted:
-            whole &= kept.sum(axis=1) == feasible.total
+            whole &= kept.sum(axis=1) == feasible.total - len(others)
         is_free = feasible.counted and feasible.spacing.is_free and not feasible.shared
         found: list[Times | None] = [None] * len(lines)
         for place in np.flatnonzero(whole).tolist():
-            times = tuple(chosen[place, kept[place]].tolist())
+            times = tuple(sorted((*others, *chosen[place, kept[place]].tolist())))
             if is_free or (feasible.accepts(times) if feasible.counted else feasible.allows(times)):
                 found[place] = times
         return found
