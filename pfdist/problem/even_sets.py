@@ -52,6 +52,8 @@ class EvenFamily(NamedTuple):
     ways: tuple[Times, ...]  # that measure at each target, (targets,)
     instants: NDArray[np.int64]  # (K,): the instants of the ruler
     positions: Array  # (K,)
+    # of visits: the time after the beginning, and the ways, of each measurement in a visit
+    inside: tuple[tuple[float, Times], ...] = ()
 
     @property
     def edges(self) -> Array:
@@ -84,7 +86,7 @@ class EvenSets:
             EvenLine(number, *values)
             for number, family in enumerate(self.families)
             for spaced in [required - {*self._others({*chain.from_iterable(family.ways)})}]
-            for values in _lines(family, own, points.made(spaced))
+            for values in lines_of(family, own, points.made(spaced))
         ]
 
     def near(self, line: EvenLine) -> list[EvenLine]:
@@ -224,7 +226,7 @@ def _cut(times: Array, instants: NDArray[np.int64]) -> Array:
     return positions
 
 
-def _lines(
+def lines_of(
     family: EvenFamily, most: float, required: Times = ()
 ) -> list[tuple[float, float, float]]:
     """The first target and the step of lines of a family, and their distance from others.

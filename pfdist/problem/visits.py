@@ -4,20 +4,25 @@ Someone comes once for all measurements of a visit, which may be limited, too. A
 once.
 """
 
+import math
 from bisect import bisect_left
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import Any, ClassVar, Self
+from itertools import pairwise, product
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
-from pfdist.problem.even_sets import EvenFamily, EvenLine, EvenSets
+from pfdist.problem.even_sets import Array, EvenFamily, EvenLine, EvenSets, lines_of
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.shared import Money, Setup, Shared
+
+_MOST_FAMILIES, _FEWEST_PATTERNS = 20_000, 12  # of visits, and of times in each
 
 
 class Installs(Shared):
@@ -128,14 +133,68 @@ def written(points: Points, visit: Times) -> str:
     return f"{dates[0]:%a} {dates[0].day} {dates[0]:%b}: {', '.join(hours)}"
 
 
+class Block(NamedTuple):
+    """What may be measured in a visit: for each way, points and their times after the beginning."""
+
+    begin: float
+    by_way: dict[int, tuple[NDArray[np.int64], Array]]
+
+    def nearest(self, way: int, after: float) -> int | None:
+        """The point of a way that is nearest to a time after the beginning, if there is one."""
+        if way not in self.by_way:
+            return None
+        points, times = self.by_way[way]
+        return int(points[np.abs(times - after).argmin()])
+
+
 @dataclass(frozen=True)
 class EvenVisits(EvenSets):
-    """The sets with evenly spaced visits, in each of which one sensor measures evenly."""
+    """The sets with evenly spaced visits, which all measure at the same times after the beginning.
+
+    These times are evenly spaced, too, with any first one and step: by one sensor, or by all in
+    turn. If the measurements cannot be divided evenly among the visits, the first have one more.
+    """
 
     visits: Visits
-    most_lines: ClassVar[int] = 3000  # which are moved to visits one by one
+    most_lines: ClassVar[float] = 3000  # which are moved to visits one by one
 
     @cached_property
+    def blocks(self) -> list[Block]:
+        """All visits, in order. If a visit may begin at any time, there is one for each."""
+        feasible, points, ends = self.feasible, self.feasible.points, self.visits.setup.ends
+        times, together = points.clock.times, defaultdict[int, list[int]](list)
+        for point in feasible.allowed:
+            together[ends[point]].append(point)
+        if self._may_overlap:
+            allowed = np.array(feasible.allowed)
+            firsts = dict.fromkeys(points.first(points.instant(t)) for t in feasible.allowed)
+            groups = {f: allowed[(allowed >= f) & (allowed < ends[f])].tolist() for f in firsts}
+        else:
+            first_of = dict(zip(reversed(ends), range(len(ends) - 1, -1, -1), strict=True))
+            groups = {first_of[end]: own for end, own in together.items()}
+        longest = max((times[points.instant(g[-1])] - times[points.instant(f)]
+                       for f, g in groups.items()), default=0.0)  # fmt: skip
+        blocks = []
+        for first, own in groups.items():
+            begin = times[points.instant(first)]
+            if not first and not self._may_overlap:  # the clock may begin within a visit
+                begin = min(begin, times[points.instant(own[-1])] - longest)
+            by_way = {}
+            for way in range(points.ways):
+                of_way = np.array([t for t in own if points.way(t) == way], np.int64)
+                if of_way.size:
+                    after = np.array([times[points.instant(t)] - begin for t in of_way.tolist()])
+                    by_way[way] = of_way, after
+            blocks.append(Block(begin, by_way))
+        return blocks
+
+    @cached_property
+    def _may_overlap(self) -> bool:
+        """Whether a visit begins with its first measurement, at any time."""
+        ends, ways = self.visits.setup.ends, self.feasible.points.ways
+        return any(end > t + ways and ends[t + ways] != end for t, end in enumerate(ends[:-ways]))
+
+    @property
     def numbers(self) -> range:
         """The numbers of visits of a set that can be paid for."""
         feasible, setup = self.feasible, self.visits.setup
@@ -144,14 +203,79 @@ class EvenVisits(EvenSets):
         return range(1, min(feasible.total // price, most, feasible.horizon + 1) + 1)
 
     def _families(self) -> Iterator[EvenFamily]:
-        times = np.array(self.feasible.points.clock.times, np.float64)
-        for ways in self.feasible.points.sensor_ways:
-            for number in self.numbers:
-                yield EvenFamily(number, (ways[:1],) * number, np.arange(times.size), times)
+        begins = np.array([block.begin for block in self.blocks])
+        turns, numbers = [*self._turns], [n for n in self.numbers if n <= begins.size]
+        most = max(_FEWEST_PATTERNS, _MOST_FAMILIES // max(1, len(turns) * len(numbers)))
+        for turn, number in product(turns, numbers):
+            share = self._most_times(turn, number) / number
+            for each in sorted({math.ceil(share), math.floor(share)} - {0}):
+                for first, step in self._patterns(turn, each, most):
+                    inside = tuple((first + step * k, turn[k % len(turn)]) for k in range(each))
+                    ways = (turn[0],) * number
+                    yield EvenFamily(number, ways, np.arange(begins.size), begins, inside)
+
+    def _most_times(self, turn: tuple[Times, ...], number: int) -> int:
+        """The largest number of times at which so many visits can measure."""
+        feasible, ways = self.feasible, {way for each in turn for way in each}
+        units = [feasible.units[t] for t in feasible.allowed if feasible.points.way(t) in ways]
+        paid = feasible.total - feasible.in_units(self.visits.setup.price) * number
+        most = max(len(block.by_way.get(way, ((),))[0]) for block in self.blocks for way in ways)
+        affordable = paid // (min(units) * len(turn[0])) if units else 0
+        return int(min(affordable, most * len(turn) * number))
+
+    def _patterns(
+        self, turn: tuple[Times, ...], times: int, most: int
+    ) -> Iterator[tuple[float, float]]:
+        """The first time in a visit, and the step to the next."""
+        of_each = [
+            block.by_way[turn[0][0]][1] for block in self.blocks if turn[0][0] in block.by_way
+        ]
+        longest = max(of_each, key=len)
+        family = EvenFamily(times, ((0,),) * times, np.arange(longest.size), longest)
+        if len(turn) > 1 and times > 1:  # all sensors at one time
+            yield from ((after, 0.0) for after in longest.tolist())
+        for first, step, _ in lines_of(family, most):
+            if not self._may_overlap or first < family.edges[1]:
+                yield first, step
+
+    def lines(self, most: int) -> list[EvenLine]:
+        """About `most` lines that are spread over all families."""
+        lines = super().lines(most)
+        return lines[:: max(1, len(lines) // most)]
+
+    def near(self, line: EvenLine) -> list[EvenLine]:
+        """Lines between a line and its neighbours, and the same line with other times in visits."""
+        own, families = self.families[line.family], self.families
+        others = range(max(0, line.family - 2), min(len(families), line.family + 3))
+        alike = [n for n in others if families[n].targets == own.targets]
+        return [*super().near(line), *(line._replace(family=number) for number in alike)]
 
     def _sets(self, family: EvenFamily, lines: list[EvenLine]) -> list[Times | None]:
-        steps, way = np.arange(family.targets), family.ways[0][0]
-        return [self.near_targets((e.first + e.step * steps).tolist(), way) for e in lines]
+        steps = np.arange(family.targets)
+        targets = np.array([line.first + line.step * steps for line in lines])
+        places = np.searchsorted(family.edges[1:-1], targets)
+        made = {tuple(row): self._visiting(row, family.inside) for row in places.tolist()}
+        return [made[tuple(row)] for row in places.tolist()]
+
+    def _visiting(self, places: list[int], inside: tuple[tuple[float, Times], ...]) -> Times | None:
+        """The measurements of visits at some places, as many as can be paid for."""
+        feasible, visits = self.feasible, len(places)
+        if len({*places}) < visits:
+            return None
+        ways = {way for _, each in inside for way in each}
+        required = {*feasible.required} - {*self._others(ways)}
+        for number in range(visits * len(inside), visits * (len(inside) - 1), -1):
+            chosen = [
+                self.blocks[place].nearest(way, after)
+                for k, place in enumerate(places)
+                for after, each in inside[: number // visits + (k < number % visits)]
+                for way in each
+            ]
+            found = {point for point in chosen if point is not None}
+            times = feasible.with_required(found)
+            if len(found) == len(chosen) and found >= required and feasible.accepts(times):
+                return times
+        return None
 
     def near_targets(self, targets: Sequence[float], way: int) -> Times | None:
         """As many measurements as possible in visits around some times; None if there are none.

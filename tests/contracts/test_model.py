@@ -44,7 +44,7 @@ def _by_model(cases: Iterable[Any], model_of: Callable[[Any], str]) -> list[Any]
 
 @pytest.mark.parametrize(("name", "resampling"), _by_model(SCHEMES, lambda case: case[0]))
 def test_compiled_and_plain_filter_agree(name: str, resampling: str) -> None:
-    truth = with_clock(load_model(name), 30)
+    truth = with_clock(load_model(name, FILES[0].parent), 30)
     draws = simulate(truth, 30, range(4), 17)
     model = truth.with_parameters(BELIEVED.get(name, {}))
     arguments = (model, draws, regular(30, 11), 130, 23, resampling)

@@ -6,6 +6,7 @@ of real first and last targets (`oracles.even`).
 
 import re
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +17,7 @@ import pytest
 import pfdist
 from oracles.even import even_instants, spaced_around
 from oracles.in_turn import in_turn
-from pfdist import Sensor, StateSpaceModel
+from pfdist import Sensor, StateSpaceModel, densities, where
 from pfdist.common.streams import stream_of
 from pfdist.filters import kalman
 from pfdist.problem.job import Job
@@ -160,6 +161,89 @@ def test_no_evenly_spaced_set_does_better(kind: str, seed: int) -> None:
     least = min(evaluator.expected_mse(own))
     (found,) = evaluator.expected_mse([_opponent(built)])
     assert found <= least * (1 + 1e-9)
+
+
+WEEKS = {"clock": {"start": "2027-04-12", "step": "1 d"}, "allowed": ["tue..fri"]}
+WORKDAYS = [range(7 * week + 1, min(7 * week + 5, 24)) for week in range(4)]
+BLOCKS = ["0:5", "6:11", "12:17", "18:23"]
+VISITS: dict[str, tuple[int, dict[str, Any], list[range]]] = {  # with their possible instants
+    "per week": (1, {**WEEKS, "measurement_budget": 4, "visits": {"per": "week", "most": 4}},
+                WORKDAYS),
+    "few": (1, {**WEEKS, "measurement_budget": 3, "visits": {"per": "week", "most": 2}},
+            WORKDAYS),
+    "ranges": (1, {"measurement_budget": 5, "visits": {"allowed": BLOCKS, "most": 3}},
+               [range(6 * k, 6 * k + 6) for k in range(4)]),
+    "a price": (1, {"price": [1] * 24, "total_price": 9, "visits": {"allowed": BLOCKS, "price": 2}},
+                [range(6 * k, 6 * k + 6) for k in range(4)]),
+    "two sensors": (2, {"measurement_budget": 4, "visits": {"allowed": BLOCKS, "most": 3}},
+                    [range(6 * k, 6 * k + 6) for k in range(4)]),
+    "within": (1, {"measurement_budget": 5, "visits": {"within": 3, "most": 3}},
+               [range(t, min(t + 3, 24)) for t in range(24)]),
+}  # fmt: skip
+
+
+def _visits(blocks: list[range], sensors: int) -> Sets:
+    """Visits at evenly spaced places, that all measure at evenly spaced times in turn."""
+    turns = [(0,), (1,), (0, 1), (1, 0)] if sensors > 1 else [(0,)]
+    for number in range(1, min(5, len(blocks)) + 1):
+        for places in even_instants(range(len(blocks)), number):
+            longest = max(len(blocks[place]) for place in places)
+            numbers = range(1, longest + 1) if longest > 1 else ()
+            inside = [each for m in numbers for each in even_instants(range(longest), m)] or [(0,)]
+            together = [(k, k) for k in range(longest)] * (sensors > 1)
+            for each, turn in product([*inside, *together], turns):
+                points = [
+                    sensors * blocks[place][k] + turn[j % len(turn)]
+                    for place in places
+                    for j, k in enumerate(each)
+                    if k < len(blocks[place])
+                ]
+                if len({*points}) == number * len(each):
+                    yield tuple(sorted(points))
+
+
+@pytest.mark.parametrize("kind", VISITS)
+@in_turn("seed", [1, 2])
+def test_no_evenly_spaced_visits_do_better(kind: str, seed: int) -> None:
+    """The first time in a visit and the step to the next are free, and the number of visits."""
+    sensors, keys, blocks = VISITS[kind]
+    built = _built(seed, 23, sensors, **keys)
+    evaluator, feasible = built.evaluator, built.job.problem.feasible
+    own = [each for each in dict.fromkeys(_visits(blocks, sensors)) if feasible.accepts(each)]
+    assert len(own) > 50
+    least = min(evaluator.expected_mse(own))
+    (found,) = evaluator.expected_mse([_opponent(built)])
+    assert found <= least * 1.005
+
+
+def test_one_measurement_a_day_at_the_best_hour_is_evenly_spaced(tmp_path: Path) -> None:
+    """A sensor is blunt at 08:00: the plan of 09:00 on each day gains nothing over itself."""
+
+    def sd(t: Any) -> Any:
+        return where(t % 24 == 8, 3.0, 0.3)
+
+    model = StateSpaceModel(
+        name="walk",
+        initial=lambda w, p: (w[0],),
+        transition=lambda x, t, w, p: (0.98 * x[0] + 0.2 * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + sd(t) * v[0],),
+        log_likelihood=lambda y, x, t, p: densities.normal_logpdf(y[0], x[0], sd(t)),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        linear_gaussian=True,
+    )
+    problem = pfdist.Problem(
+        model, horizon=71, allowed=["08:00..18:00"], measurement_budget=3, engine="kalman",
+        clock={"start": "2027-04-13T00:00", "step": "1 h"}, visits={"per": "day", "most": 3},
+    )  # fmt: skip
+    run = pfdist.plan(
+        problem, tmp_path / "run", changes=["comparison.draws=2"], bound_draws=0, figures=False
+    )
+    assert [each[11:] for each in run.sets["evenly_spaced"]] == ["09:00"] * 3
+    rows = run.table("sets").set_index("name")
+    assert rows.loc["evenly_spaced", "expected_mse"] == pytest.approx(0.455965454, rel=1e-8)
 
 
 def test_with_more_sets_than_are_filtered_it_is_as_good_as_all_pairs_of_ends() -> None:
