@@ -56,11 +56,6 @@ class VisitsSection(JobSection):
     def on(self, points: Points) -> Visits:
         """The visits of a table of points; raises `MeasurementTimesError`."""
         clock = points.clock
-        if points.delays:
-            raise MeasurementTimesError(
-                "visits must be left out with sensors that have a delay, unless the estimate waits "
-                "for all values: estimate = 'smoothed'"
-            )
         if self.within is not None:
             stops: Sequence[int] = clock.successors(float(self.within))
         elif self.per is not None:
