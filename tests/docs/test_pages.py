@@ -300,6 +300,31 @@ def test_the_tables_of_a_run_are_read_without_pfdist(monkeypatch: pytest.MonkeyP
     assert len(names["cheapest"]) == 5
 
 
+def test_after_dropout_late_visits_lose_what_the_page_says(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Exact: the Gaussian error of each prefix of the visits, times its probability."""
+    t = np.arange(13)
+    covariance = 0.25 + 0.0225 * (np.outer(t, t) + np.minimum.outer(t, t))
+
+    def error(made: list[int]) -> float:
+        known = covariance[np.ix_(made, made)] + 0.09 * np.eye(len(made))
+        explained = covariance[:, made] @ np.linalg.solve(known, covariance[made])
+        return float(np.diag(covariance - explained).mean())
+
+    def with_dropout(visits: list[int]) -> float:
+        still = [1.0, *(0.9**visit for visit in visits), 0.0]
+        each = zip(still[:-1], still[1:], range(len(visits) + 1), strict=True)
+        return sum((here - later) * error(visits[:n]) for here, later, n in each)
+
+    names = _play("cookbook", capsys, "After dropout", pfdist=pfdist)
+    for key, visits in (("early", [1, 3, 7]), ("late", [7, 10, 12])):
+        found = names[key]
+        right = with_dropout(visits)
+        assert abs(found.expected_mse - right) <= 4 * found.standard_error + 0.02 * right
+    assert with_dropout([7, 10, 12]) / with_dropout([1, 3, 7]) == pytest.approx(1.58, abs=0.03)
+
+
 @pytest.mark.notebook
 @pytest.mark.needs("notebook")
 def test_duckdb_and_polars_read_what_pandas_reads(monkeypatch: pytest.MonkeyPatch) -> None:
