@@ -21,7 +21,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,7 @@ class EvenFamily(NamedTuple):
     positions: Array  # (K,)
     # of visits: the time after the beginning, and the ways, of each measurement in a visit
     inside: tuple[tuple[float, Times], ...] = ()
+    most: int = 0  # of visits: the largest number of times at which all of them measure
 
     @property
     def edges(self) -> Array:
@@ -76,17 +77,16 @@ class EvenSets:
     """
 
     feasible: Feasible
-    most_lines: ClassVar[float] = np.inf  # of a family
 
     def lines(self, most: int) -> list[EvenLine]:
         """One line of each set, or about `most` lines that are spread over all of them."""
-        own = min(max(1, most // max(1, len(self.families))), self.most_lines)
+        own = max(1, most // max(1, len(self.families)))
         points, required = self.feasible.points, {*self.feasible.required}
         return [
             EvenLine(number, *values)
             for number, family in enumerate(self.families)
             for spaced in [required - {*self._others({*chain.from_iterable(family.ways)})}]
-            for values in lines_of(family, own, points.made(spaced))
+            for values in lines_of_family(family, own, points.made(spaced))
         ]
 
     def near(self, line: EvenLine) -> list[EvenLine]:
@@ -226,7 +226,7 @@ def _cut(times: Array, instants: NDArray[np.int64]) -> Array:
     return positions
 
 
-def lines_of(
+def lines_of_family(
     family: EvenFamily, most: float, required: Times = ()
 ) -> list[tuple[float, float, float]]:
     """The first target and the step of lines of a family, and their distance from others.

@@ -4,7 +4,6 @@ Someone comes once for all measurements of a visit, which may be limited, too. A
 once.
 """
 
-import math
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -17,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
-from pfdist.problem.even_sets import Array, EvenFamily, EvenLine, EvenSets, lines_of
+from pfdist.problem.even_sets import Array, EvenFamily, EvenLine, EvenSets, lines_of_family
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.shared import Money, Setup, Shared
 
 _MOST_FAMILIES, _FEWEST_PATTERNS = 20_000, 12  # of visits, and of times in each
+_MOST_LINES = 6000  # whose sets are checked one by one
 
 
 class Installs(Shared):
@@ -134,7 +134,7 @@ def written(points: Points, visit: Times) -> str:
 
 
 class Block(NamedTuple):
-    """What may be measured in a visit: for each way, points and their times after the beginning."""
+    """A possible visit: for each way, the points and their times after the beginning."""
 
     begin: float
     by_way: dict[int, tuple[NDArray[np.int64], Array]]
@@ -156,7 +156,6 @@ class EvenVisits(EvenSets):
     """
 
     visits: Visits
-    most_lines: ClassVar[float] = 3000  # which are moved to visits one by one
 
     @cached_property
     def blocks(self) -> list[Block]:
@@ -207,12 +206,14 @@ class EvenVisits(EvenSets):
         turns, numbers = [*self._turns], [n for n in self.numbers if n <= begins.size]
         most = max(_FEWEST_PATTERNS, _MOST_FAMILIES // max(1, len(turns) * len(numbers)))
         for turn, number in product(turns, numbers):
-            share = self._most_times(turn, number) / number
-            for each in sorted({math.ceil(share), math.floor(share)} - {0}):
+            times = self._most_times(turn, number)
+            for each in sorted({-(-times // number), times // number} - {0}):
                 for first, step in self._patterns(turn, each, most):
                     inside = tuple((first + step * k, turn[k % len(turn)]) for k in range(each))
                     ways = (turn[0],) * number
-                    yield EvenFamily(number, ways, np.arange(begins.size), begins, inside)
+                    all_times = min(times, each * number)
+                    places = np.arange(begins.size)
+                    yield EvenFamily(number, ways, places, begins, inside, all_times)
 
     def _most_times(self, turn: tuple[Times, ...], number: int) -> int:
         """The largest number of times at which so many visits can measure."""
@@ -234,12 +235,13 @@ class EvenVisits(EvenSets):
         family = EvenFamily(times, ((0,),) * times, np.arange(longest.size), longest)
         if len(turn) > 1 and times > 1:  # all sensors at one time
             yield from ((after, 0.0) for after in longest.tolist())
-        for first, step, _ in lines_of(family, most):
+        for first, step, _ in lines_of_family(family, most):
             if not self._may_overlap or first < family.edges[1]:
                 yield first, step
 
     def lines(self, most: int) -> list[EvenLine]:
         """About `most` lines that are spread over all families."""
+        most = min(most, _MOST_LINES)
         lines = super().lines(most)
         return lines[:: max(1, len(lines) // most)]
 
@@ -254,17 +256,17 @@ class EvenVisits(EvenSets):
         steps = np.arange(family.targets)
         targets = np.array([line.first + line.step * steps for line in lines])
         places = np.searchsorted(family.edges[1:-1], targets)
-        made = {tuple(row): self._visiting(row, family.inside) for row in places.tolist()}
+        made = {tuple(row): self._visiting(row, family) for row in places.tolist()}
         return [made[tuple(row)] for row in places.tolist()]
 
-    def _visiting(self, places: list[int], inside: tuple[tuple[float, Times], ...]) -> Times | None:
+    def _visiting(self, places: list[int], family: EvenFamily) -> Times | None:
         """The measurements of visits at some places, as many as can be paid for."""
-        feasible, visits = self.feasible, len(places)
+        feasible, visits, inside = self.feasible, len(places), family.inside
         if len({*places}) < visits:
             return None
         ways = {way for _, each in inside for way in each}
         required = {*feasible.required} - {*self._others(ways)}
-        for number in range(visits * len(inside), visits * (len(inside) - 1), -1):
+        for number in range(family.most, visits * (len(inside) - 1), -1):
             chosen = [
                 self.blocks[place].nearest(way, after)
                 for k, place in enumerate(places)

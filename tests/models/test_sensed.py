@@ -427,7 +427,9 @@ def test_a_refusal_names_its_cause_and_what_works() -> None:
     ]  # fmt: skip
     override(data, "problem.sensors.a.repeats=2")  # names alone are sections, too
     assert data["problem"]["sensors"] == {"a": {"repeats": 2}, "b": {}}
-    with pytest.raises(JobError, match=r"unless the estimate waits .*: estimate = 'smoothed'"):
+    with pytest.raises(
+        JobError, match=r"needs sensors without a delay, or problem.estimate = 'smoothed'"
+    ):
         Problem(
             walk(), horizon=6, total_price=9, price=[1] * 7, sensor={"delay": 1},
             visits={"price": 1, "within": 1},
@@ -438,12 +440,12 @@ def test_a_refusal_names_its_cause_and_what_works() -> None:
 def test_a_number_beyond_a_limit_is_the_censored_reading(engine: str) -> None:
     """Also for the surprise, and in a model with another sensor and with repeats."""
     limits = {"limits": [-0.5, 2.0]}
-    one = Problem(walk(), horizon=6, measurement_budget=3, engine=engine, sensor=limits)
+    problem = Problem(walk(), horizon=6, measurement_budget=3, engine=engine, sensor=limits)
     for beyond, limit in ((-0.51, -0.5), (-40.0, -0.5), (2.01, 2.0)):
-        found, right = (Filter(one).update(0, y) for y in (beyond, limit))
+        found, right = (Filter(problem).update(0, y) for y in (beyond, limit))
         assert found.surprise == right.surprise > 0.01
         np.testing.assert_array_equal(found.mean, right.mean)
-    planner, same = (pfdist.Planner(one) for _ in range(2))
+    planner, same = (pfdist.Planner(problem) for _ in range(2))
     planner.update(9.0, 0)
     same.update(2.0, 0)
     np.testing.assert_array_equal(planner.estimate().mean, same.estimate().mean)
