@@ -9,6 +9,7 @@ from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from pfdist.common.changes import change_of, effect, is_clear
 from pfdist.common.estimate import Estimate
@@ -42,7 +43,9 @@ from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import check_one_number, measured_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch, complete
+from pfdist.runner.driver import core_steps
 from pfdist.runner.every_strategy import bound_of_strategies
+from pfdist.runner.opponent import SHARE
 from pfdist.runner.ruling import (
     TUNING_DRAWS,
     filtered_by,
@@ -55,6 +58,8 @@ from pfdist.runner.ruling import (
 
 RULE = "rule"
 _DIGITS = 9  # of prices, whose sums are rounded
+MORE = 4  # times the particles, with which a rule may spend another number
+_FEWEST, _CLEAR, _NOTICED = 40, 2.0, 0.02  # draws; standard errors; share of the budget
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,6 +90,8 @@ class Ruled(Shown):
         A number that the expected MSE of no strategy is below; None if no bound is known.
     unit : str
         The unit of the standard deviation of z; empty if it is not known, or if there is none.
+    finer : Estimate, optional
+        How much more the rule spends on average with four times the particles, on the same draws.
     figures : list of Path
     """
 
@@ -98,6 +105,7 @@ class Ruled(Shown):
     numbers: Mapping[str, float]
     bound: Estimate | None
     unit: str
+    finer: Estimate | None = None
     figures: Sequence[Path] = ()
 
     @property
@@ -233,6 +241,14 @@ class Ruled(Shown):
         if mean.value - self.budget > 2 * mean.standard_error:
             budget = f"{mean.text}, more than {unrounded(self.budget)}"
             warnings = [f"On these draws the mean {self.what} of the rule is {budget}."]
+        if (more := self.finer) is not None and (
+            abs(more.value) > max(_CLEAR * more.standard_error, _NOTICED * self.budget)
+        ):
+            finer = Estimate(mean.value + more.value, more.standard_error)
+            warnings.append(
+                f"With {MORE} times the particles the rule spends {finer.text} {self.what} on "
+                "average: its thresholds fit this number of particles."
+            )
         if few:
             warnings += [f"In {few:,} draws, no particle explains a measurement of the rule."]
         return Page("", "", [Section("", blocks)], warnings)
@@ -328,7 +344,7 @@ def _judge(
     built, store = session.built, session.store
     table, plan = _compared(run, draws), best_first(rows_of_sets(run))[0]
     own = yield from tuned(session, measured_of(run)[plan], is_hard=is_hard)
-    feasible, measured = built.feasible, measured_of(run)
+    feasible, measured, finer = built.feasible, measured_of(run), None
     if (
         own.thresholds == rule_of_set(measured[plan], feasible).thresholds
     ):  # with the noise that the plan has
@@ -338,6 +354,7 @@ def _judge(
         work = work_of(built, own, len(table))
         session.reporter.foresee(work.steps)
         ((mse, spent, degenerate),) = yield from filtered_by(session, work)
+        finer = yield from _with_more_particles(session, own, spent)
     bound = yield from bound_of_strategies(session, feasible.budget, is_hard=is_hard)
     session.commit()
     settle_rules(store)
@@ -354,7 +371,25 @@ def _judge(
         for name in labels
     }
     criterion = built.job.criterion
-    return Ruled(run.path, own, feasible, criterion, plan, table, labels, numbers, bound, unit)
+    return Ruled(
+        run.path, own, feasible, criterion, plan, table, labels, numbers, bound, unit, finer
+    )
+
+
+def _with_more_particles(
+    session: RunSession, own: Thresholds, spent: NDArray[np.float64]
+) -> Generator[WorkBatch, None, Estimate | None]:
+    """How much more a rule spends with more particles, on first draws; None if too few fit."""
+    built = session.built
+    particles = MORE * built.comparing.particles
+    a_draw = work_of(built, own, 1, particles=particles).steps
+    draws = min(len(spent), int(SHARE * core_steps(built) / a_draw))
+    if draws < _FEWEST:
+        return None
+    work = work_of(built, own, draws, particles=particles)
+    session.reporter.foresee(work.steps)
+    ((_, more, _),) = yield from filtered_by(session, work)
+    return Estimate.of_mean(more - spent[:draws])
 
 
 def unit_of(model: StateSpaceModel) -> str:

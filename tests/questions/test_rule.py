@@ -18,6 +18,7 @@ import pfdist
 from oracles import beliefs, watched
 from oracles.bytes_of import hashes
 from oracles.file_layer import Ended, FileLayer
+from oracles.modes import model as two_modes
 from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
@@ -305,6 +306,28 @@ def test_the_tuned_thresholds_of_two_sensors_are_about_the_best(
     assert watched.best_set(watched.BUDGET) < best < min(alone)
     assert error.value < min(alone) - 3 * error.standard_error
     assert error.value < 1.1 * best  # 200 particles decide as the exact deviation would, nearly
+
+
+@pytest.mark.slow
+def test_a_rule_that_measures_more_often_with_more_particles_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A state of two values: few particles exclude one of them, and the rule does not measure.
+
+    With 100 times the particles it measures more often, too, by an evaluation of its own.
+    """
+    monkeypatch.undo()  # as many draws as usual
+    problem = Problem(two_modes(0.05, 0.3), horizon=8, measurement_budget=3, particles=200)
+    changes = ["comparison.draws=20000"]
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    found = pfdist.rule(run, figures=False)
+    assert found.finer is not None
+    assert found.finer.value > max(2 * found.finer.standard_error, 0.02 * 3)
+    assert "With 4 times the particles the rule spends 3." in repr(found)
+    built = build(problem.job())
+    more = ruling.work_of(built, found.rule, 1000, particles=20_000)
+    spent = built.evaluator.results([more])[0].mse[:, 1]
+    assert spent.mean() > 3.0 + 3 * spent.std() / math.sqrt(spent.size)
 
 
 def test_the_id_of_a_bound_names_the_constraints(tmp_path: Path) -> None:
