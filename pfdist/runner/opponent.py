@@ -14,11 +14,13 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
+from types import MappingProxyType
 
 import numpy as np
 
 from pfdist.common.measurement_times import MOST_REGULAR, Times
 from pfdist.errors import JobError
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK
 from pfdist.kernels.estimators import FILTER_VARIANCE, TWO_CLOUDS
 from pfdist.models.batched import BatchedModel
@@ -59,6 +61,7 @@ class Opponent:
     times: Times
     tried: int  # number of evenly spaced sets that were looked at; 0: all that there are
     best: str  # name of the best opponent
+    evaluation: Evaluation | None = None  # of the best opponent, on draws that chose it
 
 
 @dataclass(frozen=True)
@@ -106,12 +109,13 @@ class EvenSearch:
         else:
             ranked, tried, spent = yield from self._finalists(session)
         ranked = ranked or [self.feasible.regular()]
-        order = [*dict.fromkeys((*given, *ranked))]
+        order, raced = [*dict.fromkeys((*given, *ranked))], list[Evaluation]()
         if len(order) > 1:
-            order = yield from self._raced(session, order, len(given), spent)
+            raced = yield from self._raced(session, order, len(given), spent)
+            order = [each.measurement_times for each in raced]
         even = next(times for times in order if times in {*ranked})
         names = (name for name, times in self.given.items() if times == order[0] != even)
-        return Opponent(even, tried, next(names, self.name))
+        return Opponent(even, tried, next(names, self.name), next(iter(raced), None))
 
     @property
     def _is_exact(self) -> bool:
@@ -119,17 +123,19 @@ class EvenSearch:
 
     def _raced(
         self, session: RunSession, sets: list[Times], given: int, spent: float
-    ) -> Generator[WorkBatch, None, list[Times]]:
+    ) -> Generator[WorkBatch, None, list[Evaluation]]:
         """The best of the sets, the best first: by exact errors, or by a race of the first ones."""
-        errors = self.built.evaluator.expected_mse(sets, criterion=self.built.job.criterion)
+        criterion = self.built.job.criterion
+        errors = self.built.evaluator.expected_mse(sets, criterion=criterion)
         if errors is not None:
             instants = len(sets) * (self.feasible.horizon + 1)
             session.count_exact(self.phase.name, "opponent", instants)
-            return [sets[place] for place in np.argsort(errors, kind="stable").tolist()]
+            order = np.argsort(errors, kind="stable").tolist()
+            return [Evaluation.exactly(sets[k], float(errors[k]), criterion) for k in order]
         scale, draws, most = self._racing(spent)
         race = Race(tuple(sets[: given + most]), draws, _KEPT, math.ceil(scale * _UNTIL))
         raced = yield from run_phase(self._with(race, draws), session)
-        return [each.measurement_times for each in raced]
+        return [*raced]
 
     def _racing(self, spent: float) -> tuple[float, int, int]:
         """The share of a whole race that is left, draws of its first round, and most sets."""
@@ -273,10 +279,12 @@ def opponent_steps(built: Built) -> float:
     return most_steps(built) if has_any else 0.0
 
 
-def best_evenly_spaced(session: RunSession, name: str) -> Generator[WorkBatch, None, Opponent]:
-    """The best evenly spaced set of this name."""
+def best_evenly_spaced(
+    session: RunSession, name: str, others: Mapping[str, Times] = MappingProxyType({})
+) -> Generator[WorkBatch, None, Opponent]:
+    """The best evenly spaced set of this name, and the best of it and other sets."""
     job, feasible = session.built.job, session.built.study.even[name]
-    sets = {} if job.budget else job.given_sets
+    sets = others if job.budget else job.given_sets
     given = {
         each: times for each, times in sets.items() if times is not None and feasible.allows(times)
     }
