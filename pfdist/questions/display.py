@@ -125,7 +125,7 @@ class Display:
         self._last = state.evaluations
         line = one_line("  ".join([*_position(state), *self._rate(state, now)]))
         share = state.done / state.total if state.total else 1.0  # exact errors take no particles
-        percent, left = 100 * share, self._time_left(state, now)
+        percent, left = math.floor(1000 * share) / 10, self._time_left(state, now)
         if now < self._begins:
             return
         if self._cell is None and self._may_be_cell:
@@ -134,7 +134,7 @@ class Display:
             self._cell(f"{percent:.1f} %  {line}  {left}")
             return
         if self._live:
-            at, done, total = f"{percent:3.0f}% {left}", state.done, state.total
+            at, done, total = f"{math.floor(percent):3}% {left}", state.done, state.total
             if self._task is None:
                 self._task = self._bar.add_task(line, at=at)
                 self._bar.start()
@@ -175,7 +175,8 @@ def _position(state: State) -> list[str]:
     if not state.generations:
         gains = [_gain(gain) for gain in state.found[:1]]
         return [state.phase, f"{state.evaluations:,} draws", *gains]
-    parts = [state.phase, f"generation {state.generation}/{state.generations}"]
+    expected = f"/{state.generations}" if state.generation <= state.generations else ""
+    parts = [state.phase, f"generation {state.generation}{expected}"]
     if state.best is not None:
         parts.append(f"best {rounded(state.best, 4)}")
     if state.mean is not None:

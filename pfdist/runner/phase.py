@@ -224,8 +224,13 @@ def run_phase(
     if session.store.has(EVALUATIONS, name):
         committed.update(session.store.rows(EVALUATIONS, phase=name)["generation"].to_pylist())
     state, generation = optimiser.init(), 0
-    share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
-    reporter.begin(name, generation=1, generations=optimiser.generations)
+    generations = max(1, optimiser.generations)  # expected
+    share, start, total = (
+        phase.steps() / generations,
+        reporter.progress.done,
+        reporter.progress.total,
+    )
+    reporter.begin(name, generation=1, generations=generations)
     is_exact, criterion = phase.built.evaluator.exact, phase.criterion
     copies_are_alike = phase.settings.common_noise or is_exact
     while not optimiser.done(state):
@@ -242,9 +247,9 @@ def run_phase(
         record = _Generation(
             reporter,
             generation,
-            optimiser.generations,
+            generations,
             copies,
-            (start, share),
+            (start, share, total),
             reporter.progress.evaluations,
             not finalists,
         )
@@ -269,7 +274,8 @@ def run_phase(
         errors, best = _whole_errors(in_order), _whole_errors(optimiser.finalists(state))
         mean = float(np.mean(errors)) if errors else None
         reporter.note(best=best[0] if best else None, mean=mean)
-    reporter.note(done=start + phase.steps())
+    late = share * max(0, generation - generations)
+    reporter.note(done=start + phase.steps() + late, total=total + late)
     # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)
@@ -300,7 +306,9 @@ class _Generation:
     number: int
     generations: int  # expected
     copies: Counter[Candidate]
-    steps: tuple[float, float]  # done before the search, and those of a generation
+    # Done before the search, those of a generation, and the forecast of the run, which grows with
+    # each generation that was not expected:
+    steps: tuple[float, float, float]
     before: int  # number of evaluations of former generations
     shows_best: bool
     evaluations: dict[Candidate, Evaluation] = field(default_factory=dict)
@@ -316,15 +324,16 @@ class _Generation:
 
     def show(self) -> None:
         """Report the evaluations that were recorded so far."""
-        reporter, (start, share) = self.reporter, self.steps
+        reporter, (start, share, total) = self.reporter, self.steps
         if math.isfinite(self.least):
             reporter.note(best=self.least)
         part = self.number + len(self.evaluations) / len(self.copies)
         reporter.reach(
-            start + share * min(part, self.generations),
+            start + share * part,
+            total=total + share * max(0.0, part - self.generations),
             evaluations=self.before + self.recorded,
             generation=self.number + 1,
-            generations=max(self.number + 1, self.generations),
+            generations=self.generations,
         )
 
 

@@ -62,7 +62,8 @@ class Progress:
         ``rule``, draws. The count restarts when a phase repeats its draws, as the phases of `why`
         do.
     generation, generations : int
-        Current generation and expected number of generations; 0 in phases other than searches.
+        Current generation and expected number of generations, which there may be more of; 0 in
+        phases other than searches.
     best : float or None
         Expected MSE of the set that the search would return now.
     mean : float or None

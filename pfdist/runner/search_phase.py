@@ -104,7 +104,7 @@ def run_search(
     set at the end of the search or of the race has an infinite error.
     """
     built, reporter = session.built, session.reporter
-    start = reporter.progress.done
+    start, total = reporter.progress.done, reporter.progress.total
     found = yield from _found(session, search)
     believed, raced = found.believed, None
     joins = bool(believed and search.polishing) and built.feasible.accepts(opponent)
@@ -114,8 +114,9 @@ def run_search(
     if raced is not None:
         order = _uncontradicted(ranked, raced) if found.polished else raced
         ranked = [evaluation.measurement_times for evaluation in order]
-    # Searches may end sooner or later than foreseen: progress goes on from the forecast.
-    reporter.note(done=start + search_steps(built, search))
+    # Searches may end sooner or later than foreseen: progress goes on from the forecast, which has
+    # grown where they ended later.
+    reporter.note(done=start + search_steps(built, search) + reporter.progress.total - total)
     known = {t for t, each in believed.items() if math.isfinite(each.expected_mse)}
     believed |= {t: each for each in raced or () if (t := each.measurement_times) not in known}
     return {

@@ -23,7 +23,9 @@ from pfdist.runner.comparison_phase import run_comparison
 from pfdist.runner.door import RunSession
 from pfdist.runner.pace import Pace
 from pfdist.runner.phase import Phase, run_phase
-from pfdist.search import Candidate, Optimiser, RandomTrials
+from pfdist.runner.progress import Progress
+from pfdist.search import Candidate, Exchange, Optimiser, RandomTrials
+from pfdist.store import Store
 
 Completed = Callable[..., Any]
 
@@ -100,6 +102,23 @@ def test_a_set_that_is_asked_for_twice_is_computed_once(
     works = len(handed)
     completed(run_phase(phase, RunSession(built, session.store)))  # all are in the store
     assert len(handed) == works
+
+
+def test_the_bar_goes_on_while_a_search_takes_more_generations_than_expected(
+    built: Built, tmp_path: Path, completed: Completed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The forecast grows with each of them, and the whole of it is done when the run is."""
+    monkeypatch.setattr(Exchange, "generations", 2)
+    shown = list[Progress]()
+    session = RunSession(built, Store(tmp_path / "run"), shown.append)
+    phase = _phase(built, Exchange(built.job.problem.feasible, 256, (0, 1, 2, 3)))
+    session.reporter.foresee(3 * phase.steps())
+    completed(run_phase(phase, session))
+    assert shown[-1].generation > 4
+    shares = {each.generation: each.done / each.total for each in shown}
+    assert [*shares.values()] == sorted({*shares.values()})
+    left = 2 * phase.steps() / shown[-1].total  # of the other phases
+    assert shares[shown[-1].generation] == pytest.approx(1 - left)
 
 
 def test_a_prefix_up_to_the_end_and_the_whole_set_have_one_result(
