@@ -355,7 +355,7 @@ def _judge(
         session.reporter.foresee(work.steps)
         ((mse, spent, degenerate),) = yield from filtered_by(session, work)
         finer = yield from _with_more_particles(session, own, spent)
-    bound = yield from bound_of_strategies(session, feasible.budget, is_hard=is_hard)
+    bound = yield from bound_of_strategies(session, is_hard=is_hard)
     session.commit()
     settle_rules(store)
     what = (

@@ -18,7 +18,7 @@ from pfdist.filters.work import PLAIN, FilterWork, Result, with_truth
 from pfdist.kernels.replicates import REPLICATES
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.row_formats import PER_DRAW
-from pfdist.search.first_windows import WINDOW, relaxation_for
+from pfdist.search.first_windows import MOST_UNITS, WINDOW, relaxation_for
 from pfdist.search.least import Array, best_price, bounds_of_draws, least_of_draw
 from pfdist.search.relaxation import Relaxation
 from pfdist.store import RULE_PHASE
@@ -34,13 +34,13 @@ _TOGETHER = 4  # draws whose errors are kept at the same time
 
 @dataclass(frozen=True)
 class LeastWork(FilterWork):
-    """Draws with the errors of all windows; a column for each number of measurements."""
+    """Draws with the errors of all windows; a column for each sum that is spent, in units."""
 
     relaxation: Relaxation | None = None
     steps_of_windows: int = 0  # of one draw
 
     def result(self, evaluator: Evaluator) -> Result:
-        """The least relaxed MSE of each draw with each number of measurements, (D, most+1)."""
+        """The least relaxed MSE of each draw with each sum, (D, most+1)."""
         relaxation = self.relaxation
         if evaluator.scenarios or relaxation is None:
             return evaluator.filtered(self)
@@ -65,34 +65,36 @@ class LeastWork(FilterWork):
 
 
 def bound_of_strategies(
-    session: RunSession, number: float, *, is_hard: bool
+    session: RunSession, *, is_hard: bool
 ) -> Generator[WorkBatch, None, Estimate | None]:
     """A number that the expected MSE of no strategy is below, with its error.
 
-    A strategy has at most so many measurements on average, or in each draw. Windows, the price of a
-    measurement and the factor of its penalty are chosen on separate draws: on its own draws, the
-    largest bound is too high. None if no bound is known, if its windows are too many, or if a draw
-    is degenerate or infinite.
+    A strategy spends at most the job's number of measurements or total price, on average or in each
+    draw. Windows, the multiplier of what is spent and the factor of the penalty are chosen on
+    separate draws: on its own draws, the largest bound is too high. They are chosen for the
+    average, so the bound with a hard limit, on the same draws, is at least that on average. None if
+    no bound is known, if its windows are too many, or if a draw is degenerate or infinite.
     """
     built, relaxations = session.built, list[Relaxation]()
     evaluator, usual = built.evaluator, built.study.usual
-    is_known = built.job.criterion.is_mean and built.feasible.counted and not evaluator.lag
+    is_known = built.job.criterion.is_mean and not evaluator.lag
     for window in (1, WINDOW) if is_known and evaluator.truth.variance_is_error else ():
         with contextlib.suppress(JobError):
-            relaxations.append(relaxation_for(built.feasible, window, usual, _MOST_CELLS))
+            fine = relaxation_for(built.feasible, window, usual, _MOST_CELLS)
+            relaxations.append(fine.coarse(MOST_UNITS))
     best: tuple[float, float, Relaxation | None, float] = -math.inf, math.nan, None, 0.0
     # Guided particles are redrawn for the true y; other engines draw no replicates.
     has_penalty = built.job.filter.proposal == PLAIN and evaluator.truth.computed_by is COMPILED
     for each, penalty in product(relaxations, PENALTIES if has_penalty else PENALTIES[:1]):
-        least = yield from _least(session, each, penalty, "choice", CHOICE_DRAWS, number, is_hard)
-        price = math.inf if is_hard else best_price(least, number)
-        value = float(bounds_of_draws(least, number, price).mean())
+        least = yield from _least(session, each, penalty, "choice", CHOICE_DRAWS)
+        price = best_price(least, each.number)
+        value = float(bounds_of_draws(least, each.number, price).mean())
         best = (value, price, each, penalty) if value > best[0] else best
     _, price, relaxation, penalty = best
     if relaxation is None:
         return None
-    least = yield from _least(session, relaxation, penalty, "draws", DRAWS, number, is_hard)
-    bounds = bounds_of_draws(least, number, price)
+    least = yield from _least(session, relaxation, penalty, "draws", DRAWS)
+    bounds = bounds_of_draws(least, relaxation.number, math.inf if is_hard else price)
     return Estimate.of_mean(bounds) if np.isfinite(bounds).all() else None
 
 
@@ -102,12 +104,9 @@ def _least(
     penalty: float,
     role: str,
     draws: int,
-    number: float,
-    is_hard: bool,
 ) -> Generator[WorkBatch, None, Array]:
-    """The least relaxed MSE of each draw with each number of measurements, (D, most+1)."""
-    built, feasible = session.built, session.built.feasible
-    most = int(number) if is_hard else len(feasible.allowed)
+    """The least relaxed MSE of each draw with each sum that is spent, in units, (D, most+1)."""
+    built, feasible, most = session.built, session.built.feasible, relaxation.most
     particles = max(built.comparing.particles, _LEAST_PARTICLES)
     estimation = with_truth(particles, built.job.filter.proposal)
     estimation = replace(estimation, penalty=penalty or None)
@@ -120,7 +119,7 @@ def _least(
     )
     compared = len(windows) * (REPLICATES + 1) if penalty else 0
     limits = feasible.step_limits.recorded, [*feasible.allowed]
-    parts = relaxation.windows, relaxation.ends.tolist(), stream, of_draws, limits
+    parts = relaxation.windows, relaxation.ends.tolist(), stream, of_draws, limits, relaxation.unit
     ids = tuple(truth.id_of(estimation, *parts, most, n) for n in range(most + 1))
     given = [()] * len(ids), stream, of_draws, (0, draws), estimation
     work = LeastWork(

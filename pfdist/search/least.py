@@ -23,7 +23,7 @@ _PRICES = 400  # that are tried for the largest bound
 
 
 def least_of_draw(relaxation: Relaxation, errors: Array, most: int) -> Array:
-    """The least relaxed MSE of a draw with 0..most measurements, (most+1,).
+    """The least relaxed MSE of a draw with 0..most measurements, or units of money, (most+1,).
 
     `errors` (E,) are those of the draw, window by window; with a NaN, nothing is known.
     """

@@ -19,6 +19,7 @@ Abate, Hu, Tomlin, "On efficient sensor scheduling for linear dynamical systems"
 dynamic programs", Operations Research 58, 2010.
 """
 
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -163,6 +164,26 @@ class Relaxation:
     def total(self) -> int:
         """The sum to spend, in units: N, or money."""
         return self.constraints.total // self.unit
+
+    @property
+    def number(self) -> float:
+        """The sum to spend, in units, unrounded: on average, prices are at most this sum."""
+        return self.constraints.total / self.unit
+
+    @cached_property
+    def most(self) -> int:
+        """What the measurements at all allowed times cost at most, in units."""
+        fees = int(self._fees.sum())
+        return sum(self.prices[time] + fees for time in self.constraints.allowed)
+
+    def coarse(self, most: int) -> Self:
+        """The relaxation in coarser units of money, of which all measurements cost at most so many.
+
+        Measurements are counted one by one.
+        """
+        if self.constraints.counted:
+            return self
+        return replace(self, unit=self.unit * max(1, math.ceil(self.most / most)))
 
     @cached_property
     def index(self) -> dict[Window, int]:

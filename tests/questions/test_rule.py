@@ -28,6 +28,7 @@ from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES
+from pfdist.problem.sections import Execution
 from pfdist.questions.next_by_rule import NextByRule
 from pfdist.questions.planned_run import filter_of
 from pfdist.questions.rule import (
@@ -37,8 +38,9 @@ from pfdist.questions.rule import (
 )
 from pfdist.questions.rule_file import _Written, keep_rule, rule_json, rule_of
 from pfdist.runner import door, every_strategy, ruling
-from pfdist.runner.build import build
-from pfdist.runner.door import RunSession
+from pfdist.runner.build import build, make_pool
+from pfdist.runner.door import RunSession, complete
+from pfdist.runner.every_strategy import bound_of_strategies
 from pfdist.search.first_windows import relaxation_for
 from pfdist.store import Store, listing
 from pfdist.store.verify import verify_run
@@ -260,6 +262,25 @@ def test_each_sensor_has_a_threshold_and_prices_are_within_the_budget(
     assert rule_of(run.path, hard.feasible) == hard.rule
 
 
+def test_no_strategy_of_two_sensors_with_prices_is_below_the_bound(watched_by_two: Run) -> None:
+    """The variances do not depend on y, so no strategy is better than the best set.
+
+    A strategy on average may choose one of two sets by chance. With a hard limit the bound is at
+    least that on average: such a strategy is one on average, too.
+    """
+    session = RunSession(build(load_job(watched_by_two.path)), Store(watched_by_two.path))
+    given = make_pool(Execution(pool="serial"))
+    average, hard = (
+        complete(bound_of_strategies(session, is_hard=is_hard), given) for is_hard in (False, True)
+    )
+    best = {price: watched.best_set(price) for price in range(27)}
+    pairs = [(a, b) for a in best for b in best if a <= watched.BUDGET < b]
+    hull = min(np.interp(watched.BUDGET, pair, [best[each] for each in pair]) for pair in pairs)
+    assert average.value <= hard.value
+    for bound, least in ((average, hull), (hard, best[watched.BUDGET])):
+        assert 0.9 * least < bound.value < least + 3 * bound.standard_error
+
+
 def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
     watched_by_two: Run,
 ) -> None:
@@ -338,7 +359,7 @@ def test_the_id_of_a_bound_names_the_constraints(tmp_path: Path) -> None:
         built = build(pfdist.load_job(tmp_path / "job.toml", changes))
         relaxation = relaxation_for(built.feasible, 1, built.study.usual, 20_000)
         session = RunSession(built, Store(tmp_path / "run"))
-        [batch] = islice(every_strategy._least(session, relaxation, 0.0, "draws", 2, 4, True), 1)
+        [batch] = islice(every_strategy._least(session, relaxation, 0.0, "draws", 2), 1)
         windows.append((relaxation.windows, relaxation.ends.tolist()))
         ids += batch.works[0].ids[:1]
     assert windows[0] == windows[1] == windows[2]
