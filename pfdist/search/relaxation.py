@@ -172,7 +172,7 @@ class Relaxation:
 
     @cached_property
     def most(self) -> int:
-        """What the measurements at all allowed times cost at most, in units."""
+        """The highest price of measurements at all allowed times, in units."""
         fees = int(self._fees.sum())
         return sum(self.prices[time] + fees for time in self.constraints.allowed)
 
