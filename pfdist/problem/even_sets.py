@@ -54,6 +54,7 @@ class EvenFamily(NamedTuple):
     positions: Array  # (K,)
     # of visits: the time after the beginning, and the ways, of each measurement in a visit
     inside: tuple[tuple[float, Times], ...] = ()
+    shorter: tuple[tuple[float, Times], ...] = ()  # likewise in a visit with one measurement less
     most: int = 0  # of visits: the largest number of times at which all of them measure
 
     @property

@@ -152,7 +152,8 @@ class EvenVisits(EvenSets):
     """The sets with evenly spaced visits, which all measure at the same times after the beginning.
 
     These times are evenly spaced, too, with any first one and step: by one sensor, or by all in
-    turn. If the measurements cannot be divided evenly among the visits, the first have one more.
+    turn. If the measurements cannot be divided evenly among the visits, the first have one more;
+    the others have the same step, or are as long.
     """
 
     visits: Visits
@@ -208,12 +209,20 @@ class EvenVisits(EvenSets):
         for turn, number in product(turns, numbers):
             times = self._most_times(turn, number)
             for each in sorted({-(-times // number), times // number} - {0}):
-                for first, step in self._patterns(turn, each, most):
-                    inside = tuple((first + step * k, turn[k % len(turn)]) for k in range(each))
-                    ways = (turn[0],) * number
-                    all_times = min(times, each * number)
+                all_times, ways = min(times, each * number), (turn[0],) * number
+                # The measurements of a visit with one less are the first ones, or as long.
+                longer = (
+                    (1.0, (each - 1) / (each - 2)) if all_times % number and each > 2 else (1.0,)
+                )
+                for stretch, (first, step) in product(longer, self._patterns(turn, each, most)):
+                    at = first + step * np.arange(each)
+                    fewer = first + step * stretch * np.arange(each - 1)
+                    inside, shorter = (
+                        tuple((after, turn[k % len(turn)]) for k, after in enumerate(all_.tolist()))
+                        for all_ in (at, fewer)
+                    )
                     places = np.arange(begins.size)
-                    yield EvenFamily(number, ways, places, begins, inside, all_times)
+                    yield EvenFamily(number, ways, places, begins, inside, shorter, all_times)
 
     def _most_times(self, turn: tuple[Times, ...], number: int) -> int:
         """The largest number of times at which so many visits can measure."""
@@ -261,16 +270,17 @@ class EvenVisits(EvenSets):
 
     def _visiting(self, places: list[int], family: EvenFamily) -> Times | None:
         """The measurements of visits at some places, as many as can be paid for."""
-        feasible, visits, inside = self.feasible, len(places), family.inside
+        feasible, visits = self.feasible, len(places)
+        inside, shorter = family.inside, family.shorter
         if len({*places}) < visits:
             return None
         ways = {way for _, each in inside for way in each}
         required = {*feasible.required} - {*self._others(ways)}
-        for number in range(family.most, visits * (len(inside) - 1), -1):
+        for number in range(family.most, visits * len(shorter), -1):
             chosen = [
                 self.blocks[place].nearest(way, after)
                 for k, place in enumerate(places)
-                for after, each in inside[: number // visits + (k < number % visits)]
+                for after, each in (inside if k < number - visits * len(shorter) else shorter)
                 for way in each
             ]
             found = {point for point in chosen if point is not None}

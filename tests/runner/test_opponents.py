@@ -183,22 +183,34 @@ VISITS: dict[str, tuple[int, dict[str, Any], list[range]]] = {  # with their pos
 
 
 def _visits(blocks: list[range], sensors: int) -> Sets:
-    """Visits at evenly spaced places, that all measure at evenly spaced times in turn."""
+    """Visits at evenly spaced places, that all measure at evenly spaced times in turn.
+
+    The last visits may have one measurement less: they have the first ones, or are as long.
+    """
     turns = [(0,), (1,), (0, 1), (1, 0)] if sensors > 1 else [(0,)]
     for number in range(1, min(5, len(blocks)) + 1):
         for places in even_instants(range(len(blocks)), number):
             longest = max(len(blocks[place]) for place in places)
             numbers = range(1, longest + 1) if longest > 1 else ()
             inside = [each for m in numbers for each in even_instants(range(longest), m)] or [(0,)]
-            together = [(k, k) for k in range(longest)] * (sensors > 1)
-            for each, turn in product([*inside, *together], turns):
+            alike = [(each, each) for each in inside]
+            alike += [(each, each[:-1]) for each in inside if len(each) > 1]
+            alike += [
+                (a, b)
+                for a, b in product(inside, inside)
+                if len(a) == len(b) + 1 and (a[0], a[-1]) == (b[0], b[-1])
+            ]
+            together = [((k, k), (k, k)) for k in range(longest)] * (sensors > 1)
+            ends = range(1, number + 1)
+            for (long, short), turn, more in product([*alike, *together], turns, ends):
+                each = [long] * more + [short] * (number - more)
                 points = [
                     sensors * blocks[place][k] + turn[j % len(turn)]
-                    for place in places
-                    for j, k in enumerate(each)
+                    for place, own in zip(places, each, strict=True)
+                    for j, k in enumerate(own)
                     if k < len(blocks[place])
                 ]
-                if len({*points}) == number * len(each):
+                if len({*points}) == sum(map(len, each)):
                     yield tuple(sorted(points))
 
 
