@@ -210,16 +210,13 @@ class EvenVisits(EvenSets):
             times = self._most_times(turn, number)
             for each in sorted({-(-times // number), times // number} - {0}):
                 all_times, ways = min(times, each * number), (turn[0],) * number
-                # The measurements of a visit with one less are the first ones, or as long.
-                longer = (
-                    (1.0, (each - 1) / (each - 2)) if all_times % number and each > 2 else (1.0,)
-                )
-                for stretch, (first, step) in product(longer, self._patterns(turn, each, most)):
-                    at = first + step * np.arange(each)
-                    fewer = first + step * stretch * np.arange(each - 1)
+                # Visits with one measurement less leave out the last one, or are as long.
+                is_uneven = all_times % number and each > 2
+                stretches = (1.0, (each - 1) / (each - 2)) if is_uneven else (1.0,)
+                for stretch, (first, step) in product(stretches, self._patterns(turn, each, most)):
                     inside, shorter = (
-                        tuple((after, turn[k % len(turn)]) for k, after in enumerate(all_.tolist()))
-                        for all_ in (at, fewer)
+                        tuple((first + apart * k, turn[k % len(turn)]) for k in range(count))
+                        for count, apart in ((each, step), (each - 1, step * stretch))
                     )
                     places = np.arange(begins.size)
                     yield EvenFamily(number, ways, places, begins, inside, shorter, all_times)

@@ -1,8 +1,7 @@
 """The driver of a run: searches, then the comparison, then online draws; it uses no pool itself."""
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from functools import partial
-from itertools import pairwise, product
 from typing import Any, get_args
 
 import numpy as np
@@ -13,7 +12,6 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import FilterWork, Result, cut
-from pfdist.problem.feasible import Feasible
 from pfdist.problem.online_section import Online
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
@@ -36,6 +34,7 @@ from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.ruling import look_work
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.searches import planning_of
+from pfdist.runner.smoothed_budget import budget_of_smoothed
 from pfdist.store import Store, schema
 
 COMPARED = "search"
@@ -113,7 +112,7 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     tried, better = dict[str, int](), dict[str, Evaluation]()
     # The programme of gaps has errors that are too low, so its plans for each number race, too.
     if built.job.budget is not None and built.evaluator.lag and built.study.even:
-        better = yield from _budget_of_smoothed(session, given, tried)
+        better = yield from budget_of_smoothed(session, given, tried)
     for name in built.study.even if not better else ():
         found = yield from best_evenly_spaced(session, name)
         given[name], tried[name] = found.times, found.tried
@@ -157,75 +156,6 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     # Written after the tables of the searches: it marks the searches as done.
     session.later(partial(_publish_compared, session.store, table))
     return {row["name"]: row["measurement_times"] for row in rows}
-
-
-def _budget_of_smoothed(
-    session: RunSession, given: dict[str, Times], tried: dict[str, int]
-) -> Generator[WorkBatch, None, dict[str, Evaluation]]:
-    """The plan of each number, after a race with its evenly spaced sets and larger smaller plans.
-
-    It notes these evenly spaced sets, too.
-    """
-    built, (search,) = session.built, session.built.searches
-    found = yield from run_search(session, search, next(iter(given.values())))
-    plans, before = built.study.names(search.name), Times()
-    for plan, (even, feasible) in zip(plans, built.study.even.items(), strict=True):
-        others = {f"{plan}.{k}": times for k, times in enumerate(_larger(built, feasible, before))}
-        if plan in found:
-            others[plan] = found[plan].measurement_times
-        opponent = yield from best_evenly_spaced(session, even, others)
-        given[even], tried[even] = opponent.times, opponent.tried
-        best = opponent.evaluation
-        if best is not None and (
-            plan not in found or best.measurement_times != found[plan].measurement_times
-        ):
-            found[plan] = best
-        if plan in found and built.evaluator.exact:
-            found[plan] = _exchanged(session, feasible, found[plan])
-        before = found[plan].measurement_times if plan in found else Times()
-    return found
-
-
-_MOST_EXCHANGES = 5000  # sets with exact errors that are looked at together
-
-
-def _exchanged(session: RunSession, feasible: Feasible, best: Evaluation) -> Evaluation:
-    """The set after exchanges of one measurement each, by exact errors, until none is better."""
-    built, criterion = session.built, session.built.job.criterion
-    while len(best.measurement_times) * len(feasible.allowed) <= _MOST_EXCHANGES:
-        times = {*best.measurement_times}
-        moved = (
-            tuple(sorted(times - {out} | {point}))
-            for out, point in product(times, feasible.allowed)
-            if point not in times
-        )
-        sets = [*filter(feasible.accepts, moved)]
-        errors = built.evaluator.expected_mse(sets, criterion=criterion) if sets else None
-        if errors is None:
-            break
-        instants = len(sets) * (feasible.horizon + 1)
-        session.count_exact(built.searches[0].name, "search", instants)
-        least = int(np.argmin(errors))
-        if not errors[least] < best.expected_mse * (1 - 1e-12):
-            break
-        best = Evaluation.exactly(sets[least], float(errors[least]), criterion)
-    return best
-
-
-_ADDED = 3  # gaps in whose middle a measurement is added to a smaller plan
-
-
-def _larger(built: Built, feasible: Feasible, times: Times) -> Iterator[Times]:
-    """Feasible sets with a measurement more than a smaller plan, and the plan itself."""
-    points = feasible.points
-    left = [point for point in feasible.allowed if times and point not in times]
-    if not built.evaluator.exact:
-        ends = (-1, *points.made(times), feasible.horizon + 1)
-        gaps = sorted(pairwise(ends), key=lambda gap: gap[0] - gap[1])[:_ADDED]
-        middles = [(first + last) / 2 for first, last in gaps]
-        left = [min(left, key=lambda p: abs(points.made_at(p) - at)) for at in middles if left]
-    larger = (tuple(sorted((*times, point))) for point in left)
-    yield from filter(feasible.accepts, (times, *larger))
 
 
 def _exact_columns(built: Built, sets: Sequence[Times]) -> dict[str, tuple[Any, Part]]:
