@@ -119,8 +119,8 @@ def plan(
         Was last year good? A table of its times, ``@last.csv``, or sets as for `pfdist.compare`,
         with which the plan is compared. It has as many as the first, if they are counted.
     dry_run : bool
-        Print the particle-steps that are foreseen, by what they are for, and about how many minutes
-        a core of this machine takes for them; compute nothing. A proof that `plan` would leave to
+        Print the particle-steps that are usual, by what they are for, and about how many minutes a
+        core of this machine takes for them; compute nothing. A proof that `plan` would leave to
         `pfdist bound` does not count.
     options
         See `Options`.

@@ -82,7 +82,7 @@ def foreseen_steps(built: Built) -> float:
 def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, float]:
     """Approximate number of particle-steps of a run and of a proof, by what they are for."""
     foreseen: dict[Part, float] = dict.fromkeys(get_args(Part), 0.0)
-    foreseen["search"] = sum(search_steps(built, search) for search in built.searches)
+    foreseen["search"] = _usual_steps(built)
     foreseen["opponent"] = opponent_steps(built)
     foreseen["comparison"] = comparison_steps(built)
     for table in tables_of_first_draws(built):
@@ -101,8 +101,12 @@ def core_steps(built: Built, prover: Prover | None = None) -> float:
     return searched + comparison_steps(built) + (prover.steps if prover else 0)
 
 
+def _usual_steps(built: Built) -> float:
+    return sum(search_steps(built, search, usual=True) for search in built.searches)
+
+
 def _searching_steps(built: Built) -> float:
-    return opponent_steps(built) + sum(search_steps(built, search) for search in built.searches)
+    return opponent_steps(built) + _usual_steps(built)
 
 
 def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]:

@@ -148,11 +148,18 @@ class Phase:
         if self.purpose not in CHOOSING:
             raise ValueError(f"no search may choose by draws with the purpose {self.purpose!r}")
 
-    def steps(self) -> float:
-        """Approximate number of particle-steps of the phase."""
+    def steps(self, usual: bool = False) -> float:
+        """Approximate number of particle-steps of the phase.
+
+        Forecasts that are shown are the usual number, where a search knows it. Results depend on
+        the other number, of which further answers have shares.
+        """
         settings, instants = self.settings, self.built.job.problem.feasible.horizon + 1
         a_draw = settings.estimation.steps_an_instant * instants
-        return self.optimiser.evaluations * settings.draws * a_draw
+        evaluations = self.optimiser.evaluations
+        if usual:
+            evaluations = getattr(self.optimiser, "usual_evaluations", evaluations)
+        return evaluations * settings.draws * a_draw
 
     def request(self, candidate: Candidate, generation: int) -> EvaluationRequest:
         """The request of an evaluation for a candidate of a generation.
@@ -226,7 +233,7 @@ def run_phase(
     state, generation = optimiser.init(), 0
     generations = max(1, optimiser.generations)  # expected
     share, start, total = (
-        phase.steps() / generations,
+        phase.steps(usual=True) / generations,
         reporter.progress.done,
         reporter.progress.total,
     )
@@ -275,7 +282,7 @@ def run_phase(
         mean = float(np.mean(errors)) if errors else None
         reporter.note(best=best[0] if best else None, mean=mean)
     late = share * max(0, generation - generations)
-    reporter.note(done=start + phase.steps() + late, total=total + late)
+    reporter.note(done=start + phase.steps(usual=True) + late, total=total + late)
     # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)

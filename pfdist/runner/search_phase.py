@@ -116,7 +116,8 @@ def run_search(
         ranked = [evaluation.measurement_times for evaluation in order]
     # Searches may end sooner or later than foreseen: progress goes on from the forecast, which has
     # grown where they ended later.
-    reporter.note(done=start + search_steps(built, search) + reporter.progress.total - total)
+    foreseen = search_steps(built, search, usual=True)
+    reporter.note(done=start + foreseen + reporter.progress.total - total)
     known = {t for t, each in believed.items() if math.isfinite(each.expected_mse)}
     believed |= {t: each for each in raced or () if (t := each.measurement_times) not in known}
     return {
@@ -124,15 +125,15 @@ def run_search(
     }
 
 
-def search_steps(built: Built, search: NamedSearch) -> float:
-    """Approximate number of particle-steps of a search and the phases after it."""
+def search_steps(built: Built, search: NamedSearch, usual: bool = False) -> float:
+    """Approximate particle-steps of a search and the phases after it; see `Phase.steps`."""
     start = built.job.problem.feasible.regular()
     phases: list[Phase] = [_searching(built, search)]
     if search.polishing:
         if not _is_too_long(built, search):
             phases += [_polishing(built, search, start, name) for name in search.polishes]
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED + 1)))
-    return sum(phase.steps() for phase in phases)
+    return sum(phase.steps(usual) for phase in phases)
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase:

@@ -164,6 +164,12 @@ class StateSpaceRelaxation:
         few = cells / instants / _SCREENING[0] if self.draws else cells / instants
         return few + (self.rounds + 1) * self.paths
 
+    @property
+    def usual_evaluations(self) -> float:
+        """Usual work: about half of the windows of the sets that remain are those of other sets."""
+        screened = self.screened / _SCREENING[1] + self.screened / 2 if self.draws else 0
+        return self.evaluations + (screened + self.rounds * self.paths) / 2
+
     def init(self) -> RelaxationState:
         """The state before the first generation."""
         nothing = ((),) if self.feasible.accepts(()) else ()

@@ -102,6 +102,29 @@ def test_a_plan_is_foreseen_about_as_it_is_done(
     assert f"particle-steps: {done.total():.3g} (" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("name", "particles"),
+    [
+        ("random_walk", 50),
+        pytest.param("lorenz63", 50, marks=pytest.mark.slow),
+        pytest.param("pharmacokinetics", 50, marks=pytest.mark.slow),
+        pytest.param("plan", 30, marks=pytest.mark.slow),
+    ],
+)
+def test_a_search_is_foreseen_within_a_factor_of_two_and_shares_are_parts_of_less(
+    name: str, particles: int, tmp_path: Path
+) -> None:
+    """Two and a half to four times as much is done as the number of which answers have shares."""
+    file = Path(__file__).parents[2] / "jobs" / f"{name}.toml"
+    changes = [f"filter.particles={particles}", "comparison.draws=200"]
+    job = pfdist.load_job(file).with_changes(changes, sections=searched_by("relaxation"))
+    built = build(job, Path("none"))
+    usual = foreseen_by_part(built)["search"]
+    done = steps_by_part(pfdist.run(job, tmp_path / "run", figures=False))["search"]
+    assert usual / 2 < done < 2 * usual
+    assert core_steps(built) < done
+
+
 def test_a_proof_that_a_plan_leaves_to_a_question_of_its_own_is_not_foreseen(
     small_job: Job,
 ) -> None:
