@@ -47,6 +47,7 @@ from pfdist.runner.searches import (
     comparing_of,
     named_search,
     planning_of,
+    polish_of,
     shortlist_of,
 )
 from pfdist.runner.study import Study
@@ -72,11 +73,9 @@ class Built:
     def phases(self) -> list[str]:
         """Names of all phases that choose sets."""
         references = (name(each) for each in self.study.even for name in (coarse_of, shortlist_of))
-        return [
-            RANKING,
-            *references,
-            *(phase for search in self.searches for phase in search.phases),
-        ]
+        found = [name for each in self.searches for name in self.study.names(each.name)]
+        searched = (phase for search in self.searches for phase in search.phases)
+        return [*dict.fromkeys((RANKING, *references, *searched, *map(polish_of, found)))]
 
     @property
     def comparing(self) -> Estimation:

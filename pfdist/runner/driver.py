@@ -34,7 +34,7 @@ from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.ruling import look_work
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.searches import planning_of
-from pfdist.runner.smoothed_budget import budget_of_smoothed
+from pfdist.runner.smoothed_budget import budget_of_smoothed, budget_steps, is_smoothed_budget
 from pfdist.store import Store, schema
 
 COMPARED = "search"
@@ -102,7 +102,8 @@ def core_steps(built: Built, prover: Prover | None = None) -> float:
 
 
 def _usual_steps(built: Built) -> float:
-    return sum(search_steps(built, search, usual=True) for search in built.searches)
+    searched = sum(search_steps(built, search, usual=True) for search in built.searches)
+    return searched + budget_steps(built)
 
 
 def _searching_steps(built: Built) -> float:
@@ -115,7 +116,7 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     given = {**built.study.unsearched}
     tried, better = dict[str, int](), dict[str, Evaluation]()
     # The programme of gaps has errors that are too low, so its plans for each number race, too.
-    if built.job.budget is not None and built.evaluator.lag and built.study.even:
+    if is_smoothed_budget(built):
         better = yield from budget_of_smoothed(session, given, tried)
     for name in built.study.even if not better else ():
         found = yield from best_evenly_spaced(session, name)

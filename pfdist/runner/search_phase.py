@@ -16,18 +16,20 @@ import numpy as np
 from pfdist.common.measurement_times import Times
 from pfdist.filters.criterion import MEAN
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.progress import heard
-from pfdist.runner.searches import NamedSearch
+from pfdist.runner.searches import NamedSearch, polish_of
 from pfdist.search import Exchange, Race
 from pfdist.search.exchange import FEWEST
 
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
 _REACH = 2.5  # mean gaps by which an exchange that polishes may move a time
-_MOST_STEPS = 2e11  # particle-steps of exchanges: minutes of a core. They grow as the horizon cubed
+MOST_STEPS = 2e11  # particle-steps of exchanges: minutes of a core. They grow as the horizon cubed
+TOO_LONG = "search {}: exchanges would take too long and are skipped"
 
 
 @dataclass(frozen=True)
@@ -49,15 +51,13 @@ class _Found:
 def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, None, _Found]:
     """The finalists of a search, of which the best are polished."""
     finalists = yield from _finalists(session, _searching(session.built, search))
-    polishes = bool(search.polishing) and not _is_too_long(session.built, search)
-    if finalists and search.polishing and not polishes:
-        heard(session.say, f"search {search.name}: exchanges would take too long and are skipped")
+    polishes = search.is_polished and not _is_too_long(session.built, search)
+    if finalists and search.is_polished and not polishes:
+        heard(session.say, TOO_LONG.format(search.name))
     if finalists and polishes:
         start, ends = finalists[0].measurement_times, list[Evaluation]()
         for name in search.polishes:
-            polished = yield from _finalists(
-                session, _polishing(session.built, search, start, name)
-            )
+            polished = yield from _finalists(session, polishing(session.built, search, start, name))
             start = polished[0].measurement_times if polished else start
             ends = [*polished[:_POLISHED], *ends[:1]]
         finalists = [*ends, *finalists[:_UNPOLISHED]]
@@ -107,7 +107,7 @@ def run_search(
     start, total = reporter.progress.done, reporter.progress.total
     found = yield from _found(session, search)
     believed, raced = found.believed, None
-    joins = bool(believed and search.polishing) and built.feasible.accepts(opponent)
+    joins = bool(believed and search.is_polished) and built.feasible.accepts(opponent)
     if sets := built.study.racing(dict.fromkeys((*believed, *[opponent] * joins))):
         raced = yield from _finalists(session, _racing(built, search, sets))
     ranked = list(believed)
@@ -125,13 +125,26 @@ def run_search(
     }
 
 
+def exchanged(
+    session: RunSession, search: NamedSearch, best: Evaluation, name: str, feasible: Feasible
+) -> Generator[WorkBatch, None, Evaluation]:
+    """The best of some feasible sets of this name, after exchanges that begin at another one."""
+    phase = polishing(session.built, search, best.measurement_times, polish_of(name), feasible)
+    polished = yield from _finalists(session, phase)
+    canonical = feasible.canonical
+    return next(
+        (replace(each, measurement_times=canonical(each.measurement_times)) for each in polished),
+        best,
+    )
+
+
 def search_steps(built: Built, search: NamedSearch, usual: bool = False) -> float:
     """Approximate particle-steps of a search and the phases after it; see `Phase.steps`."""
     start = built.job.problem.feasible.regular()
     phases: list[Phase] = [_searching(built, search)]
-    if search.polishing:
+    if search.is_polished:
         if not _is_too_long(built, search):
-            phases += [_polishing(built, search, start, name) for name in search.polishes]
+            phases += [polishing(built, search, start, name) for name in search.polishes]
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED + 1)))
     return sum(phase.steps(usual) for phase in phases)
 
@@ -144,27 +157,31 @@ def _searching(built: Built, search: NamedSearch) -> Phase:
     return Phase(search.name, search.optimiser, "search", settings, built, criterion)
 
 
-def _polishing(built: Built, search: NamedSearch, start: Times, name: str) -> Phase:
+def polishing(
+    built: Built, search: NamedSearch, start: Times, name: str, feasible: Feasible | None = None
+) -> Phase:
     """Exchanges on draws of their own: the draws of the search favour the set that it found.
 
     Exchanges for the worst scenario judge each scenario by its own draws. They may end in a local
-    optimum, so they begin at the best mean, which races with their result.
+    optimum, so they begin at the best mean, which races with their result. A number of a budget
+    has its own feasible sets, and exact errors of the farthest exchanges, too.
     """
-    feasible, settings = built.feasible, search.polishing or search.settings
-    reach = math.ceil(_REACH * (feasible.horizon + 1) / max(1, len(start)))
-    criterion = search.criterion if name == search.polish else MEAN
+    own, settings = feasible or built.feasible, search.polishing
+    far = feasible is not None and built.evaluator.exact
+    reach = None if far else math.ceil(_REACH * (own.horizon + 1) / max(1, len(start)))
+    criterion = MEAN if name in search.polishes[:-1] else search.criterion
     if not criterion.additive:  # few particles may have another worst scenario
         draws = criterion.scenario_count * settings.draws
         settings = replace(settings, draws=draws, estimation=built.comparing)
     fewest = max(criterion.scenario_count * FEWEST, criterion.fewest)
-    exchange = Exchange(feasible, settings.draws, start, reach, fewest=fewest)
+    exchange = Exchange(own, settings.draws, start, reach, fewest=fewest)
     return Phase(name, exchange, "search", settings, built, criterion)
 
 
 def _is_too_long(built: Built, search: NamedSearch) -> bool:
     """Whether the exchanges that polish would take too long; a criterion may need them."""
-    phase = _polishing(built, search, built.job.problem.feasible.regular(), search.polish)
-    return search.criterion.additive and phase.steps() > _MOST_STEPS
+    phase = polishing(built, search, built.job.problem.feasible.regular(), search.polish)
+    return search.criterion.additive and phase.steps() > MOST_STEPS
 
 
 def _racing(built: Built, search: NamedSearch, sets: tuple[Times, ...]) -> Phase:

@@ -82,6 +82,11 @@ def coarse_of(name: str) -> str:
     return f"{name}.coarse"
 
 
+def polish_of(name: str) -> str:
+    """Name of the phase of exchanges that polish a set of this name."""
+    return f"{name}.polish"
+
+
 @dataclass(frozen=True)
 class NamedSearch:
     """An optimiser with its name in the tables and the settings of its evaluations."""
@@ -89,7 +94,8 @@ class NamedSearch:
     name: str
     optimiser: Optimiser
     settings: Settings
-    polishing: Settings | None  # of exchanges that polish the best set; None for no exchanges
+    is_polished: bool  # whether exchanges polish the best set
+    polishing: Settings  # of exchanges
     racing: Settings  # of the race, which the job's own filter decides by the squared error
     additive: bool  # whether the optimiser adds errors of instants; then errors must be means
     criterion: Criterion
@@ -97,7 +103,7 @@ class NamedSearch:
     @property
     def polish(self) -> str:
         """Name of the phase of exchanges that polish the best set."""
-        return f"{self.name}.polish"
+        return polish_of(self.name)
 
     @property
     def polishes(self) -> tuple[str, ...]:
@@ -118,7 +124,7 @@ class NamedSearch:
     @property
     def all_settings(self) -> tuple[Settings, ...]:
         """Settings of all phases."""
-        return self.settings, self.racing, *((self.polishing,) if self.polishing else ())
+        return self.settings, self.racing, *(self.polishing,) * self.is_polished
 
 
 def named_search(
@@ -147,10 +153,10 @@ def named_search(
         estimation=replace(settings.estimation, estimator=estimator.name),
     )
     racing = racing_of(job, _RACE_DRAWS)
-    polishing_or_none = polishing if section.polish else None
     return NamedSearch(
-        section.name, optimiser, settings, polishing_or_none, racing, additive, job.criterion
-    )
+        section.name, optimiser, settings, section.polish, polishing, racing, additive,
+        job.criterion,
+    )  # fmt: skip
 
 
 def racing_of(job: Job, draws: int) -> Settings:

@@ -1,13 +1,12 @@
 """Plans of a smoothed estimate for each number of a budget: races and exchanges after the search.
 
 The programme of gaps has errors that are too low, so its best plan of a number may be worse than
-the evenly spaced set, or than the plan of a smaller number with any further measurement.
+the evenly spaced set, or than the plan of a smaller number with any further measurement. The best
+of them is where exchanges begin.
 """
 
 from collections.abc import Generator, Iterator
-from itertools import pairwise, product
-
-import numpy as np
+from itertools import pairwise
 
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
@@ -15,9 +14,12 @@ from pfdist.problem.feasible import Feasible
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.opponent import best_evenly_spaced
-from pfdist.runner.search_phase import run_search
+from pfdist.runner.phase import Phase
+from pfdist.runner.progress import heard
+from pfdist.runner.search_phase import MOST_STEPS, TOO_LONG, exchanged, polishing, run_search
+from pfdist.runner.searches import polish_of
 
-_MOST_EXCHANGES = 5000  # sets with exact errors that are looked at together
+_MOST_EXACT = 5000  # sets with exact errors that are looked at together
 _ADDED = 3  # gaps in whose middle a measurement is added to a smaller plan
 
 
@@ -31,6 +33,9 @@ def budget_of_smoothed(
     built, (search,) = session.built, session.built.searches
     found = yield from run_search(session, search, next(iter(given.values())))
     plans, before = built.study.names(search.name), Times()
+    exchanging = _exchanging(built)
+    if not exchanging:
+        heard(session.say, TOO_LONG.format(search.name))
     for plan, (even, feasible) in zip(plans, built.study.even.items(), strict=True):
         others = {f"{plan}.{k}": times for k, times in enumerate(_larger(built, feasible, before))}
         if plan in found:
@@ -42,33 +47,33 @@ def budget_of_smoothed(
             plan not in found or best.measurement_times != found[plan].measurement_times
         ):
             found[plan] = best
-        if plan in found and built.evaluator.exact:
-            found[plan] = _exchanged(session, feasible, found[plan])
+        if plan in found and plan in exchanging:
+            found[plan] = yield from exchanged(session, search, found[plan], plan, feasible)
         before = found[plan].measurement_times if plan in found else Times()
     return found
 
 
-def _exchanged(session: RunSession, feasible: Feasible, best: Evaluation) -> Evaluation:
-    """The set after exchanges of one measurement each, by exact errors, until none is better."""
-    built, criterion = session.built, session.built.job.criterion
-    while len(best.measurement_times) * len(feasible.allowed) <= _MOST_EXCHANGES:
-        times = {*best.measurement_times}
-        moved = (
-            tuple(sorted(times - {out} | {point}))
-            for out, point in product(times, feasible.allowed)
-            if point not in times
-        )
-        sets = [*filter(feasible.accepts, moved)]
-        errors = built.evaluator.expected_mse(sets, criterion=criterion) if sets else None
-        if errors is None:
-            break
-        instants = len(sets) * (feasible.horizon + 1)
-        session.count_exact(built.searches[0].name, "search", instants)
-        least = int(np.argmin(errors))
-        if not errors[least] < best.expected_mse * (1 - 1e-12):
-            break
-        best = Evaluation.exactly(sets[least], float(errors[least]), criterion)
-    return best
+def is_smoothed_budget(built: Built) -> bool:
+    """Whether a job has several numbers of measurements, a smoothed estimate, and opponents."""
+    return built.job.budget is not None and bool(built.evaluator.lag and built.study.even)
+
+
+def budget_steps(built: Built) -> float:
+    """Usual number of particle-steps of the exchanges for all numbers of a smoothed budget."""
+    phases = _exchanging(built).values() if is_smoothed_budget(built) else ()
+    return sum(phase.steps(usual=True) for phase in phases)
+
+
+def _exchanging(built: Built) -> dict[str, Phase]:
+    """The exchanges of each plan, from regular times; none if all would take too long."""
+    (search,), exact = built.searches, built.evaluator.exact
+    phases = {
+        plan: polishing(built, search, own.regular(), polish_of(plan), own)
+        for plan, own in zip(built.study.names(search.name), built.study.each, strict=True)
+        if not exact or len(own.regular()) * len(own.allowed) <= _MOST_EXACT
+    }
+    steps = sum(phase.steps(usual=True) for phase in phases.values())
+    return phases if exact or steps <= MOST_STEPS else {}
 
 
 def _larger(built: Built, feasible: Feasible, times: Times) -> Iterator[Times]:

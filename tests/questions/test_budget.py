@@ -108,9 +108,13 @@ def test_a_smoothed_budget_has_the_best_plan_of_each_number(tmp_path: Path) -> N
 def test_no_row_of_a_smoothed_budget_is_worse_than_its_evenly_spaced_set_or_a_smaller_row(
     tmp_path: Path,
 ) -> None:
-    """The tolerance is three standard errors, because particles have noise."""
-    keys = {"horizon": 14, "measurement_budget": 4, "estimate": "smoothed", "particles": 200}
-    problem = pfdist.Problem(_two_levels(), **keys)
+    """The tolerance is three standard errors, because particles have noise.
+
+    The exact error of each plan is at most 1 % above the best of all sets; races alone left 6.7 %.
+    """
+    keys = {"horizon": 14, "measurement_budget": 4, "estimate": "smoothed"}
+    exactly = build(pfdist.Problem(_two_levels(), **keys, engine="kalman").job()).evaluator
+    problem = pfdist.Problem(_two_levels(), **keys, particles=200)
     run = pfdist.budget(problem, (2, 6), tmp_path / "run", 1000, bound_draws=0, figures=False)
     rows = run.table("sets").set_index(["kind", "measurements"])
     found = rows.loc["found"]
@@ -118,6 +122,8 @@ def test_no_row_of_a_smoothed_budget_is_worse_than_its_evenly_spaced_set_or_a_sm
         own, even = found.loc[number], rows.loc["evenly_spaced", number]
         limit = 3 * math.hypot(own["standard_error"], even["standard_error"])
         assert own["expected_mse"] <= even["expected_mse"] + limit
+        (error,) = exactly.expected_mse([tuple(own["measurement_times"])])
+        assert error <= 1.01 * min(exactly.expected_mse([*combinations(range(15), number)]))
         if number > 2:
             assert own["expected_mse"] <= found.loc[number - 1, "expected_mse"] + limit
 
@@ -227,6 +233,27 @@ def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
     assert whole.table("bound")["draws"].tolist() == [LEAST_DRAWS] * 2
     found = whole.table("sets").tail(2)
     assert (found["bound_low"] < found["bound"]).all()
+
+
+def test_a_smoothed_budget_that_is_cut_in_its_exchanges_ends_with_the_same_bytes(
+    small_job: Job, tmp_path: Path
+) -> None:
+    changes = ["problem.estimate=smoothed", "comparison.reference=evenly spaced"]
+    few = small_job.with_changes([*changes, "filter.particles=10"])
+    given = {"draws": 60, "bound_draws": 0, "figures": False, "pool": "serial"}
+    pfdist.budget(few, (2, 3), tmp_path / "whole", **given)
+    left = [f"{DEFAULT_METHOD}_{number:02}.polish" for number in (2, 3)]
+
+    def stop(progress: Progress) -> None:
+        if progress.phase == left[0] and progress.generation == 2:
+            raise KeyboardInterrupt
+
+    while left:
+        with pytest.raises(KeyboardInterrupt):
+            pfdist.budget(few, (2, 3), tmp_path / "cut", **given, progress=stop)
+        del left[0]
+    pfdist.budget(few, (2, 3), tmp_path / "cut", **given)
+    assert hashes(tmp_path / "cut") == hashes(tmp_path / "whole")
 
 
 @pytest.mark.usefixtures("no_figures")

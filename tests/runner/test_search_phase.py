@@ -74,7 +74,7 @@ def test_the_phases_of_a_search_take_these_estimators(
 def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pfdist.runner.search_phase._MOST_STEPS", 1.0)
+    monkeypatch.setattr("pfdist.runner.search_phase.MOST_STEPS", 1.0)
     line = "search relaxation: exchanges would take too long and are skipped"
     with pytest.warns(PfdistWarning, match=f"^{line}$"):  # where nobody receives lines
         run = pfdist.plan(small_job, tmp_path / "run", bound_draws=0, figures=False)

@@ -82,7 +82,7 @@ def test_the_variance_guides_a_search_if_it_is_the_error_and_never_polishes(
     for each, guide in ((job, "filter_variance"), (wrong, "squared_error")):
         (search,) = build(each).searches
         assert search.settings.estimation.estimator == guide
-        assert search.polishing is not None
+        assert search.is_polished
         squared = replace(search.settings.estimation, estimator="squared_error")
         assert search.polishing.estimation == squared
         assert search.racing.estimation == Estimation(40, "multinomial", "squared_error")
