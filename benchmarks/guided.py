@@ -21,8 +21,9 @@ from pfdist.common.measurement_times import Times
 from pfdist.filters import kalman
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_checked_draws
+from pfdist.filters.proposals import GUIDED, PLAIN
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
+from pfdist.filters.work import Estimation, with_truth
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
 from pfdist.problem.job import load_job
 from pfdist.runner.build import build
@@ -100,22 +101,23 @@ def systems() -> Mapping[str, System]:
             for times in ((0, 7, 14), (6, 13))
         },
         "clutter in 4": System(
-            clutter(), "sensors of .01, 1 % clutter", 30, (*range(31),), 500, (20_000, GUIDED), 200
+            clutter(), "sensors of .01, 1 % clutter", 30, (*range(31),), 500,
+            (20_000, GUIDED.name), 200,
         ),
         "constant velocity, sharp": System(
             velocity.with_parameters(sharp), "range and bearing to 1e-4", 40, every7, 500,
-            (100_000, GUIDED), 100,
+            (100_000, GUIDED.name), 100,
         ),
         "constant velocity": System(
-            velocity, "the model's own", 40, grid, 500, (20_000, GUIDED), 400
+            velocity, "the model's own", 40, grid, 500, (20_000, GUIDED.name), 400
         ),
         "robot": System(
-            load_model("robot"), "the model's own", 40, grid, 300, (20_000, PLAIN), 400
+            load_model("robot"), "the model's own", 40, grid, 300, (20_000, PLAIN.name), 400
         ),
         **{name: of_job(name) for name in ("xray_tumour", "epidemic_counts", "two_compartments")},
         "growth": System(
-            load_model("ungm"), "the model's own", 60, (*range(0, 61, 3),), 500, (20_000, PLAIN),
-            400,
+            load_model("ungm"), "the model's own", 60, (*range(0, 61, 3),), 500,
+            (20_000, PLAIN.name), 400,
         ),
     }  # fmt: skip
 
@@ -126,7 +128,7 @@ def of_job(name: str) -> System:
     model, times = build(job).evaluator.model, job.problem.feasible.regular()
     horizon = job.problem.feasible.horizon
     return System(
-        model, "the model's own", horizon, times, job.filter.particles, (10_000, GUIDED), 400
+        model, "the model's own", horizon, times, job.filter.particles, (10_000, GUIDED.name), 400
     )
 
 
@@ -152,7 +154,7 @@ def measure(quick: bool, say: Say) -> Tables:
         count = 16 if quick else system.draws
         draws = simulate(system.model, system.horizon, range(count), 1)
         exact = _exact(system, draws, quick)
-        for proposal in (PLAIN, GUIDED):
+        for proposal in (PLAIN.name, GUIDED.name):
             own = Estimation(system.particles, proposal=proposal)
             filtered = partial(filter_checked_draws, system.model, draws, system.times, 2)
             excess = Estimate.of_mean(filtered(own).mse - exact).times(1.0 / exact.mean())
@@ -221,7 +223,7 @@ def plot(tables: Tables) -> Figure:
     rows = tables["guided"]
     figure = Figure(figsize=(COLUMN_INCHES, 1.1 * COLUMN_INCHES), layout="constrained")
     axes = figure.subplots()
-    for proposal, color, marker in ((PLAIN, RED, "s"), (GUIDED, BLUE, "o")):
+    for proposal, color, marker in ((PLAIN.name, RED, "s"), (GUIDED.name, BLUE, "o")):
         some = rows[rows["proposal"] == proposal].iloc[::-1]
         axes.errorbar(
             100 * some["excess"], some["system"], xerr=196 * some["excess_error"], fmt=marker,

@@ -24,6 +24,7 @@ from pfdist import Job, load_job
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.particle_filter import KERNEL_VERSION
+from pfdist.filters.proposals import PLAIN
 from pfdist.pages.style import COLUMN_INCHES, GREEN, GREY, RED
 from pfdist.problem.search_section import CommonNoiseSettings
 from pfdist.problem.sections import Execution
@@ -142,7 +143,8 @@ def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
     file = next(file for folder in FOLDERS if (file := HERE.parent / folder / name).exists())
     changes = [*PROBLEMS[problem], "comparison.draws=2", *(SMALL if quick else [])]
     # The default number of searches with common noise; the paper's searches have another default.
-    particles = CommonNoiseSettings().particles_of(load_job(file).filter.particles)
+    own = load_job(file).filter
+    particles = CommonNoiseSettings().particles_of(own.particles, PLAIN.name)
     jobs = []
     for seed in range(1, 2 if quick else MORE_SEEDS + 1):
         for name in SEARCHES:

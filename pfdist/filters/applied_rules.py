@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import simulation_blocks
-from pfdist.filters.work import PLAIN, Estimation
+from pfdist.filters.proposals import PLAIN
+from pfdist.filters.work import Estimation
 from pfdist.kernels.deciding import ruling_of
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.replicates import replicates_of
@@ -22,7 +23,7 @@ def applied(
 
     Without a rule, the plan stays as it is.
     """
-    is_alone = settings.proposal != PLAIN or bool(np.any(settings.lag))
+    is_alone = settings.proposal != PLAIN.name or bool(np.any(settings.lag))
     planned, ruling, filled = ruling_of(
         settings.rule, planned, draws.index, draws.instants, len(model.parts), is_alone=is_alone
     )

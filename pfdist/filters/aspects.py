@@ -153,7 +153,7 @@ class ErrorBeside(Aspect):
 
 
 def _beside_truth(own: "Estimation") -> "Estimation":
-    return replace(own.another(FILTER_VARIANCE.name, CONDITIONAL.name), proposal=own.proposal)
+    return own.with_truth(CONDITIONAL.name, FILTER_VARIANCE.name)
 
 
 DISTANCE = Aspect(

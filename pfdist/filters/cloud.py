@@ -40,6 +40,22 @@ class Gaussian:
 
 
 @dataclass(frozen=True, eq=False)
+class CarriedLines:
+    """The lines of a cloud's particles, which can still move; see `pfdist.moving`.
+
+    They begin at an instant s, with the initial noise, or with a user's own particles. These have
+    no noise, so they do not move.
+    """
+
+    start: int  # s
+    noise: NDArray[np.float32]  # (t - s + 1, c, M): of each step; the first is that of `initial`
+    states: Array  # (n, M): at s
+    y: Array  # (t - s + 1, m): measurements
+    counts: NDArray[np.uint8]  # (t - s + 1, sensors): which of them count
+    begins: bool  # whether `initial` gave the states at s
+
+
+@dataclass(frozen=True, eq=False)
 class Cloud:
     """Weighted particles of x(t), from which draws and filters start.
 
@@ -54,6 +70,8 @@ class Cloud:
     truths : Cloud, optional
         An independent cloud of the same distribution, from which draws start. By default, draws
         start from this cloud, which then is itself the distribution.
+    lines : CarriedLines, optional
+        The lines of the particles, if these move.
 
     Raises
     ------
@@ -65,6 +83,7 @@ class Cloud:
     x: Array
     weight: Array | None = None
     truths: "Cloud | None" = None
+    lines: CarriedLines | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.t, bool) or not isinstance(self.t, int | np.integer):

@@ -18,31 +18,21 @@ from pfdist.common.measurement_times import Lag, ManySets, Times
 from pfdist.common.points import PointNumbers
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
-from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.aspects import ErrorBeside
 from pfdist.filters.beside import errors_beside
 from pfdist.filters.cloud import Gaussian, Indices, Prior
 from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.draws import Draws, check_prior
-from pfdist.filters.engines import BATCHED, COMPILED, ENGINES, NUMPY, Engine
+from pfdist.filters.engines import COMPILED, ENGINES, NUMPY, Engine
 from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
+from pfdist.filters.proposals import PROPOSALS
 from pfdist.filters.scenarios import scenarios_of_draws, stretches
 from pfdist.filters.settings import check_filter_settings, check_fits
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import (
-    GUIDED,
-    PLAIN,
-    Estimation,
-    FilterWork,
-    Result,
-    columns,
-    control_of,
-    cut,
-    joined,
-)
+from pfdist.filters.work import Estimation, FilterWork, Result, columns, control_of, cut, joined
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import ALL_SCHEMES
@@ -467,17 +457,7 @@ class Evaluator:
         """
         for each in self.of_scenarios:
             each.check(estimation)
-        engine = self.computed_by.name
-        if estimation.proposal == GUIDED and engine == BATCHED.name:
-            raise ModelError(
-                f"filter.proposal = {GUIDED!r} needs formulas that can be traced, got the batched "
-                f"model {self.believed.name}: {PLAIN!r} is for every model"
-            )
-        if estimation.proposal == GUIDED and engine != COMPILED.name:
-            raise ModelError(
-                f"filter.proposal = {GUIDED!r} needs filter.engine = {COMPILED.name!r}, got "
-                f"{engine!r}: {PLAIN!r} is for every engine"
-            )
+        PROPOSALS[estimation.proposal].check(self.computed_by.name, self.believed)
         if self.has_particles and not ALL_SCHEMES[estimation.resampling].holds_truth:
             check_filter_settings(self.believed, self.model, estimation)
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from pfdist.errors import ModelError
 from pfdist.filters.guiding import Guide, guide_of
-from pfdist.filters.work import GUIDED, Estimation
+from pfdist.filters.proposals import GUIDED
+from pfdist.filters.work import Estimation
 from pfdist.kernels import batch as rows
 from pfdist.kernels import guided as guided_rows
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
@@ -40,7 +41,7 @@ def filter_blocks(
     The second result has the components of x that are equal to those of z; it is empty if z is
     computed, or an angle. Raises `TraceError` if a formula cannot be traced.
     """
-    is_guided = settings.proposal == GUIDED
+    is_guided = settings.proposal == GUIDED.name
     by_error = ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error
     result: tuple[Compiled, tuple[int, ...], Guiding]
     result, _ = model.kept(  # it holds the truth, so that no other one gets its id
@@ -118,7 +119,7 @@ def guiding_of(model: StateSpaceModel, instants: range) -> Guiding:
             rows_of.append(0)
             refused.append(error)
     if len(refused) == len(rows_of):
-        raise ModelError(f"filter.proposal = {GUIDED!r} is not possible: {refused[0]}")
+        raise ModelError(f"filter.proposal = {GUIDED.name!r} is not possible: {refused[0]}")
     return Guiding(tuple(rows_of), tuple(sources), rounds)
 
 

@@ -17,6 +17,7 @@ from pfdist.common.measurement_times import CLOCK, Lag, Times
 from pfdist.common.streams import stream_key
 from pfdist.errors import MeasurementsError, shown
 from pfdist.filters import kalman, plain
+from pfdist.filters.carried import lines_of
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
@@ -56,6 +57,7 @@ class OneFilter:
     draw: int = 0  # index of the draw in the stream
     engine: str = COMPILED.name
     measured: bool = False  # whether the instant t was measured
+    evidence: float = math.nan  # log evidence of its measurement, if particles move
 
     def __post_init__(self) -> None:
         if self.model.error is not squared_error:
@@ -88,9 +90,13 @@ class OneFilter:
         if not ENGINES[self.engine].has_particles:
             prior: Prior = Gaussian(t, last[:, 0].copy(), last[:, 1:].copy())
         else:
-            prior = Cloud(t, last, filtered.weight[0] if self.settings.carries else None)
+            weight = filtered.weight[0] if self.settings.carries else None
+            draws, _ = self._draws(t, [] if y is None else [(t, y)])
+            prior = Cloud(t, last, weight, lines=lines_of(filtered, draws, self.settings))
         measured = y is not None or (self.measured and t == self.t)
-        after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
+        evidence = filtered.log_likelihoods[0].sum() if filtered.noise.size else math.nan
+        settings = replace(self.settings, prior=prior)
+        after = replace(self, settings=settings, measured=measured, evidence=float(evidence))
         return after, filtered.estimate[0], filtered.variance[0]
 
     @property

@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times, first_smoothed
 from pfdist.errors import PriorError
 from pfdist.filters.applied_rules import applied
+from pfdist.filters.carried import continuing
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.interface import SUMS, all_or_none, checking, weighed
+from pfdist.filters.proposals import MOVING, PROPOSALS
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import FilterArrays, FilterRequest
@@ -39,6 +41,7 @@ KERNEL_VERSION = 8
 """Version of the numbers that a key gives; part of a run's identity."""
 
 
+@continuing
 def filter_checked_draws(
     model: StateSpaceModel,
     draws: Draws,
@@ -65,15 +68,32 @@ def filter_checked_draws(
         }
         others = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
         others["weight"] = np.ones((count, particles))
+        if settings.proposal == MOVING.name and not draws.x.size:
+            others |= _arrays_of_lines(model, draws, particles)
     found = _filter(model, draws, planned, stream, settings, **others)
     for array in (found.estimate, found.variance, found.cloud):
         array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
     return found._replace(mse=found.mse[:, 0], degenerate=found.degenerate[:, 0])
 
 
+def _arrays_of_lines(
+    model: StateSpaceModel, draws: Draws, particles: int
+) -> dict[str, NDArray[Any]]:
+    """The arrays of the lines of particles that move, of a system whose truth is not known."""
+    count, instants, _ = draws.z.shape
+    components = codes_of(model.initial_noise, model.process_noise).shape[1]
+    return {
+        "noise": np.zeros((count, instants, components, particles), np.float32),
+        "first_states": np.zeros((count, model.components[0], particles)),
+        "counts": np.zeros((count, instants, len(model.parts)), np.uint8),
+        "log_likelihoods": np.zeros((2, count, instants)),
+    }
+
+
 filter_draws = checking(filter_checked_draws)
 
 
+@continuing
 def filter_checked_sets(
     model: StateSpaceModel,
     draws: Draws,
@@ -179,7 +199,8 @@ def _filter(
         lag=int(np.max(settings.lag)),
         first_smoothed=first_smoothed(settings.lag, draws.instants),
     )
-    filter_all(blocks, request, planned, results, scheme.name, ruling)
+    extension = PROPOSALS[settings.proposal].extension(model, draws.instants, settings.prior)
+    filter_all(blocks, request, planned, results, scheme.name, ruling, extension)
     callbacks.raise_callback_error()
     if ESTIMATORS[settings.estimator].weights.distance:  # of an estimate that may be infinite
         mse[np.isnan(mse)] = np.inf

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Lag, Times, first_smoothed, last_used
+from pfdist.filters.carried import continuing
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite, noise_of
 from pfdist.filters.interface import checking, one_by_one, weighed
+from pfdist.filters.proposals import PROPOSALS
 from pfdist.filters.work import Estimation
 from pfdist.kernels.ancestors import ancestors_of, weights_of
 from pfdist.kernels.batch import FilterArrays
@@ -68,6 +70,7 @@ def simulate(
     return draws
 
 
+@continuing
 def filter_checked_draws(
     model: StateSpaceModel,
     draws: Draws,
@@ -82,10 +85,12 @@ def filter_checked_draws(
     With a lag, `lines` says whether z along the lines of all particles is wanted, too.
     """
     count = max(1, _AT_ONCE // settings.particles)
+    filter_block = PROPOSALS[settings.proposal].twin or _filter
     model = twin_of(model, draws.instants)
+    arguments = measurement_times, stream, settings, lines
     with np.errstate(all="ignore"):
         blocks = [
-            _filter(model, draws[first : first + count], measurement_times, stream, settings, lines)
+            filter_block(model, draws[first : first + count], *arguments)
             for first in range(0, len(draws.index), count)
         ]
     return FilterArrays(
@@ -121,7 +126,7 @@ def _filter(
     past = list[tuple[NDArray[Any], ...]]()
     for k, t in enumerate(draws.instants):
         if k > 0:
-            x = _states(step(model, _flat(x), t - 1, particles, stream, draws.index), cloud)
+            x = states(step(model, flat(x), t - 1, particles, stream, draws.index), cloud)
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
@@ -130,9 +135,9 @@ def _filter(
         )
         share = weight / weight.sum(axis=1, keepdims=True)
         measured = t in model.points.instants(times)
-        quantities = model.quantity_of_interest(_flat(x), t, model.p)
+        quantities = model.quantity_of_interest(flat(x), t, model.p)
         each = np.tile(np.arange(particles), (count, 1))
-        past.append((*(_of_cloud(values, cloud) for values in quantities), each))
+        past.append((*(of_cloud(values, cloud) for values in quantities), each))
         del past[: first_kept[k] - k - 1]
         if scheme.holds_truth and measured:
             ranks[:, :, k] = np.stack([_shares_below(z, share) for z in past[-1][:-1]], axis=-1)
@@ -145,11 +150,9 @@ def _filter(
                 line_weight[:, at], line_z[:, at] = of_lines[:, :kept], z_of_lines[..., :kept]
             for c, z in enumerate(components):
                 counted, is_angle = np.where(weight > 0, z, 0.0), draws.model.is_angle[c]
-                mean[:, at, c], variance[:, at, c] = _moments(counted, share, is_angle)
+                mean[:, at, c], variance[:, at, c] = moments(counted, share, is_angle)
             if ESTIMATORS[settings.estimator].by_error:
-                variance[:, at] = _mean_error(
-                    draws, at, _flat(tuple(components)), mean[:, at], share
-                )
+                variance[:, at] = mean_error(draws, at, flat(tuple(components)), mean[:, at], share)
         sizes[weighs, k] = _effective_sizes(weight)[weighs]
         key = model.points.at(t)[-1]
         x, carried = _resampled(x, past, weight, settings, stream, draws.index, key, weighs)
@@ -229,12 +232,12 @@ def first(
     cloud = (len(draws.index), particles)
     if not isinstance(prior, Cloud):
         noise = noise_of(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
-        return _states(model.initial(_flat(noise), model.p), cloud), np.ones(cloud)
+        return states(model.initial(flat(noise), model.p), cloud), np.ones(cloud)
     weight = prior.weight_of_filters(particles) if settings.carries else None
     if weight is not None:
-        return _states(tuple(np.tile(prior.x, cloud[0])), cloud), np.tile(weight, (cloud[0], 1))
+        return states(tuple(np.tile(prior.x, cloud[0])), cloud), np.tile(weight, (cloud[0], 1))
     chosen = prior.chosen_for_filters(particles, draws.index, stream)
-    return _states(_flat(tuple(prior.x[:, chosen])), cloud), np.ones(cloud)
+    return states(flat(tuple(prior.x[:, chosen])), cloud), np.ones(cloud)
 
 
 def step(
@@ -247,7 +250,7 @@ def step(
 ) -> tuple[Any, ...]:
     """x(t+1) from x(t); the particles of all draws lie along one axis."""
     w = noise_of(model.process_noise, particles, stream, draws, t, FILTER_PROCESS)
-    result: tuple[Any, ...] = model.transition(x, t, _flat(w), model.p)
+    result: tuple[Any, ...] = model.transition(x, t, flat(w), model.p)
     return result
 
 
@@ -278,8 +281,8 @@ def _weighed(
             continue
         x, weight = _resampled(x, past, weight, settings, stream, draws.index, point - 1, weighs)
         y = tuple(np.repeat(values, particles) for values in draws.y[:, k, part.y].T)
-        log_likelihood = part.model.log_likelihood(y, _flat(x), draws.instants[k], model.p)
-        log_likelihood = _of_cloud(log_likelihood, cloud)
+        log_likelihood = part.model.log_likelihood(y, flat(x), draws.instants[k], model.p)
+        log_likelihood = of_cloud(log_likelihood, cloud)
         new = weights_of(log_likelihood + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
         if ESTIMATORS[settings.estimator].weights.evidence:
@@ -331,7 +334,7 @@ def _effective_sizes(weight: Array) -> Array:
     return sizes
 
 
-def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]:
+def moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]:
     """Mean and variance of weighted particles, (D,); for an angle its direction, and 1 - R."""
     if is_angle:
         sine, cosine = (np.sum(share * part(values), axis=1) for part in (np.sin, np.cos))
@@ -341,12 +344,12 @@ def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]
     return mean, np.sum(share * (values - mean[:, None]) ** 2, axis=1)
 
 
-def _mean_error(draws: Draws, k: int, z: tuple[Any, ...], mean: Array, share: Array) -> Array:
+def mean_error(draws: Draws, k: int, z: tuple[Any, ...], mean: Array, share: Array) -> Array:
     """The truth's mean error of weighted particles against their mean; then zeros: (D, q)."""
     model, estimate = draws.model, tuple(np.repeat(each, share.shape[1]) for each in mean.T)
     error = twin_of(model, draws.instants).error(z, estimate, draws.instants[k], model.p)
     means = np.zeros_like(mean)
-    means[:, 0] = np.sum(share * np.where(share > 0, _of_cloud(error, share.shape), 0.0), axis=1)
+    means[:, 0] = np.sum(share * np.where(share > 0, of_cloud(error, share.shape), 0.0), axis=1)
     return means
 
 
@@ -355,19 +358,19 @@ def _like(value: Any, shape: tuple[int, ...]) -> Array:
     return np.broadcast_to(np.asarray(value, np.float64), shape)
 
 
-def _flat(components: tuple[Array, ...]) -> tuple[Array, ...]:
+def flat(components: tuple[Array, ...]) -> tuple[Array, ...]:
     """Components with the particles of all draws along one axis, as formulas take them."""
     return tuple(component.reshape(-1) for component in components)
 
 
-def _of_cloud(value: Any, cloud: tuple[int, ...]) -> Array:
+def of_cloud(value: Any, cloud: tuple[int, ...]) -> Array:
     """A formula's value for particles along one axis, as an array (D, particles)."""
     return _like(value, (math.prod(cloud),)).reshape(cloud)
 
 
-def _states(x: tuple[Any, ...], cloud: tuple[int, ...]) -> tuple[Array, ...]:
+def states(x: tuple[Any, ...], cloud: tuple[int, ...]) -> tuple[Array, ...]:
     """States, each (D, particles): copies, because some schemes set one particle to the truth."""
-    return tuple(_of_cloud(component, cloud).copy() for component in x)
+    return tuple(of_cloud(component, cloud).copy() for component in x)
 
 
 def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:

@@ -13,6 +13,7 @@ from pfdist.common.measurement_times import Lag, ManySets, Times
 from pfdist.common.section import Whole
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
+from pfdist.filters.proposals import PLAIN, PROPOSALS
 from pfdist.kernels.estimators import (
     CONTROL,
     ESTIMATORS,
@@ -26,10 +27,6 @@ from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
 
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
-
-PLAIN, GUIDED = "plain", "guided"
-GUIDED_COST = 8  # plain particle-steps in the time of a guided one: 3 to 19, see docs/benchmarks.md
-"""Ways to draw the particles' noise: from the model, or given the next measurement."""
 
 BLOCK = 24
 """Draws over which errors are added up.
@@ -47,12 +44,14 @@ class Estimation:
     estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.interface`
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
-    proposal: str = PLAIN  # see `pfdist.filters.guiding`
+    proposal: str = PLAIN.name  # see `pfdist.filters.proposals`
     # instants: the estimate of z(t) uses measurements until t + lag; see `pfdist.kernels.lines`. A
     # tuple, (T+1,), has the lag of each instant
     lag: Lag = 0
     rule: Applied | None = None  # decides at which of the given times each draw is measured
     penalty: float | None = None  # its factor, in errors; see `pfdist.kernels.replicates`
+    # particle-steps of a particle at an instant, about: more than 1 if it moves
+    steps_a_particle: float = 1.0
 
     @property
     def carries(self) -> bool:
@@ -64,10 +63,10 @@ class Estimation:
         """The fields by name, without those of an evaluator, unused fields and defaults."""
         recorded = {name: value for name, value in vars(self).items() if value is not None}
         recorded.pop("prior", None)
-        del recorded["lag"]
+        del recorded["lag"], recorded["steps_a_particle"]
         if not self.carries:
             del recorded["threshold"]
-        if self.proposal == PLAIN:
+        if self.proposal == PLAIN.name:
             del recorded["proposal"]
         if self.rule is not None:
             recorded |= recorded.pop("rule").recorded
@@ -77,10 +76,20 @@ class Estimation:
         """Another estimation with as many particles, and defaults in the place of the rest."""
         return Estimation(self.particles, resampling, estimator)
 
+    def with_truth(self, resampling: str, estimator: str) -> "Estimation":
+        """The estimation by a filter that has the truth among its particles.
+
+        No moves are known that leave the truth where it is: then the filter is the plain one.
+        """
+        proposal = PROPOSALS[self.proposal]
+        particles = self.particles * proposal.times_beside_truth
+        return Estimation(particles, resampling, estimator, proposal=proposal.beside_truth)
+
     @property
     def steps_an_instant(self) -> int:
         """Particle-steps of one instant, summed over all filters of the estimator."""
-        return self.particles * ESTIMATORS[self.estimator].filters
+        steps = round(self.particles * self.steps_a_particle)
+        return steps * ESTIMATORS[self.estimator].filters
 
 
 def filter_streams(stream: int, estimator: str) -> list[int]:
@@ -88,21 +97,22 @@ def filter_streams(stream: int, estimator: str) -> list[int]:
     return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
 
 
-def with_truth(particles: int, proposal: str = PLAIN) -> Estimation:
+def with_truth(particles: int, proposal: str = PLAIN.name) -> Estimation:
     """The estimation by the variance of particles, one of which is the truth.
 
     The expectation is at most the error of the exact filter, for any number of particles.
     """
-    return Estimation(particles, CONDITIONAL.name, FILTER_VARIANCE.name, proposal=proposal)
+    own = Estimation(particles, proposal=PROPOSALS[proposal].beside_truth)
+    return own.with_truth(CONDITIONAL.name, FILTER_VARIANCE.name)
 
 
 def control_of(given: Estimation) -> Estimation:
-    """The estimation of a filter's control variate, with as many particles beside the truth.
+    """The estimation of a filter's control variate, with the truth among its particles.
 
     Beside a log evidence, which is a lower side, it is the upper side.
     """
     estimator = EVIDENCE if given.estimator == EVIDENCE.name else CONTROL
-    return Estimation(given.particles, CONDITIONAL.name, estimator.name, proposal=given.proposal)
+    return given.with_truth(CONDITIONAL.name, estimator.name)
 
 
 @dataclass(frozen=True)
@@ -172,7 +182,10 @@ class FilterWork:
     def steps_a_draw(self) -> int:
         """Particle-steps of one draw; instants that sets share count once."""
         instants = _instants(self.measurement_times, self.ends, self.filter_streams, self.sensors)
-        return instants * self.estimation.steps_an_instant * (1 + self.controlled)
+        steps = self.estimation.steps_an_instant
+        if self.controlled:
+            steps += control_of(self.estimation).steps_an_instant
+        return instants * steps
 
     @property
     def steps(self) -> int:

@@ -78,9 +78,9 @@ class Drawn(NamedTuple):
     """Consecutive draws, and the noise key of their points."""
 
     stream: np.uint64
-    key: int
+    key: int | np.int64
     first: int  # index of the first draw
-    draws: int
+    draws: int | np.int64
     width: int
     particles: int
 
@@ -510,7 +510,7 @@ class Search(NamedTuple):
     cumulative: NDArray[np.float64]
     resamples: NDArray[np.uint8]  # (draws,): a draw without this flag keeps its particles
     # number of first particles that are their own ancestors: 1 for the conditional scheme, else 0
-    kept: int
+    kept: int | np.int64
     drawn: Drawn
     scratch: Resampling
 

@@ -142,14 +142,19 @@ class FilterArrays(NamedTuple):
     # they estimate z(t)
     line_z: NDArray[np.float64] = np.empty((0, 0, 0, 0))
     line_weight: NDArray[np.float64] = np.empty((0, 0, 0))
-    # (2, D, T+1), of the plain twin: log evidence of an instant's measurements, and the particles'
-    # mean log-likelihood after them; 0 without a measurement
+    # (2, D, T+1), of the plain twin, and of lines that move: log evidence of an instant's
+    # measurements, and the particles' mean log-likelihood after them; 0 without a measurement
     log_likelihoods: NDArray[np.float64] = np.empty((2, 0, 0))
     # (D, (T+1) sensors): whether a rule measures each draw at each point; else empty. In the
     # kernel, bits as in `Plan.measured`
     measured: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
     # (D,): deviation at a rule's flipped point, NaN where it may not be measured; else empty
     deviation: NDArray[np.float64] = np.empty(0)
+    # lines of particles that move, of a system whose truth is not known, from the first instant:
+    # (D, T+1, c, P) noise of each step, (D, n, P) first states, (D, T+1, sensors) what counts
+    noise: NDArray[np.float32] = np.empty((0, 0, 0, 0), np.float32)
+    first_states: NDArray[np.float64] = np.empty((0, 0, 0))
+    counts: NDArray[np.uint8] = np.empty((0, 0, 0), np.uint8)
 
 
 class Wanted(NamedTuple):
@@ -275,6 +280,7 @@ class FilterCall(NamedTuple):
     steps: Steps
     lines: Lines
     rule: Ruling
+    own: int = 0  # address of what else the steps of a proposal need
 
 
 class At(NamedTuple):

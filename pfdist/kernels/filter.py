@@ -6,6 +6,8 @@ an instant in lockstep, as a *batch*, so that a step has enough particles; see
 `pfdist.kernels.batch`. No result depends on the size of a batch.
 """
 
+from typing import Any, Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -194,7 +196,7 @@ def _save(place):
 
 
 @compiled
-def _begin(at):
+def begin_sums(at):
     """Begin a set with an empty sum of errors."""
     request, batch = at.work.request, at.work.batch
     batch.half[0] = 0
@@ -208,7 +210,7 @@ def _draw_prior(instant):
     """Begin a set with x(0) in the first half."""
     at = read(instant).at
     batch = at.work.batch
-    _begin(at)
+    begin_sums(at)
     fill_noise(at, INITIAL_NOISE, np.int64(0), FILTER_INITIAL)
     of_particles(at, INITIAL, np.int64(0), batch.cloud, batch.cloud)
 
@@ -219,7 +221,7 @@ def _take_prior(instant):
     at = read(instant).at
     request, batch = at.work.request, at.work.batch
     particles, width, stride = request.particles, batch.width, batch.stride
-    _begin(at)
+    begin_sums(at)
     for d in range(at.draws):
         origin = d * width
         chosen = ahead(request.chosen, (at.number * request.draws + at.first + d) * particles)
@@ -346,7 +348,7 @@ def _is_uneven(request, batch, d):
 
 
 @entry(Instant)
-def _resample(instant):
+def resample_cloud(instant):
     """Resample the draws that the last measurement of the instant weighed.
 
     Behind all sensors, only those with uneven weights are resampled.
@@ -473,15 +475,38 @@ _TOGETHER = 2048  # particles of a batch, about: its arrays fit into a cache
 _MOST_SAVED = 2**22  # numbers of all saved batches and of the noise of paths, about
 
 
+class Extension(Protocol):
+    """The steps that a proposal adds to a filter, and what they need."""
+
+    together: int
+    """The most draws of a batch."""
+
+    def planned(self, request: FilterRequest, plan: Plan) -> Plan:
+        """The plan of the filter, whose saved batches fit into memory."""
+
+    def arranged(
+        self,
+        request: FilterRequest,
+        plan: Plan,
+        results: FilterArrays,
+        batch: CloudBatch,
+        kept: Lines,
+        steps: Steps,
+    ) -> tuple[Steps, int, Any]:
+        """The steps, and the address of their own data with the memory that holds it."""
+
+
 def filter_all(
     compiled: Compiled, request: FilterRequest, plan: Plan, results: FilterArrays, scheme: str,
-    rule: Ruling,
+    rule: Ruling, extension: Extension | None = None,
 ) -> None:  # fmt: skip
     """Filter all draws, in arrays that each call allocates, so that threads can run in parallel.
 
     The number of particles that a Python function receives does not depend on the rest of the
     request.
     """
+    if extension is not None:
+        plan = extension.planned(request, plan)
     width = -(-request.particles // LANES) * LANES
     numbers = (request.states + 1) * width * max(1, plan.clouds)
     if request.rows.size:
@@ -492,18 +517,22 @@ def filter_all(
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    draws = min(draws, rule.together)
+    draws = min(draws, rule.together, extension.together if extension else draws)
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
     )
     stride = results.errors[:1].size if results.errors.ndim == 3 else 0
     wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, stride)
     scratch = resampling_scratch(draws, width)
-    steps = _needed(request, plan, results, scheme)
-    blocks = compiled.blocks
+    steps, own, _its_memory = _needed(request, plan, results, scheme), 0, None
+    if extension is not None:
+        steps, own, _its_memory = extension.arranged(request, plan, results, batch, kept, steps)
     filter_draws(
-        FilterCall(blocks, request, plan, results, wanted, batch, scratch, saved, steps, kept, rule)
-    )
+        FilterCall(
+            compiled.blocks, request, plan, results, wanted, batch, scratch, saved, steps, kept,
+            rule, own,
+        )
+    )  # fmt: skip
 
 
 def _has_variance(request: FilterRequest, results: FilterArrays) -> bool:
@@ -529,7 +558,7 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         leave_out=address(guided.leave_out, draws_again),
         set_out=address(_set_out, draws_again),
         guide=address(guided.guide, draws_again),
-        resample=address(_resample),
+        resample=address(resample_cloud),
         scheme=ENTRIES[scheme].address,
         estimate=address(_estimate),
         estimate_variance=address(_estimate_variance, _has_variance(request, results)),
@@ -609,7 +638,7 @@ def _arrays(
         total=row if instants else 0,
     )
     batch = CloudBatch(draws, width, stride, spacious, row, **arrays)
-    own = {"resample": _resample, "finish": _finish} if instants else {}
+    own = {"resample": resample_cloud, "finish": _finish} if instants else {}
     own |= {"leave_out": guided.leave_out} if instants and steps else {}
     rows |= {"rows": moments} | {name: step.address for name, step in own.items()}
     return batch, SavedBatches(**places), Lines(**rows), [memory, kept, of_lines]

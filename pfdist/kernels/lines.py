@@ -45,11 +45,7 @@ def estimate(instant):
     """Keep z and its mean, and at a measurement also the weights."""
     at, _, t, sensors, _ = read(instant)
     request, batch, lines = at.work.request, at.work.batch, at.work.lines
-    z, means = _quantity(at, t), ahead(lines.means, t * lines.rows * batch.row)
-    of_particles(at, QUANTITY, t, present(at), z)
-    for r in range(lines.rows):
-        values = _values(at, z, means, r)
-        fill_mean(at, values, ahead(means, r * batch.row))
+    keep_means(at, t, present(at))
     if sensors == 0:
         return
     for d in range(at.draws):
@@ -62,6 +58,17 @@ def estimate(instant):
                 weight[i] = np.float32(1.0 if i < request.particles else 0.0)
     if at.work.wanted.moments:
         record_sizes(at, t)
+
+
+@compiled
+def keep_means(at, t, cloud):
+    """Keep z of particles at an instant, and its mean."""
+    batch, lines = at.work.batch, at.work.lines
+    z, means = _quantity(at, t), ahead(lines.means, t * lines.rows * batch.row)
+    of_particles(at, QUANTITY, t, cloud, z)
+    for r in range(lines.rows):
+        values = _values(at, z, means, r)
+        fill_mean(at, values, ahead(means, r * batch.row))
 
 
 @entry(Instant)
@@ -110,16 +117,23 @@ def finish(instant):
         if first < behind and measuring(at, s, m) != 0:
             _trace(at, s, m, first, min(m + 1, behind))
             behind = first
+    add_errors(at, s)
+    call(lines.finish, instant)
+
+
+@compiled
+def add_errors(at, s):
+    """Add the errors of the smoothed estimates of a set."""
+    request, batch, lines = at.work.request, at.work.batch, at.work.lines
     mean = ahead(batch.moments, request.quantities * batch.row)
-    for t in range(end):
-        means = ahead(lines.smoothed, t * size)
+    for t in range(at.work.plan.ends[s]):
+        means = ahead(lines.smoothed, t * lines.rows * batch.row)
         of_draws(at, ESTIMATE, t, means, mean)
         if lines.rows > request.means:
             variance = ahead(mean, request.quantities * batch.row)
             _fill_variances(at, means, variance)
             add_variances(at, s, t, mean, variance)
         add_squared_errors(at, s, t)
-    call(lines.finish, instant)
 
 
 @compiled

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from pfdist.kernels.ancestors import weighted_sum
 from pfdist.kernels.batch import LOGARITHM, Instant, add_error
 from pfdist.kernels.blocks import call_block
-from pfdist.kernels.cached import entry
+from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.memory import read
 
 Array = NDArray[np.float64]
@@ -19,12 +19,32 @@ def add_log_evidence(instant):
     The filter is resampled before each measurement.
     """
     at, s, t, _, _ = read(instant)
-    blocks, request, batch = at.work.blocks, at.work.request, at.work.batch
-    equal = request.log_particles
+    request, batch = at.work.request, at.work.batch
+    fill_logarithms(at)
+    for d in range(at.draws):
+        origin = d * batch.width
+        highest = -np.inf
+        for i in range(origin, origin + request.particles):
+            if highest < batch.log_weight[i] < np.inf:
+                highest = batch.log_weight[i]
+        evidence = batch.distance[d] - request.log_particles
+        information = request.weights.evidence * (evidence + highest)
+        if request.weights.explained != 0.0:
+            mean = weighted_sum(batch.weight, batch.log_weight, origin, batch.width)
+            information += request.weights.explained * mean / batch.total[d]
+        if batch.weighs[d] == 0:  # no particle explains the measurement
+            information = request.weights.evidence * -np.inf
+        add_error(at, s, t, d, information, request.instant_weights[t])
+
+
+@compiled
+def fill_logarithms(at):
+    """Fill `distance` with the logarithm of the sum of each draw's weights."""
+    request, batch = at.work.request, at.work.batch
     for d in range(at.draws):
         batch.noise[d] = np.float32(batch.total[d])
     call_block(
-        blocks,
+        at.work.blocks,
         LOGARITHM * request.instants,
         (batch.distance, batch.row),
         (batch.cloud, 0),
@@ -33,20 +53,8 @@ def add_log_evidence(instant):
         (1, batch.row),
     )
     for d in range(at.draws):
-        origin = d * batch.width
-        highest = -np.inf
-        for i in range(origin, origin + request.particles):
-            if highest < batch.log_weight[i] < np.inf:
-                highest = batch.log_weight[i]
         rounded = np.float64(batch.noise[d])  # log(r + e) = log(r) + e / r, for a small e
-        evidence = batch.distance[d] + (batch.total[d] - rounded) / rounded - equal
-        information = request.weights.evidence * (evidence + highest)
-        if request.weights.explained != 0.0:
-            mean = weighted_sum(batch.weight, batch.log_weight, origin, batch.width)
-            information += request.weights.explained * mean / batch.total[d]
-        if batch.weighs[d] == 0:  # no particle explains the measurement
-            information = request.weights.evidence * -np.inf
-        add_error(at, s, t, d, information, request.instant_weights[t])
+        batch.distance[d] += (batch.total[d] - rounded) / rounded
 
 
 def log_likelihoods_of(log_likelihood: Array, weight: Array) -> Array:

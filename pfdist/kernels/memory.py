@@ -169,6 +169,21 @@ def _load(context: Any, builder: Any, address: Any, kind: Any) -> Any:
     return loaded
 
 
+def placing(kind: type) -> Any:
+    """A function for compiled code: the place of a named tuple of this kind, from its address."""
+
+    @intrinsic
+    def placed(context: Any, address: Any) -> Any:
+        place = Place(kind)
+
+        def generate(context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
+            return builder.inttoptr(values[0], context.get_value_type(place))
+
+        return place(types.int64), generate
+
+    return placed
+
+
 @intrinsic
 def ahead(context: Any, pointer: Any, entries: Any) -> Any:
     """The pointer to a later entry."""

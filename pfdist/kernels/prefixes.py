@@ -38,6 +38,16 @@ class Plan(NamedTuple):
         """The largest number of clouds that are saved at a time."""
         return int(self.slots.max(initial=0)) + 1
 
+    @property
+    def unshared(self) -> "Plan":
+        """The plan with which each set begins at 0, and no cloud is saved."""
+        numbers = np.arange(len(self.ends) + 1)
+        nothing = np.zeros_like(self.ends)
+        return self._replace(
+            begins=nothing, sources=nothing, first_stops=numbers, stops=self.ends,
+            slots=nothing - 1,
+        )  # fmt: skip
+
 
 class Planned(NamedTuple):
     """A plan, and the places of the S requested sets in it."""

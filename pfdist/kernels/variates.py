@@ -255,7 +255,7 @@ class VariateRow(NamedTuple):
     kind: int | np.int64  # position in `KINDS`
     key: Key
     first: int  # index of the first draw
-    draws: int
+    draws: int | np.int64
 
 
 @entry(VariateRow)

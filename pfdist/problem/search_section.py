@@ -7,9 +7,11 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from pfdist.common.section import JobSection
+from pfdist.filters.proposals import MOVING
 from pfdist.kernels.schemes import Resampling
 
 _FEWEST_PARTICLES, _SHARE = 100, 5  # a search uses one fifth of the job's particles, at least 100
+_FEWEST_MOVED = 20  # of particles that move, of which a search uses one half
 
 
 def is_name(text: str) -> str:
@@ -57,9 +59,14 @@ class EvaluationSettings(JobSection):
     # whether errors are estimated by the variance of the particles, where that is right
     by_variance: ClassVar[bool] = False
 
-    def particles_of(self, job_particles: int) -> int:
+    def particles_of(self, job_particles: int, proposal: str) -> int:
         """Number of particles of the search, given that of the job."""
-        return self.particles or job_particles
+        if proposal == MOVING.name:
+            return min(job_particles, self.particles or max(_FEWEST_MOVED, job_particles // 2))
+        return self.particles or self._usual_particles(job_particles)
+
+    def _usual_particles(self, job_particles: int) -> int:
+        return job_particles
 
 
 class CommonNoiseSettings(EvaluationSettings):
@@ -76,10 +83,8 @@ class CommonNoiseSettings(EvaluationSettings):
 
     by_variance: ClassVar[bool] = True
 
-    def particles_of(self, job_particles: int) -> int:
-        """Number of particles of the search, given that of the job."""
-        fewest = min(job_particles, max(_FEWEST_PARTICLES, job_particles // _SHARE))
-        return self.particles or fewest
+    def _usual_particles(self, job_particles: int) -> int:
+        return min(job_particles, max(_FEWEST_PARTICLES, job_particles // _SHARE))
 
 
 class SearchSection(JobSection):

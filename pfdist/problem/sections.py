@@ -19,6 +19,7 @@ from pfdist.common.section import JobSection, Listed
 from pfdist.errors import shown
 from pfdist.filters.criterion import criteria_in_words, criterion_named
 from pfdist.filters.engines import AUTO, EngineName
+from pfdist.filters.proposals import MOVING, ProposalName
 from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
@@ -33,6 +34,7 @@ MOST_SETS: Final = 100
 LONGEST_SET_NAME = 64  # characters, as a name of a table's column may have
 RESERVED: Final = (REGULAR, REFERENCE, "comparison")
 """Names that no search may have, and no given set; only regular times may be called "regular"."""
+MOVED_PARTICLES: Final = 100  # by default
 _LONGEST_TEXT = 4096  # characters of a path
 if TYPE_CHECKING:
     Particles = int  # where something is computed
@@ -170,15 +172,28 @@ class FilterSection(JobSection):
     engine : str
         The engine that computes the filter.
     proposal : str
-        "guided" redraws the noise since the last measurement when the next one is known. "auto"
-        takes it if it has less particle loss in the same time.
+        "guided" redraws the noise since the last measurement when the next one is known. "moving"
+        moves whole lines of particles at each measurement, so that constants are learned. "auto"
+        takes the one with the least particle loss in the same time.
+    moved_particles : int
+        Number of particles where the proposal is "moving"; a moved particle takes the time of 50 to
+        300 others. By default 100, or 20 for each constant if that is more; a search has half of
+        them.
     """
 
     particles: Particles = 500
     resampling: Resampling = "multinomial"
     resample: str | None = None  # None stands for "always", which is not written into a job
     engine: EngineName = AUTO
-    proposal: Literal["auto", "plain", "guided"] = AUTO
+    proposal: ProposalName = AUTO
+    moved_particles: Annotated[int, Field(ge=20, lt=2**31)] | None = None
+
+    @property
+    def compared_particles(self) -> int:
+        """Number of particles of the filter that comparisons judge."""
+        if self.proposal == MOVING.name:
+            return self.moved_particles or MOVED_PARTICLES
+        return self.particles
 
     @property
     def is_automatic(self) -> bool:

@@ -12,7 +12,7 @@ from pydantic import Field
 from pfdist.common.section import Whole, checked
 from pfdist.errors import ArgumentError, ModelError, shown
 from pfdist.filters.engines import AUTO
-from pfdist.filters.work import PLAIN
+from pfdist.filters.proposals import PLAIN
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, Problem, as_job
@@ -127,7 +127,7 @@ def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
             yield replace(check, name=f"{prefix}{check.name}")
         complete &= check.name == EVERY_INSTANT
     if complete:
-        proposal = PLAIN if job.filter.proposal == AUTO else job.filter.proposal
+        proposal = PLAIN.name if job.filter.proposal == AUTO else job.filter.proposal
         settings = {"particles": particles, "proposal": proposal}
         job = job.with_changes(settings={"filter": settings})
         made = partial(evaluator_of, job)

@@ -20,7 +20,7 @@ from pfdist.common.shown import Shown
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, MeasurementsError, ModelError
 from pfdist.filters.evidence import exact_log_evidence, log_evidence
-from pfdist.filters.work import PLAIN
+from pfdist.filters.proposals import PLAIN
 from pfdist.kernels.variates import generator
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import repeated
@@ -243,7 +243,8 @@ def fit(
         The table is wrong, or the measurements are impossible at the start.
     """
     chosen, table = Chosen(**options), table_argument("data", data)
-    settings = {"execution": chosen.execution, "filter": {"proposal": PLAIN}}  # no times are judged
+    # No times are judged.
+    settings = {"execution": chosen.execution, "filter": {"proposal": PLAIN.name}}
     own = as_job(job, changes, settings=settings)
     is_of_run = is_job_of_run(own.path)  # its models remember states until values arrive
     built = build(own if is_of_run else own.without_delays())  # when values arrive, tells nothing

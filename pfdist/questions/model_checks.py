@@ -21,7 +21,8 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
-from pfdist.filters.work import GUIDED, PLAIN, Estimation, FilterWork
+from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.batched import BatchedModel
@@ -254,8 +255,8 @@ def _particles(evaluator: Evaluator, work: FilterWork, seconds: float) -> tuple[
 
 def _guided(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
     """Compare "guided" with the choice of "auto", by its own measurement."""
-    if work.estimation.proposal == GUIDED:
-        plain = replace(work.estimation, proposal=PLAIN)
+    if work.estimation.proposal == GUIDED.name:
+        plain = replace(work.estimation, proposal=PLAIN.name)
         why = why_plain(evaluator, work.measurement_times, 0, plain, work.draws[1])
         text = f"plain': {why}" if why else "guided': in the same time it loses less"
         yield Check("filter.proposal", "note" if why else "ok", f"'auto' takes '{text}")

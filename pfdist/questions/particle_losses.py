@@ -11,7 +11,7 @@ from pydantic import Field
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import Whole, checked
 from pfdist.errors import PfdistWarning
-from pfdist.filters.work import GUIDED, PLAIN
+from pfdist.filters.proposals import GUIDED, PLAIN
 from pfdist.problem.clock import Time
 from pfdist.problem.needs import LOSS
 from pfdist.problem.problem import JobSource, as_job
@@ -86,8 +86,8 @@ def particle_losses(
     built = build(job, asked=4 * draws * len(tuple(particles)))
     evaluator, rows = built.evaluator.self_consistent, []
     LOSS.check("the particle loss", job, evaluator)
-    if job.filter.proposal == GUIDED:
-        plain = replace(built.comparing, proposal=PLAIN)
+    if job.filter.proposal == GUIDED.name:
+        plain = replace(built.comparing, proposal=PLAIN.name)
         given = ((evaluator, (times,), job.seed, replace(plain, particles=n)) for n in particles)
         if why := next(filter(None, (why_plain(*each) for each in given)), ""):
             text = f"filter.proposal = 'guided' where 'auto' takes 'plain': {why}"

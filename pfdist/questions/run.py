@@ -12,7 +12,7 @@ from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.engines import AUTO
 from pfdist.filters.formulas import operations_of
-from pfdist.filters.work import GUIDED, GUIDED_COST
+from pfdist.filters.proposals import GUIDED
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -101,7 +101,7 @@ def run(
         built = build(job, path, *others)
         if job.filter.is_automatic:
             tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
-        if job.filter.proposal == AUTO and built.job.filter.proposal == GUIDED:
+        if job.filter.proposal == AUTO and built.job.filter.proposal == GUIDED.name:
             less = "which loses less in the same time; a step takes about 8 times as long"
             tell(f"filter.proposal: guided, {less}")
         return run_built(built, path, chosen, show, tell, settings, others)
@@ -290,6 +290,6 @@ def minutes_of_bound(built: Built, prover: Prover) -> float:
     evaluator, seconds = built.evaluator, built.evaluator.seconds_a_step
     if evaluator.has_particles and evaluator.computed_by.compiled:
         operations = operations_of(evaluator.believed, range(evaluator.horizon + 1))
-        of_guided = GUIDED_COST if built.comparing.proposal == GUIDED else 1
+        of_guided = GUIDED.cost if built.comparing.proposal == GUIDED.name else 1
         seconds = max(seconds, operations * of_guided / _OPERATIONS)
     return prover.steps * seconds / 60

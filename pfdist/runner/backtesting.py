@@ -17,6 +17,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.predicted import circular_measurements, predicted
+from pfdist.filters.proposals import MOVING, PLAIN
 from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
@@ -213,6 +214,7 @@ def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:
         model, work.estimation.particles, work.streams[1] - _SIGNED,
         resampling=work.estimation.resampling, resample=resample_written(work.estimation.threshold),
         engine=evaluator.engine, horizon=evaluator.horizon,
+        proposal=MOVING.name if work.estimation.proposal == MOVING.name else PLAIN.name,
     )  # fmt: skip
     surprises = list[float]()
     for t in points.instants(plan):

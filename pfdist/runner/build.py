@@ -17,7 +17,8 @@ from pfdist.common.nearest import must_be
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
 from pfdist.filters.engines import AUTO, BATCHED, COMPILED, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
+from pfdist.filters.proposals import GUIDED, PLAIN, PROPOSALS
+from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
@@ -110,7 +111,7 @@ def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
     own, path = job.filter, runs[0] if runs else None
     is_open, is_automatic = own.proposal == AUTO, own.is_automatic
     kept = _proposal_of(path) if is_open and path is not None else ""
-    proposal = (kept or PLAIN) if is_open else own.proposal
+    proposal = (kept or PLAIN.name) if is_open else own.proposal
     particles = _USUAL_PARTICLES if is_automatic else own.particles
     # The job is built with the plain filter first, so whatever else is wrong is named first. Its
     # models are recorded here, and nowhere else.
@@ -230,8 +231,8 @@ def _check_sensors(model: StateSpaceModel, named: tuple[str, ...]) -> None:
 
 def _check_guided(evaluator: Evaluator, own: Estimation) -> None:
     """Raise a `ModelError` if the filter that knows the truth, too, cannot be guided as wanted."""
-    if own.proposal == GUIDED and evaluator.truth is not evaluator:
-        evaluator.truth.compile(with_truth(1, GUIDED))
+    if own.proposal == GUIDED.name and evaluator.truth is not evaluator:
+        evaluator.truth.compile(with_truth(1, own.proposal))
 
 
 _MOST_TRIED = 200  # feasible sets, for one with a long gap
@@ -256,7 +257,7 @@ def _draws_of(built: Built) -> float:
 
 def _choices_of(built: Built) -> dict[str, str]:
     """The choices of this process for a problem: its models, its filter and its constraints."""
-    plain = replace(built.comparing, proposal=PLAIN)
+    plain = replace(built.comparing, proposal=PLAIN.name)
     problem = built.job.problem.model_dump(mode="json")
     return _choices.setdefault(built.evaluator.id_of(plain, problem), {})
 
@@ -273,13 +274,13 @@ def _chosen(built: Built, asked: float | None) -> str:
     evaluator, plain = built.evaluator.self_consistent, built.comparing
     is_possible = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
     if not is_possible:
-        return PLAIN
+        return PLAIN.name
     choices = _choices_of(built)
     if asked is not None and "" in choices:
         return choices[""]
     draws = compared_draws(_draws_of(built) if asked is None else asked)
     if draws == 0:
-        return PLAIN
+        return PLAIN.name
     comparison = f"{draws} of {built.job.seed}"
     if comparison not in choices:
         try:
@@ -287,10 +288,10 @@ def _chosen(built: Built, asked: float | None) -> str:
             sets = built.job.problem.feasible.regular(), _with_long_gap(built.job)
             why = why_plain(evaluator, sets, built.job.seed, plain, draws, in_words=False)
             if not why:
-                _check_guided(built.evaluator, replace(plain, proposal=GUIDED))
+                _check_guided(built.evaluator, replace(plain, proposal=GUIDED.name))
         except ModelError as error:
             why = str(error)
-        choices[comparison] = PLAIN if why else GUIDED
+        choices[comparison] = PLAIN.name if why else GUIDED.name
     choices[""] = choices[comparison]
     return choices[""]
 
@@ -304,7 +305,7 @@ def _proposal_of(run: Path) -> str:
     except StoreError:  # whoever opens the run reports what is damaged
         return ""
     proposal = section.get("proposal", "")
-    return proposal if proposal in (PLAIN, GUIDED) else ""
+    return proposal if proposal in PROPOSALS else ""
 
 
 def _with_long_gap(job: Job) -> Times:

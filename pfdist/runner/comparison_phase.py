@@ -161,9 +161,10 @@ def comparison_steps(built: Built) -> int:
     """Particle-steps of the whole comparison."""
     job = built.job
     instants = len(built.names) * (job.problem.feasible.horizon + 1)
-    return (
-        job.comparison.draws * job.filter.particles * instants * (1 + bool(job.comparison.control))
-    )
+    steps = built.comparing.steps_an_instant
+    if job.comparison.control:
+        steps += control_of(built.comparing).steps_an_instant
+    return job.comparison.draws * steps * instants
 
 
 def _work(built: Built, sets: Mapping[str, Times]) -> FilterWork:

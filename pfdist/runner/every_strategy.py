@@ -14,7 +14,8 @@ from pfdist.errors import JobError
 from pfdist.filters.engines import COMPILED
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, weighed
-from pfdist.filters.work import PLAIN, FilterWork, Result, with_truth
+from pfdist.filters.proposals import PLAIN, PROPOSALS
+from pfdist.filters.work import FilterWork, Result, with_truth
 from pfdist.kernels.replicates import REPLICATES
 from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.row_formats import PER_DRAW
@@ -84,7 +85,8 @@ def bound_of_strategies(
             relaxations.append(fine.coarse(MOST_UNITS))
     best: tuple[float, float, Relaxation | None, float] = -math.inf, math.nan, None, 0.0
     # Guided particles are redrawn for the true y; other engines draw no replicates.
-    has_penalty = built.job.filter.proposal == PLAIN and evaluator.truth.computed_by is COMPILED
+    is_plain = PROPOSALS[built.job.filter.proposal].beside_truth == PLAIN.name
+    has_penalty = is_plain and evaluator.truth.computed_by is COMPILED
     for each, penalty in product(relaxations, PENALTIES if has_penalty else PENALTIES[:1]):
         least = yield from _least(session, each, penalty, "choice", CHOICE_DRAWS)
         price = best_price(least, each.number)

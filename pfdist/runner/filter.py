@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from pfdist.errors import (
     shown,
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
+from pfdist.filters.constants import constants_of
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import (
     AUTO,
@@ -51,9 +52,10 @@ from pfdist.filters.one_filter import (
     checked_measurement,
     formatted_instant,
 )
+from pfdist.filters.proposals import MOST_INSTANTS, MOVING, PLAIN, PROPOSALS
 from pfdist.filters.settings import check_filter_settings
 from pfdist.filters.user_prior import as_prior
-from pfdist.filters.work import PLAIN, Estimation
+from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, installed_models, load_model
 from pfdist.models.base import within_half_turn
@@ -65,6 +67,10 @@ from pfdist.problem.sensing_section import Sensings
 from pfdist.runner.build import Built, build
 from pfdist.store import holds_run
 
+if TYPE_CHECKING:
+    OfOneFilter = str
+else:
+    OfOneFilter = Literal[AUTO, PLAIN.name, MOVING.name]
 Array = NDArray[np.float64]
 
 LAST = 32_000  # the largest horizon of a job
@@ -72,6 +78,7 @@ LAST = 32_000  # the largest horizon of a job
 # measurements is 1 %, the level of the alarm.
 SUSPICIOUS = 1e-3
 MANY = 200_000
+_UNMOVED, _MOVED = 500, 300  # particles by default, of which the second ones move
 LEAST = 2 / MANY  # p-values below it cannot be told apart
 
 
@@ -88,7 +95,7 @@ class Filter(Followed):
         Or a job, its file or the folder of its run: then the model has the job's clock, parameters
         and sensors, and the job gives each argument that is left out.
     particles : int, optional
-        Number of particles, by default 500; the engine "kalman" has none.
+        Number of particles, by default 500, or 300 that move; the engine "kalman" has none.
     seed : int, optional
         Seed of the filter's noise, by default 0.
     resampling : {"systematic", "stratified", "multinomial"}, optional
@@ -98,10 +105,14 @@ class Filter(Followed):
     engine : {"auto", "compiled", "batched", "numpy", "kalman"}, optional
         "auto" (the default) is the compiled engine, or the batched one for a batched model.
         "kalman" is exact, for models that declare themselves linear-Gaussian.
+    proposal : {"auto", "plain", "moving"}, optional
+        "moving" moves whole lines of particles at each measurement, so that constants are learned;
+        see docs/particles.md. "auto" (the default) takes it if components of x do not move, for a
+        horizon of at most 2,000.
     prior : Cloud, Gaussian, array or DataFrame, optional
         The distribution of x(s), instead of the model's `initial`; the filter then starts at s. An
         array (n, M) holds M particles of x(0); a DataFrame has a row for each. The `cloud` of
-        another filter is also accepted.
+        another filter is also accepted. Components of a user's own particles do not move.
     draw : int
         Index of the filter in the stream of its noise.
     horizon : int, optional
@@ -143,6 +154,7 @@ class Filter(Followed):
         resampling: str | None = None,
         resample: str | None = None,
         engine: Annotated[EngineName, Field()] | None = None,
+        proposal: Annotated[OfOneFilter, Field()] | None = None,
         prior: Prior | ArrayLike | None = None,
         draw: Annotated[Whole, Field(ge=0, lt=2**32)] = 0,
         horizon: Annotated[Whole, Field(ge=0, le=LAST)] | None = None,
@@ -150,13 +162,12 @@ class Filter(Followed):
     ) -> None:
         given: dict[str, Any] = {"particles": particles, "seed": seed, "resampling": resampling}
         given |= {"resample": resample, "engine": engine, "horizon": horizon, "limits": limits}
+        given["proposal"] = proposal
         own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         if not isinstance(model, StateSpaceModel) and _is_job(model):
             job = as_job(model)
-            if not job.filter.is_automatic:  # a filter of one system is plain
-                job = job.with_changes(settings={"filter": {"proposal": PLAIN}})
-            built = build(job)
-            own = settings_of_job(built) | own
+            built = build(without_choice(job))
+            own = settings_of_job(built, job.filter.proposal) | own
             clock = built.job.problem.clock
             prior = as_prior(prior, own["model"], clock.readers(), clock.instant_of_t)
         elif isinstance(model, StateSpaceModel | str):
@@ -169,11 +180,12 @@ class Filter(Followed):
     def _start(
         self,
         model: StateSpaceModel,
-        particles: int = 500,
+        particles: int | None = None,
         seed: int = 0,
         resampling: str = "systematic",
         resample: str = "always",
         engine: EngineName = AUTO,
+        proposal: str = AUTO,
         horizon: int = LAST,
         limits: tuple[Sequence[float], Sequence[float]] = ((-math.inf,), (math.inf,)),
         *,
@@ -193,12 +205,18 @@ class Filter(Followed):
             threshold = threshold_of(resample)
         except ValueError as error:
             raise ArgumentError(str(error)) from error
-        settings = Estimation(particles, resampling, prior=start, threshold=threshold)
+        name = COMPILED.name if engine == AUTO else engine
+        proposal = _proposal_of(proposal, self.model, name, resample, horizon)
+        moves = proposal == MOVING.name
+        particles = particles or (_MOVED if moves else _UNMOVED)
+        settings = Estimation(
+            particles, resampling, prior=start, threshold=threshold, proposal=proposal
+        )
         check_filter_settings(self.model, self.model, settings)
+        PROPOSALS[proposal].check(name, self.model)
         if engine == COMPILED.name:
             for formula in declared(self.model).values():
                 raise formula.why
-        name = COMPILED.name if engine == AUTO else engine
         if name == "kalman":
             matrices_of(self.model, 0)
         super().__init__(OneFilter(self.model, settings, self.stream, draw, name))
@@ -206,7 +224,7 @@ class Filter(Followed):
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
         # the last suspicious one, and `_unseen_by_many` has all measurements since then.
-        many = replace(settings, particles=max(particles, MANY))
+        many = replace(settings, particles=4 * particles if moves else max(particles, MANY))
         self._many = replace(self.unmeasured, settings=many)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
@@ -292,6 +310,9 @@ class Filter(Followed):
             self._follow(before)
             raise
         belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
+        if isinstance(cloud := _prior(moved), Cloud) and cloud.lines is not None:
+            belief = Particles(quantity(self.model, cloud, mean[-1]), np.ones(cloud.particles))
+            log_density = moved.evidence
         now = estimate_of(
             t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed
         )
@@ -493,16 +514,46 @@ def _at_each_instant(model: StateSpaceModel, horizon: int) -> StateSpaceModel:
     return model.with_parameters({name: value * instants for name, value in single.items()})
 
 
-def settings_of_job(built: Built) -> dict[str, Any]:
-    """The arguments of a `Filter` with a job's model, [filter], clock and seed."""
+def without_choice(job: Job) -> Job:
+    """The job of a filter of one system, whose proposal the filter itself chooses."""
+    if job.filter.is_automatic:
+        return job
+    return job.with_changes(settings={"filter": {"proposal": PLAIN.name}})
+
+
+def _proposal_of(
+    wanted: str, model: StateSpaceModel, engine: str, resample: str, horizon: int
+) -> str:
+    """The proposal of a filter of one system: "auto" moves particles if components of x do not.
+
+    A guided filter of one system is plain.
+    """
+    if wanted != AUTO:
+        return wanted if wanted == MOVING.name else PLAIN.name
+    may_move = engine in MOVING.engines and resample == "always" and horizon <= MOST_INSTANTS
+    if not may_move or declared(model) or not constants_of(model, range(horizon + 1)):
+        return PLAIN.name
+    return MOVING.name
+
+
+def settings_of_job(built: Built, proposal: str | None = None) -> dict[str, Any]:
+    """The arguments of a `Filter` with a job's model, [filter], clock and seed.
+
+    The proposal may be that of the job before it was built.
+    """
     job, evaluator = built.job, built.evaluator
+    own, resample = job.filter, job.filter.resample or "always"
+    proposal = _proposal_of(
+        proposal or own.proposal, evaluator.believed, evaluator.engine, resample, evaluator.horizon
+    )
     REAL_DATA.check("a real system", job)
     return {
         "model": evaluator.believed,
-        "particles": job.filter.particles,
+        "particles": own.moved_particles or _MOVED if proposal == MOVING.name else own.particles,
+        "proposal": proposal,
         "seed": job.seed,
         "resampling": job.filter.resampling,
-        "resample": job.filter.resample or "always",
+        "resample": resample,
         "engine": evaluator.engine,
         "horizon": evaluator.horizon,
         "limits": _limits(evaluator.believed, job.problem.sensed),

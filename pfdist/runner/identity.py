@@ -165,6 +165,7 @@ def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
     the run. So may a number of particles that the run has found itself.
     """
     found = {"filter.particles": job.filter.particles, "filter.proposal": job.filter.proposal}
+    found["filter.moved_particles"] = job.filter.moved_particles or AUTO
     left = (*_LENGTHS, *(key for key, value in found.items() if value == AUTO))
     changes = [
         f"{key}: {_short(was)} -> {_short(is_now)}"

@@ -16,16 +16,8 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import (
-    GUIDED,
-    GUIDED_COST,
-    PLAIN,
-    Estimation,
-    FilterWork,
-    Result,
-    cut,
-    with_truth,
-)
+from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.work import Estimation, FilterWork, Result, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.results import Moments
 from pfdist.results.particle_loss import SMALL, ParticleLoss, particle_loss
@@ -112,13 +104,13 @@ def why_plain(
     filter whose loss is not proved to exceed 1 % is not replaced. Unless `in_words`, the text has
     no losses, and half of the work is saved.
     """
-    guided = replace(plain, particles=-(-plain.particles // GUIDED_COST), proposal=GUIDED)
+    guided = replace(plain, particles=-(-plain.particles // GUIDED.cost), proposal=GUIDED.name)
     for times in sets:
         work = work_of_loss(evaluator, times, seed, plain, min(draws, _TRIED), "proposal")
         loss, _ = measured_loss(evaluator, work, by_two_filters=in_words)
         is_enough = loss.at_least <= SMALL
         if is_enough and not in_words:
-            return PLAIN
+            return PLAIN.name
         guiding = replace(work, estimation=guided)
         other, _ = measured_loss(evaluator, guiding, by_two_filters=in_words)
         if is_enough or other.limit >= loss.limit:

@@ -61,7 +61,7 @@ class Settings:
             own.degenerate_draws or job.evaluation.degenerate_draws,
             replace(
                 deciding,
-                particles=own.particles_of(job.filter.particles),
+                particles=own.particles_of(deciding.particles, deciding.proposal),
                 resampling=scheme or deciding.resampling,
                 estimator=estimator.name,
             ),
@@ -174,7 +174,8 @@ def deciding_of(job: Job) -> Estimation:
 def comparing_of(job: Job) -> Estimation:
     """The estimation of the comparison: the squared error of the job's own filter."""
     own = job.filter
-    return Estimation(own.particles, own.resampling, threshold=own.threshold, proposal=own.proposal)
+    particles = own.compared_particles
+    return Estimation(particles, own.resampling, threshold=own.threshold, proposal=own.proposal)
 
 
 def check_memory(job: Job, section: SearchSection, draws: int) -> None:

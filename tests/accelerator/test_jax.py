@@ -23,8 +23,9 @@ from pfdist.filters import kalman, particle_filter
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.interface import EACH_DRAW, SUMS
+from pfdist.filters.proposals import GUIDED
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import GUIDED, Estimation
+from pfdist.filters.work import Estimation
 from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import ALWAYS, Applied, Thresholds
 from pfdist.models.loader import installed_models
@@ -306,7 +307,7 @@ def test_a_job_can_name_it() -> None:
     assert 0 < found.expected_mse < math.inf
     model = load_model("ungm")
     with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'jax'"):
-        Evaluator(model, 8, engine="jax", estimations=(Estimation(9, proposal=GUIDED),))
+        Evaluator(model, 8, engine="jax", estimations=(Estimation(9, proposal=GUIDED.name),))
     with pytest.raises(TraceError, match="the engine 'batched' calls its functions"):
         pfdist.Filter(batched(model), 9, engine="jax")
 

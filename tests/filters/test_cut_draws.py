@@ -17,7 +17,8 @@ from pfdist import Sensor, StateSpaceModel, densities, where
 from pfdist.common.sensing import Sensing
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, SUMS
-from pfdist.filters.work import BLOCK, GUIDED, PLAIN, Estimation, sum_of_draws
+from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.work import BLOCK, Estimation, sum_of_draws
 from pfdist.kernels import rules
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
@@ -79,7 +80,7 @@ SETTINGS: dict[str, tuple[Any, ...]] = {
     "lag": LAGS,
     "resampling": tuple(ALL_SCHEMES),
     "threshold": (ALWAYS, 0.6),
-    "proposal": (PLAIN, GUIDED),
+    "proposal": (PLAIN.name, GUIDED.name),
     "rule": RULES,
     "follows": tuple(FOLLOWS),
     "flipped": (None, 6),
@@ -172,7 +173,7 @@ def test_no_bit_of_a_draw_depends_on_the_draws_beside_it() -> None:
         items = [(name, str(value)) for name, value in choice.items()]
         pairs = {frozenset(pair) for pair in combinations(items, 2)}
         is_limited = any(each.high < np.inf for each in SENSINGS[choice["sensing"]].values())
-        takes_long = choice["proposal"] == GUIDED and is_limited
+        takes_long = choice["proposal"] == GUIDED.name and is_limited
         if len(pairs - met) >= 11 and not takes_long:  # to derive
             met |= pairs
             check_settings(**choice)

@@ -26,8 +26,9 @@ from pfdist.filters.guiding import guide_of
 from pfdist.filters.interface import SUMS
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
+from pfdist.filters.proposals import GUIDED, PLAIN
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
+from pfdist.filters.work import Estimation, with_truth
 
 Array = NDArray[np.float64]
 HORIZON, TIMES = 10, (0, 3, 4, 9)
@@ -35,7 +36,7 @@ SENSORS = ThreeSensors(0.4, 0.95, 0.5, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), (0.
 
 
 def guided(particles: int, **others: Any) -> Estimation:
-    return Estimation(particles, proposal=GUIDED, **others)
+    return Estimation(particles, proposal=GUIDED.name, **others)
 
 
 def standard_errors(difference: Array) -> Array:
@@ -155,14 +156,14 @@ def truths_inside(
 )
 def test_the_variance_is_the_squared_error_on_average(model: StateSpaceModel) -> None:
     times = (1, 8, 9, 17, 27, 28) if model.sensors else TIMES
-    difference = truths_inside(model, with_truth(6, GUIDED), times=times)
+    difference = truths_inside(model, with_truth(6, GUIDED.name), times=times)
     assert abs(standard_errors(difference.mean(axis=1))) < 4
     assert (abs(standard_errors(difference)) < 4.5).all()
 
 
 def test_weights_that_are_carried_count() -> None:
     """Resampling below half the particles; the truth is beside particles that carry weights."""
-    settings = replace(with_truth(20, GUIDED), threshold=0.5)
+    settings = replace(with_truth(20, GUIDED.name), threshold=0.5)
     difference = truths_inside(MIXED, settings)
     assert (abs(standard_errors(difference)) < 4.5).all()
 
@@ -174,7 +175,7 @@ def test_the_bound_of_sharp_sensors_is_nearer_to_the_exact_error() -> None:
     draws = simulate(model, HORIZON, range(1500), 3)
     plain, near = (
         filter_checked_draws(model, draws, TIMES, 7, with_truth(20, proposal)).mse
-        for proposal in (PLAIN, GUIDED)
+        for proposal in (PLAIN.name, GUIDED.name)
     )
     assert standard_errors(near - exact) < 4
     assert standard_errors(near - plain) > 4
@@ -294,7 +295,7 @@ def test_a_sensor_that_is_blind_at_times_is_guided_at_others() -> None:
         measurement_noise=("normal",),
     )
     assert guide_of(turning, range(HORIZON)) is not None
-    difference = truths_inside(turning, with_truth(6, GUIDED))
+    difference = truths_inside(turning, with_truth(6, GUIDED.name))
     assert (abs(standard_errors(difference)) < 4.5).all()
     assert guide_of(turning, range(1)) is None
 
@@ -319,11 +320,11 @@ def test_where_a_derivative_is_not_finite_the_noise_is_that_of_the_model() -> No
     draws = simulate(model, HORIZON, range(1000), 3)
     plain, own = (
         filter_checked_draws(model, draws, TIMES, 7, Estimation(500, proposal=each))
-        for each in (PLAIN, GUIDED)
+        for each in (PLAIN.name, GUIDED.name)
     )
     assert not own.degenerate.any()
     assert abs(standard_errors(own.mse - plain.mse)) < 4
-    difference = truths_inside(model, with_truth(6, GUIDED))
+    difference = truths_inside(model, with_truth(6, GUIDED.name))
     assert (abs(standard_errors(difference)) < 4.5).all()
 
 
@@ -333,7 +334,7 @@ def test_a_prior_of_particles_is_where_the_first_path_begins() -> None:
     prior = Cloud(3, rng.normal(size=(2, 400)))
     for times in ((4,), (4, 9), (3, 9)):
         draws = simulate(MIXED, HORIZON, range(4000), 3, prior)
-        settings = replace(with_truth(6, GUIDED), prior=prior)
+        settings = replace(with_truth(6, GUIDED.name), prior=prior)
         found = filter_checked_draws(MIXED, draws, times, 7, settings, trajectories=True)
         squared = ((draws.z - found.estimate) ** 2).sum(axis=2)
         difference = squared - found.variance.sum(axis=2)

@@ -26,9 +26,10 @@ from pfdist.filters.particle_filter import (
     filter_checked_sets,
     filter_draws,
 )
+from pfdist.filters.proposals import GUIDED
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import GUIDED, Estimation, control_of, with_truth
+from pfdist.filters.work import Estimation, control_of, with_truth
 
 Array = NDArray[np.float64]
 HORIZON, TIMES = 12, (0, 3, 4, 9)
@@ -138,7 +139,7 @@ def test_guided_paths_give_the_kalman_smoother() -> None:
     model, times = sharp_walk(2), (1, 8)
     draws = simulate(model, HORIZON, range(100), 1)
     for lag in (2, HORIZON):
-        guided = Estimation(500, proposal=GUIDED, lag=lag)
+        guided = Estimation(500, proposal=GUIDED.name, lag=lag)
         own = filter_checked_draws(model, draws, times, 2, guided, True)
         exact = kalman.filter_draws(model, draws, times, 1, 2, trajectories=True, lag=lag)
         distance = np.mean(np.sum((own.estimate - exact.estimate) ** 2, axis=2), axis=1)
@@ -227,7 +228,7 @@ def test_the_plain_twin_agrees_on_sensors_and_draws_that_fail(
     np.testing.assert_array_equal(fast.degenerate, slow.degenerate)
 
 
-@in_turn("proposal", ["plain", GUIDED])
+@in_turn("proposal", ["plain", GUIDED.name])
 @in_turn("lag", [2, HORIZON])
 def test_sets_together_and_draws_apart_give_the_same_bits(lag: int, proposal: str) -> None:
     """Sets that share a prefix share its lines, and no draw depends on its batch."""

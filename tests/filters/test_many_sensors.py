@@ -9,8 +9,9 @@ from pfdist import Sensor, StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.particle_filter import filter_checked_draws
+from pfdist.filters.proposals import GUIDED
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import GUIDED, Estimation
+from pfdist.filters.work import Estimation
 from pfdist.kernels.prefixes import plan_prefixes
 from pfdist.kernels.rules import Applied, Thresholds
 
@@ -88,7 +89,8 @@ def test_the_ninth_sensor_guides_and_is_chosen_by_a_rule_as_any_other() -> None:
     """Sets of more than 8 sensors take two bytes an instant; only the second one is not 0 here."""
     model, infinite = _walk(9), float("inf")
     draws, times = simulate(model, 5, range(40), 3), (17, 36)  # t = 1 by the ninth, t = 4
-    guided = filter_checked_draws(model, draws, times, 5, Estimation(4000, proposal=GUIDED), True)
+    settings = Estimation(4000, proposal=GUIDED.name)
+    guided = filter_checked_draws(model, draws, times, 5, settings, True)
     exact = kalman.filter_draws(model, draws, times, 1, 5, trajectories=True)
     apart = np.mean((guided.estimate - exact.estimate) ** 2)
     assert apart < 5 * np.mean(exact.variance) / 4000

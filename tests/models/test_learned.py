@@ -16,8 +16,9 @@ from pfdist.common.scenario import Scenario
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
+from pfdist.filters.proposals import GUIDED
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import GUIDED, Estimation, with_truth
+from pfdist.filters.work import Estimation, with_truth
 from pfdist.models.learned import learned
 from pfdist.models.recorded import recorded
 
@@ -51,7 +52,7 @@ def test_each_draw_has_a_scenario_with_the_probability_of_its_share() -> None:
 
 def test_many_particles_give_the_exact_filter_of_a_list() -> None:
     draws = simulate(LIST, HORIZON, range(200), 1)
-    settings = Estimation(10_000, "systematic", proposal=GUIDED)
+    settings = Estimation(10_000, "systematic", proposal=GUIDED.name)
     found = filter_checked_draws(LIST, draws, TIMES, 3, settings, trajectories=True)
     exact = EXACT.estimates(draws.y[:, :, 0], TIMES)
     assert np.sqrt(np.mean((found.estimate - exact) ** 2)) < 0.03
@@ -68,7 +69,7 @@ def test_many_particles_give_the_exact_filter_of_distributions() -> None:
     grid = Mixture(np.full(1600, 1 / 1600), drifts.ravel(), gains.ravel())
     exact = grid.estimates(draws.y[:, :, 0], TIMES)
     found = filter_checked_draws(
-        model, draws, TIMES, 3, Estimation(10_000, "systematic", proposal=GUIDED), True
+        model, draws, TIMES, 3, Estimation(10_000, "systematic", proposal=GUIDED.name), True
     )
     assert np.sqrt(np.mean((found.estimate - exact) ** 2)) < 0.04
 

@@ -13,7 +13,7 @@ import pytest
 import pfdist
 from oracles.guided import sharp_walk
 from pfdist import Job, Problem
-from pfdist.filters.work import GUIDED, PLAIN
+from pfdist.filters.proposals import GUIDED, PLAIN
 from pfdist.kernels.rules import Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.questions.rule_file import keep_rule, rule_json
@@ -50,7 +50,9 @@ def test_a_run_reads_files_json_and_validates_a_job_at_most_three_times(
     assert listing.read_listing(run.path) == changed  # what is in memory is what is in the file
 
 
-@pytest.mark.parametrize(("model", "proposal"), [("ungm", PLAIN), (sharp_walk(6), GUIDED)])
+@pytest.mark.parametrize(
+    ("model", "proposal"), [("ungm", PLAIN.name), (sharp_walk(6), GUIDED.name)]
+)
 def test_a_command_that_chooses_the_proposal_records_its_models_once(
     model: Any, proposal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

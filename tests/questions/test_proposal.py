@@ -12,7 +12,8 @@ from oracles.guided import sharp_walk
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import GUIDED, PLAIN, FilterWork
+from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.work import FilterWork
 from pfdist.problem.job import Job
 from pfdist.questions import model_checks as checks_of_models
 from pfdist.questions.check_model import checks_of
@@ -34,13 +35,13 @@ def proposal_of(job: Job) -> str:
 
 def test_sharp_sensors_are_guided_and_the_growth_model_is_not() -> None:
     """REFERENCE: with the growth model, a block proposal loses more than the plain filter."""
-    assert proposal_of(problem(SHARP).job()) == GUIDED
-    assert proposal_of(problem("ungm").job()) == PLAIN
+    assert proposal_of(problem(SHARP).job()) == GUIDED.name
+    assert proposal_of(problem("ungm").job()) == PLAIN.name
 
 
 def test_where_it_is_not_possible_auto_is_plain_and_guided_is_one_line() -> None:
     for engine in ("numpy", "kalman"):
-        assert proposal_of(problem(SHARP, engine=engine).job()) == PLAIN
+        assert proposal_of(problem(SHARP, engine=engine).job()) == PLAIN.name
     with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'numpy'"):
         build(problem(SHARP, engine="numpy", proposal="guided").job())
 
@@ -51,7 +52,7 @@ def test_a_truth_that_cannot_be_guided_makes_it_plain() -> None:
         SHARP, name="uniform", initial_noise=("uniform",) * 4, process_noise=("centred",) * 4
     )
     mistaken = problem(uniform, filter_model=SHARP)
-    assert proposal_of(mistaken.job()) == PLAIN
+    assert proposal_of(mistaken.job()) == PLAIN.name
     with pytest.raises(ModelError, match="no normal noise"):
         build(mistaken.with_changes(proposal="guided").job())
 
@@ -63,7 +64,7 @@ def test_only_the_run_of_the_job_decides(tmp_path: Path) -> None:
         tmp_path / "other", changes=["comparison.draws=4"], pool="serial", figures=False,
     )  # fmt: skip
     job = problem(SHARP).job()
-    assert build(job, tmp_path / "own", other.path).job.filter.proposal == GUIDED
+    assert build(job, tmp_path / "own", other.path).job.filter.proposal == GUIDED.name
 
 
 def test_a_run_says_which_and_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,7 +78,7 @@ def test_a_run_says_which_and_keeps_it(tmp_path: Path, monkeypatch: pytest.Monke
     assert 'proposal = "guided"\n' in (run.path / "job.toml").read_text()
     monkeypatch.setattr(particles, "why_plain", lambda *_: 1 / 0)
     again = pfdist.plan(job, run.path, **quiet)
-    assert again.job["filter"]["proposal"] == GUIDED
+    assert again.job["filter"]["proposal"] == GUIDED.name
 
 
 def test_few_draws_pay_no_comparison_and_take_the_choice_of_the_process(
@@ -89,14 +90,14 @@ def test_few_draws_pay_no_comparison_and_take_the_choice_of_the_process(
     monkeypatch.setattr(particles, "why_plain", lambda *_, **_s: 1 / 0)
     plain, guided = (
         pfdist.evaluate(problem(SHARP, proposal=each), "regular", draws=16).mse.tolist()
-        for each in (PLAIN, GUIDED)
+        for each in (PLAIN.name, GUIDED.name)
     )
     assert pfdist.evaluate(problem(SHARP), "regular", draws=16).mse.tolist() == plain != guided
     monkeypatch.setattr(particles, "why_plain", judged)
-    assert proposal_of(problem(SHARP).job()) == GUIDED
+    assert proposal_of(problem(SHARP).job()) == GUIDED.name
     monkeypatch.setattr(particles, "why_plain", lambda *_, **_s: 1 / 0)
     assert pfdist.evaluate(problem(SHARP), "regular", draws=16).mse.tolist() == guided
-    assert proposal_of(problem(SHARP).job()) == GUIDED
+    assert proposal_of(problem(SHARP).job()) == GUIDED.name
 
 
 @pytest.mark.parametrize("draws", [1000, 20_000, 100_000])
@@ -108,13 +109,13 @@ def test_a_comparison_takes_a_twentieth_of_the_work_of_the_run(
     steps, filtered = list[float](), Evaluator.filtered
 
     def counted(self: Evaluator, work: FilterWork) -> object:
-        steps.append(work.steps * (8 if work.estimation.proposal == GUIDED else 1))
+        steps.append(work.steps * (8 if work.estimation.proposal == GUIDED.name else 1))
         return filtered(self, work)
 
     monkeypatch.setattr(Evaluator, "filtered", counted)
     sets = {"early": (0, 1), "late": (7, 8)}
     job = problem(SHARP, particles=64).job(search=[], comparison={"draws": draws, "sets": sets})
-    assert proposal_of(job) == (GUIDED if draws > 1000 else PLAIN)
+    assert proposal_of(job) == (GUIDED.name if draws > 1000 else PLAIN.name)
     assert sum(steps) <= 0.05 * 3 * draws * 64 * 9
     assert (sum(steps) > 0) is (draws > 1000)
 
@@ -135,8 +136,8 @@ SQUARE = StateSpaceModel(  # whose sign no measurement sees
 def test_a_guided_filter_by_hand_is_judged_as_auto_judges(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checks_of_models, "enough_particles", lambda *given: given[-1])
     asked = problem(SQUARE, particles=200, horizon=20, measurement_budget=7)
-    assert proposal_of(asked.job()) == PLAIN
-    for proposal, is_judged in ((PLAIN, False), (GUIDED, True)):
+    assert proposal_of(asked.job()) == PLAIN.name
+    for proposal, is_judged in ((PLAIN.name, False), (GUIDED.name, True)):
         by_hand = asked.with_changes(proposal=proposal)
         found = [each for each in checks_of(by_hand) if each.name == "filter.proposal"]
         assert [each.state for each in found] == ["note"] * is_judged

@@ -1,0 +1,76 @@
+"""The proposals that a job can name by ``filter.proposal``: how particles get their noise."""
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from pfdist.errors import ModelError
+from pfdist.filters.engines import BATCHED, COMPILED, NUMPY
+from pfdist.models import StateSpaceModel
+
+AUTO: Final = "auto"  # the one that loses least in the same time
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposal."""
+
+    name: str  # as job files name it
+    description: str  # in one line, for help and manual
+    engines: tuple[str, ...] = ()  # that know it; none: all
+    cost: int = 1  # plain particle-steps in the time of one; see docs/benchmarks.md
+    # that of a filter with the truth among its particles, and how many times as many it has
+    beside_truth: str = "plain"
+    times_beside_truth: int = 1
+    # the module whose `extension` gives that of the compiled filter, see
+    # `pfdist.kernels.filter.Extension`; none if there is none
+    extended_by: str = ""
+    # the module whose `filter_block` is the plain twin; none if it is `pfdist.filters.plain`
+    twin_by: str = ""
+
+    def check(self, engine: str, model: StateSpaceModel) -> None:
+        """Raise `ModelError` if an engine does not know the proposal."""
+        if not self.engines or engine in self.engines:
+            return
+        needed = f"filter.proposal = {self.name!r} needs"
+        if engine == BATCHED.name:
+            raise ModelError(
+                f"{needed} formulas that can be traced, got the batched model {model.name}: "
+                f"{PLAIN.name!r} is for every model"
+            )
+        known = " or ".join(map(repr, self.engines))
+        raise ModelError(
+            f"{needed} filter.engine = {known}, got {engine!r}: {PLAIN.name!r} is for every engine"
+        )
+
+    def extension(self, model: StateSpaceModel, instants: range, prior: Any) -> Any:
+        """The extension of the filter of a model; None for none."""
+        return (
+            import_module(self.extended_by).extension(model, instants, prior)
+            if self.extended_by
+            else None
+        )
+
+    @property
+    def twin(self) -> Any:
+        """The plain twin of the filter of some draws; None for the usual one."""
+        return import_module(self.twin_by).filter_block if self.twin_by else None
+
+
+PLAIN = Proposal("plain", "Noise is drawn from the model.")
+GUIDED = Proposal(
+    "guided", "Noise since the last measurement is drawn again when the next one is known.",
+    engines=(COMPILED.name,), cost=8, beside_truth="guided",
+)  # fmt: skip
+MOVING = Proposal(
+    "moving", "Whole lines of particles take Metropolis steps at each measurement.",
+    engines=(COMPILED.name, NUMPY.name), cost=100, times_beside_truth=5,
+    extended_by="pfdist.moving.arrays", twin_by="pfdist.moving.plain",
+)  # fmt: skip
+MOST_INSTANTS: Final = 2000
+"""The largest horizon for which a choice takes particles that move: their work grows with it."""
+PROPOSALS = {each.name: each for each in (PLAIN, GUIDED, MOVING)}
+if TYPE_CHECKING:
+    ProposalName = str
+else:
+    ProposalName = Literal[(AUTO, *PROPOSALS)]

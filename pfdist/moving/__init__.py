@@ -1,0 +1,1 @@
+"""Particles that move: at each measurement, whole lines of particles take Metropolis steps."""
