@@ -86,7 +86,7 @@ def _without_earlier(found: FilterArrays, before: int) -> FilterArrays:
     return found._replace(**cut)
 
 
-def lines_of(found: FilterArrays, draws: Draws, settings: Estimation) -> CarriedLines | None:
+def carried_lines(found: FilterArrays, draws: Draws, settings: Estimation) -> CarriedLines | None:
     """The lines behind the particles of a filter of one system; None if these do not move."""
     if not found.noise.size:
         return None

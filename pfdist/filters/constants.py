@@ -12,12 +12,19 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.twin import twin_of
 
 Array = NDArray[np.float64]
+FEW_VALUES = 20
+"""Fewer different values of a component that does not move are too few for an estimate."""
 _STATES = 16  # that are tried
 _MOST = 2000  # instants that are tried
 
 
+def different_values(x: Array, constants: tuple[int, ...]) -> int:
+    """The least number of different values of some components, of particles (n, P)."""
+    return min((np.unique(x[c]).size for c in constants), default=x.shape[1])
+
+
 def constants_of(model: StateSpaceModel, instants: range) -> tuple[int, ...]:
-    """The components of x that are random at first, and that no step changes.
+    """The components of x that have a density at first, and that no step changes.
 
     It is found by trying: a step leaves them bit for bit as they were, at each instant, for random
     states and noise.
@@ -36,7 +43,7 @@ def _found(model: StateSpaceModel, instants: range) -> tuple[int, ...]:
     with np.errstate(all="ignore"):
         x = twin.initial(noise(model.initial_noise, 0, FILTER_INITIAL), model.p)
         x = tuple(np.broadcast_to(np.float64(each), _STATES) for each in x)
-        left = [c for c, each in enumerate(x) if np.isfinite(each).all() and np.ptp(each) > 0.0]
+        left = [c for c, each in enumerate(x) if np.unique(each).size == _STATES]
         for t in instants[:-1]:
             if not left:
                 break

@@ -457,7 +457,8 @@ class Evaluator:
         """
         for each in self.of_scenarios:
             each.check(estimation)
-        PROPOSALS[estimation.proposal].check(self.computed_by.name, self.believed)
+        proposal, engine = PROPOSALS[estimation.proposal], self.computed_by.name
+        proposal.check(engine, self.believed, carries=estimation.carries)
         if self.has_particles and not ALL_SCHEMES[estimation.resampling].holds_truth:
             check_filter_settings(self.believed, self.model, estimation)
 

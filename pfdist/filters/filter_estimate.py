@@ -13,6 +13,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from pfdist.errors import ArgumentError, shown
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.filters.constants import FEW_VALUES
 from pfdist.filters.one_filter import circular_components, log_likelihood
 from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
@@ -33,11 +34,12 @@ FEW = 5.0
 
 
 def few_particles(where: str, or_else: str = "") -> str:
-    """The sentence about a filter whose effective sample size falls below `FEW`."""
+    """The sentence about a filter of which few particles are left; see `FilterEstimate`."""
     return (
         "The estimate is that of a few particles, not the model's: the effective sample size falls "
-        f"below {FEW:.0f} {where}. What may help: more particles, {or_else}or the engine kalman "
-        "if the model is linear and Gaussian."
+        f"below {FEW:.0f}, or fewer than {FEW_VALUES} values of a constant are left {where}. What "
+        'may help: filter.proposal = "moving" for constants, more particles, '
+        f"{or_else}or the engine kalman if the model is linear and Gaussian."
     )
 
 
@@ -47,13 +49,20 @@ class Particles:
 
     z: Array  # (q, P)
     weight: Array  # (P,), in any unit
+    moved: bool = False  # whether all have moved: then they are independent, and weights are equal
 
     def effective_sample_size(self) -> float:
         """The squared sum of the weights over the sum of their squares."""
         return float(self.weight.sum() ** 2 / np.sum(self.weight**2))
 
     def quantiles(self, levels: Array) -> Array:
-        """The smallest values of z at which the cumulative weight reaches the levels, (L, q)."""
+        """The smallest values of z at which the cumulative weight reaches the levels, (L, q).
+
+        Those of P moved particles lie at the positions p (P + 1): so the next value from the same
+        distribution lies below with probability p.
+        """
+        if self.moved:
+            return np.quantile(self.z, levels, axis=1, method="weibull")
         z, weight = self.z[:, self.weight > 0], self.weight[self.weight > 0]
         quantiles = np.empty((levels.size, len(z)))
         for component, values in enumerate(z):
@@ -258,8 +267,9 @@ class FilterEstimate:
         extreme; None if t was not measured. See
         `pfdist.filters.filter_estimate.surprise_of_particles`.
     collapsed : int or None
-        The first measured instant up to t at which the effective sample size fell below 5, if
-        there is one. From it on, mean and quantiles are those of a few particles, not the model's.
+        The first measured instant up to t at which the effective sample size fell below 5, or
+        fewer than 20 different values of a component of x that does not move were left, if there
+        is one. From it on, mean and quantiles are those of a few particles, not the model's.
     """
 
     t: int
@@ -297,13 +307,17 @@ def estimate_of(
     belief: Belief,
     surprise: float | None = None,
     collapsed: int | None = None,
+    *,
+    has_lost: bool = False,
 ) -> FilterEstimate:
     """The estimate at t, from its moments; t was measured if there is a surprise.
 
-    `collapsed` is that of the estimate before t.
+    `collapsed` is that of the estimate before t, and `has_lost` says whether few values of a
+    constant are left.
     """
     size = belief.effective_sample_size()
-    if collapsed is None and surprise is not None and size is not None and size < FEW:
+    is_few = has_lost or (size is not None and size < FEW)
+    if collapsed is None and surprise is not None and is_few:
         collapsed = t
     with np.errstate(all="ignore"):  # 1 - variance is below 0 where z is no angle
         squares = np.where(is_angle, -2 * np.log1p(-variance), variance)

@@ -17,7 +17,7 @@ from pfdist.common.measurement_times import CLOCK, Lag, Times
 from pfdist.common.streams import stream_key
 from pfdist.errors import MeasurementsError, shown
 from pfdist.filters import kalman, plain
-from pfdist.filters.carried import lines_of
+from pfdist.filters.carried import carried_lines
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
@@ -92,7 +92,7 @@ class OneFilter:
         else:
             weight = filtered.weight[0] if self.settings.carries else None
             draws, _ = self._draws(t, [] if y is None else [(t, y)])
-            prior = Cloud(t, last, weight, lines=lines_of(filtered, draws, self.settings))
+            prior = Cloud(t, last, weight, lines=carried_lines(filtered, draws, self.settings))
         measured = y is not None or (self.measured and t == self.t)
         evidence = filtered.log_likelihoods[0].sum() if filtered.noise.size else math.nan
         settings = replace(self.settings, prior=prior)

@@ -153,7 +153,8 @@ def _filter(
     truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
     planned, ruling, filled = applied(model, draws, planned, settings)
     mse = np.empty((len(draws.index), len(planned.measured)))
-    results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **others, **filled)
+    written = {"work": np.zeros(1), **others, **filled}
+    results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **written)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
     blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)
     streams = np.array(filter_streams(stream, settings.estimator), np.uint64)

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pfdist.errors import ModelError
 from pfdist.filters.engines import BATCHED, COMPILED, NUMPY
-from pfdist.models import StateSpaceModel
+
+if TYPE_CHECKING:
+    from pfdist.models import StateSpaceModel
 
 AUTO: Final = "auto"  # the one that loses least in the same time
 
@@ -22,14 +24,20 @@ class Proposal:
     # that of a filter with the truth among its particles, and how many times as many it has
     beside_truth: str = "plain"
     times_beside_truth: int = 1
+    takes_weights: bool = True  # whether particles may carry weights between measurements
     # the module whose `extension` gives that of the compiled filter, see
     # `pfdist.kernels.filter.Extension`; none if there is none
     extended_by: str = ""
     # the module whose `filter_block` is the plain twin; none if it is `pfdist.filters.plain`
     twin_by: str = ""
 
-    def check(self, engine: str, model: StateSpaceModel) -> None:
-        """Raise `ModelError` if an engine does not know the proposal."""
+    def check(self, engine: str, model: "StateSpaceModel", *, carries: bool = False) -> None:
+        """Raise `ModelError` if an engine does not know it, or a filter wrongly carries weights."""
+        if carries and not self.takes_weights:
+            raise ModelError(
+                f"filter.proposal = {self.name!r} needs filter.resample = 'always': its particles "
+                "have equal weights"
+            )
         if not self.engines or engine in self.engines:
             return
         needed = f"filter.proposal = {self.name!r} needs"
@@ -43,7 +51,7 @@ class Proposal:
             f"{needed} filter.engine = {known}, got {engine!r}: {PLAIN.name!r} is for every engine"
         )
 
-    def extension(self, model: StateSpaceModel, instants: range, prior: Any) -> Any:
+    def extension(self, model: "StateSpaceModel", instants: range, prior: Any) -> Any:
         """The extension of the filter of a model; None for none."""
         return (
             import_module(self.extended_by).extension(model, instants, prior)
@@ -64,7 +72,7 @@ GUIDED = Proposal(
 )  # fmt: skip
 MOVING = Proposal(
     "moving", "Whole lines of particles take Metropolis steps at each measurement.",
-    engines=(COMPILED.name, NUMPY.name), cost=100, times_beside_truth=5,
+    engines=(COMPILED.name, NUMPY.name), cost=100, times_beside_truth=5, takes_weights=False,
     extended_by="pfdist.moving.arrays", twin_by="pfdist.moving.plain",
 )  # fmt: skip
 MOST_INSTANTS: Final = 2000

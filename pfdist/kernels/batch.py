@@ -150,6 +150,8 @@ class FilterArrays(NamedTuple):
     measured: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
     # (D,): deviation at a rule's flipped point, NaN where it may not be measured; else empty
     deviation: NDArray[np.float64] = np.empty(0)
+    # (1,): particle-steps of particles that move, of all draws and sets
+    work: NDArray[np.float64] = np.empty(0)
     # lines of particles that move, of a system whose truth is not known, from the first instant:
     # (D, T+1, c, P) noise of each step, (D, n, P) first states, (D, T+1, sensors) what counts
     noise: NDArray[np.float32] = np.empty((0, 0, 0, 0), np.float32)

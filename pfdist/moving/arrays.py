@@ -73,7 +73,6 @@ class Moved:
         memory, arrays = zeros(
             kernel.Moving,
             now=4,
-            work=1,
             event=2 * events + 2,
             noise=noise,
             tried=noise,

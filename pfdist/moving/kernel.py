@@ -98,7 +98,6 @@ class Moving(NamedTuple):
     # (4,): the present instant, the number of events, the instant of the last event before the
     # present one, or -1, and the number of instants with events before the present one
     now: NDArray[np.int64]
-    work: NDArray[np.float64]  # (1,): particle-steps
     event: NDArray[np.int64]  # (events, 2): instant and sensor
     noise: NDArray[np.float32]  # (steps, components, spacious)
     tried: NDArray[np.float32]  # the same of a move
@@ -208,7 +207,7 @@ def move(instant):
     if own.now[0] >= instant.t:
         return
     call(own.move, instant)
-    own.work[0] += instant.at.work.request.particles
+    instant.at.work.results.work[0] += instant.at.work.request.particles
     _keep(instant.at, instant.t, own.process)
 
 
@@ -551,7 +550,7 @@ def _go(at, step, source, target, noise):
     """Fill in the states behind a step; the arguments are rows of all steps."""
     request, batch = at.work.request, at.work.batch
     block, before = (TRANSITION, step - 1) if step > 0 else (INITIAL, step)
-    _own(at.work.own).work[0] += request.particles
+    at.work.results.work[0] += request.particles
     call_block(
         at.work.blocks,
         block * request.instants + before,

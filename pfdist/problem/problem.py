@@ -89,6 +89,8 @@ class Problem(Shown):
         "auto" finds a sufficient number when something is computed.
     resampling, resample, engine, proposal : str
         The filter, as in the section [filter] of a job file. `resample` is "always" by default.
+    moved_particles : int, optional
+        Number of particles where the proposal is "moving".
 
     Raises
     ------

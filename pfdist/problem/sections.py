@@ -8,6 +8,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    PrivateAttr,
     WithJsonSchema,
     field_validator,
     model_validator,
@@ -187,6 +188,20 @@ class FilterSection(JobSection):
     engine: EngineName = AUTO
     proposal: ProposalName = AUTO
     moved_particles: Annotated[int, Field(ge=20, lt=2**31)] | None = None
+
+    _steps_a_particle: float = PrivateAttr(1.0)
+
+    @property
+    def steps_a_particle(self) -> float:
+        """Particle-steps of a particle at an instant, about; `build` finds them."""
+        return self._steps_a_particle
+
+    def chosen(self, proposal: str, particles: int, moved: int | None, steps: float) -> Self:
+        """The section with a proposal and numbers of particles, which are valid."""
+        update = {"proposal": proposal, "particles": particles, "moved_particles": moved}
+        section = self.model_copy(update=update)
+        section._steps_a_particle = steps
+        return section
 
     @property
     def compared_particles(self) -> int:

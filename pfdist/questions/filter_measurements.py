@@ -96,8 +96,9 @@ class FilteredMeasurements(Shown):
     clock : Clock
         That of the job, with the times of the table if the filter can have them.
     collapsed : int or float, optional
-        The first time at which the effective sample size falls below 5, if it does. From it on, the
-        estimate is that of a few particles, not the model's.
+        The first time at which few particles or few values of a constant are left, if it comes;
+        see `pfdist.filters.filter_estimate.FilterEstimate`. From it on, the estimate is that of a
+        few particles, not the model's.
     is_smoothed : bool
         Whether the estimate of the job uses later measurements: `problem.estimate`, `problem.lag`.
     failed : tuple of int or float
@@ -463,12 +464,14 @@ def _estimate(answer: FilteredMeasurements) -> str:
         mean, low, high = (rounded(value, 3) for value in values)
         name = each.name or "z" + each.suffix * (len(quantities) > 1)
         unit = f" {each.unit}" * bool(each.unit)
-        estimates.append(f"{name} = {mean}{unit} (90 % band {low} to {high})")
+        band = f"90 % band {low} to {high}" if low != high else "no band: few values are left"
+        estimates.append(f"{name} = {mean}{unit} ({band})")
     at = answer.clock.listed([row["t"]])
     fits = "do not fit" if answer.is_improbable else "fit"
     made = number_of(len(answer.measured), "measurement")
     said = f" The {made} {fits if len(answer.measured) > 1 else fits.replace('do', 'does')}"
-    return f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * bool(answer.measured)
+    is_known = bool(answer.measured) and answer.collapsed is None
+    return f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * is_known
 
 
 def surprise_of(estimates: Iterable[FilterEstimate]) -> float | None:

@@ -72,8 +72,8 @@ class NextTime(Shown):
     clock : Clock
         That of the job.
     collapsed : int or float, optional
-        The first time at which the effective sample size falls below 5, if it does. The plan then
-        starts from a few particles.
+        The first time at which few particles or few values of a constant are left, if it comes.
+        The plan then starts from a few particles.
     in_flight : tuple of int or float
         Times of measurements whose values arrive after `now`.
     always : tuple of int or float

@@ -169,7 +169,7 @@ def _run_if_any(
         heard(say, f"{relative(why)}: the answer uses no plan")
     alone = as_job(job, changes)
     say_model_files([alone], say)
-    return None, build(alone)
+    return None, build(alone, follows=True)
 
 
 def _planned_set(run: Run, name: str) -> str:

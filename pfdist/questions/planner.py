@@ -84,7 +84,7 @@ class Planner:
         prior: Prior | ArrayLike | None = None,
         draw: int = 0,
     ) -> None:
-        built = job if isinstance(job, Built) else build(as_job(job))
+        built = job if isinstance(job, Built) else build(as_job(job), follows=True)
         ON_THE_WAY.check("choosing times on the way", built.job, built.evaluator)
         believed, clock = built.evaluator.believed, built.job.problem.clock
         start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)

@@ -18,6 +18,7 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.filters.aspects import DISTANCE, VARIANCE
 from pfdist.filters.estimate import largest_share
+from pfdist.filters.proposals import MOVING
 from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, on_common_draws, statistics_of
 
@@ -51,11 +52,13 @@ class ParticleLoss:
     by_two_filters: Estimate
     at_most: Estimate
     top_share: float = 0.0
+    moves: bool = False  # whether particles move: then the upper estimate is that of others
 
     @property
     def is_large(self) -> bool:
         """Whether a lower 95 % limit exceeds 5 % by two filters, or 20 % for the upper estimate."""
-        pairs = (self.by_two_filters, _NOTABLE), (self.at_most, _NOTABLE_AT_MOST)
+        pairs = [(self.by_two_filters, _NOTABLE), (self.at_most, _NOTABLE_AT_MOST)]
+        pairs = pairs[: 1 if self.moves else 2]
         return any(loss.value - _QUANTILE * loss.standard_error > most for loss, most in pairs)
 
     @property
@@ -72,6 +75,8 @@ class ParticleLoss:
     @property
     def text(self) -> str:
         """The loss and its limit in words."""
+        if self.moves:
+            return f"about {percent(self.by_two_filters.value)} of the expected MSE"
         return particle_loss_text(self.by_two_filters.value, self.limit)
 
     @property
@@ -96,11 +101,14 @@ class ParticleLoss:
     @property
     def large(self) -> str:
         """Sentences if the loss is large, else nothing."""
-        return (
-            f"{self.particles} particles may be too few: they lose {self.text}. "
+        more = (
             "pfdist check-model looks for a number that is enough, and compares a guided filter "
             "with a plain one."
-        ) * self.is_large
+        )
+        if self.moves:
+            more = "More moved particles help (filter.moved_particles)."
+        few = f"{self.particles} particles may be too few: they lose {self.text}. {more}"
+        return few * self.is_large
 
     @property
     def warning(self) -> str:
@@ -119,7 +127,13 @@ class ParticleLoss:
 
 
 def particle_loss(
-    particles: int, whole: Moments, squared: Array, distance: Array, variance: Array
+    particles: int,
+    whole: Moments,
+    squared: Array,
+    distance: Array,
+    variance: Array,
+    *,
+    moves: bool = False,
 ) -> ParticleLoss:
     """The particle loss of one set of times.
 
@@ -133,13 +147,14 @@ def particle_loss(
         and variance beside the truth, of the same draws.
     """
     if not np.isfinite(squared + distance + variance).all():
-        return ParticleLoss(particles, Estimate(1.0), Estimate(1.0))
+        return ParticleLoss(particles, Estimate(1.0), Estimate(1.0), moves=moves)
     scale = 1 / whole.mean if whole.mean > 0 else 0.0
     return ParticleLoss(
         particles,
         Moments.of_values(distance).estimate.times(scale),
         less(whole, squared, variance).times(scale),
         _top_share(squared, variance),
+        moves,
     )
 
 
@@ -210,13 +225,16 @@ def particle_losses_of(
     if not all(map(run._store.has, tables)):
         return {}
     rows = on_common_draws(run, *tables)
-    particles, whole = run.job["filter"]["particles"], (statistics or statistics_of(run)).mse
+    own, whole = run.job["filter"], (statistics or statistics_of(run)).mse
+    moves = own["proposal"] == MOVING.name
+    particles = own["moved_particles"] if moves else own["particles"]
     return {
         name: particle_loss(
             particles,
             whole[name],
             controlled_mse(rows, name),
             *(rows[f"{each.named}_{name}"].to_numpy() for each in (DISTANCE, VARIANCE)),
+            moves=moves,
         )
         for name in run.sets
     }

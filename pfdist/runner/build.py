@@ -9,18 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pfdist.common.component_names import Component
-from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import must_be
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
+from pfdist.filters.constants import constants_of
 from pfdist.filters.engines import AUTO, BATCHED, COMPILED, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.proposals import GUIDED, PLAIN, PROPOSALS
-from pfdist.filters.work import Estimation, with_truth
+from pfdist.filters.proposals import MOVING, PLAIN
+from pfdist.filters.work import Estimation
 from pfdist.kernels.lowering import has_fused_multiply_add
-from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
 from pfdist.models.continuous import with_events
 from pfdist.models.learned import learned
@@ -38,6 +35,14 @@ from pfdist.problem.needs import LOSS, ON_THE_WAY
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
 from pfdist.runner.budget_study import BudgetStudy
+from pfdist.runner.choice import (
+    check_guided,
+    choice,
+    choice_of_run,
+    choices_of,
+    moved_particles,
+    steps_a_particle,
+)
 from pfdist.runner.contract import few_draws
 from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
@@ -95,11 +100,12 @@ class Built:
         return self.study.unsearched if self.searches else self.study.references
 
 
-def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
+def build(job: Job, *runs: Path, asked: float | None = None, follows: bool = False) -> Built:
     """The objects of a job, after a check that they fit each other.
 
     The proposal "auto" is replaced by a choice that takes at most 5 % of the work: `asked` is the
-    number of draws that are filtered, counted for each set, by default those of the job's run.
+    number of draws that are filtered, counted for each set, by default those of the job's run. If
+    the filter `follows` one system, particles move where components of x do not.
 
     The constants of recorded models come from the first of the given runs' folders that has the
     same models. A job in a run's folder takes its models from there, and imports nothing.
@@ -110,7 +116,7 @@ def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
     """
     own, path = job.filter, runs[0] if runs else None
     is_open, is_automatic = own.proposal == AUTO, own.is_automatic
-    kept = _proposal_of(path) if is_open and path is not None else ""
+    kept = choice_of_run(path) if is_open and path is not None else ""
     proposal = (kept or PLAIN.name) if is_open else own.proposal
     particles = _USUAL_PARTICLES if is_automatic else own.particles
     # The job is built with the plain filter first, so whatever else is wrong is named first. Its
@@ -121,22 +127,33 @@ def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
     _check_draws(first, evaluator)
     built = _built(first, evaluator)
     if kept:
-        _choices_of(built)[""] = kept
+        choices_of(built)[""] = kept
     elif is_open:
-        proposal = _chosen(built, asked)
-    if is_automatic:
+        proposal = choice(built, asked, follows=follows)
+    moves = proposal == MOVING.name
+    if is_automatic and not moves:
         particles = _enough_particles(built, proposal)
-    if (proposal, particles) == (first.filter.proposal, first.filter.particles):
+    if (proposal, particles) == (first.filter.proposal, first.filter.particles) and not moves:
         return built
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", EngineWarning)  # it came with the first filter
-        return _built(_with_filter(job, proposal, particles), built.evaluator)
+        return _built(_with_filter(job, proposal, particles, built), built.evaluator)
 
 
-def _with_filter(job: Job, proposal: str, particles: int) -> Job:
-    """The job with a proposal and a number of particles, which are valid, instead of "auto"."""
-    chosen = {"proposal": proposal, "particles": particles}
-    return job.model_copy(update={"filter": job.filter.model_copy(update=chosen)})
+def _with_filter(job: Job, proposal: str, particles: int, built: Built | None = None) -> Job:
+    """The job with a proposal and a number of particles, which are valid, instead of "auto".
+
+    A job that was built tells how many particles move, and what that takes.
+    """
+    moved, steps = job.filter.moved_particles, 1.0
+    if built is not None and proposal == MOVING.name:
+        evaluator = built.evaluator.self_consistent
+        constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
+        moved = moved_particles(job, len(constants))
+        moving = replace(built.comparing, particles=moved, proposal=proposal)
+        steps = steps_a_particle(evaluator, built.job.problem.feasible.regular(), moving)
+    chosen = job.filter.chosen(proposal, particles, moved, steps)
+    return job.model_copy(update={"filter": chosen})
 
 
 def _built(job: Job, evaluator: Evaluator) -> Built:
@@ -156,7 +173,7 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
         wanted.append(planning_of(job, evaluator.variance_is_error).estimation)
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
     evaluator = replace(evaluator, engine=_compiled_or_batched(evaluator))
-    _check_guided(evaluator, comparing_of(job))
+    check_guided(evaluator, comparing_of(job))
     built = Built(job, feasible, study, evaluator, searches)
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
@@ -229,96 +246,7 @@ def _check_sensors(model: StateSpaceModel, named: tuple[str, ...]) -> None:
         )
 
 
-def _check_guided(evaluator: Evaluator, own: Estimation) -> None:
-    """Raise a `ModelError` if the filter that knows the truth, too, cannot be guided as wanted."""
-    if own.proposal == GUIDED.name and evaluator.truth is not evaluator:
-        evaluator.truth.compile(with_truth(1, own.proposal))
-
-
-_MOST_TRIED = 200  # feasible sets, for one with a long gap
 _USUAL_PARTICLES = 500  # where their number is not known yet
-
-
-_choices: dict[str, dict[str, str]] = {}
-"""Proposals chosen in this process, by problem and comparison; "" has the last choice."""
-
-
-def _draws_of(built: Built) -> float:
-    """The draws that a run filters at least, counted for each set, with the job's particles."""
-    steps = sum(
-        search.optimiser.evaluations
-        * search.settings.draws
-        * search.settings.estimation.steps_an_instant
-        for search in built.searches
-    )
-    compared = len(built.names) * built.job.comparison.draws
-    return steps / built.comparing.steps_an_instant + compared
-
-
-def _choices_of(built: Built) -> dict[str, str]:
-    """The choices of this process for a problem: its models, its filter and its constraints."""
-    plain = replace(built.comparing, proposal=PLAIN.name)
-    problem = built.job.problem.model_dump(mode="json")
-    return _choices.setdefault(built.evaluator.id_of(plain, problem), {})
-
-
-def _chosen(built: Built, asked: float | None) -> str:
-    """The proposal of a job that was built with the plain filter.
-
-    A run's choice depends on its job alone, so it can be repeated. A question, which asks for so
-    many draws, takes the last choice of the process. A work too small for a comparison is plain.
-    """
-    # Imported here, so that workers, which know the proposal, need no pandas.
-    from pfdist.runner.particles import compared_draws, why_plain  # noqa: PLC0415
-
-    evaluator, plain = built.evaluator.self_consistent, built.comparing
-    is_possible = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
-    if not is_possible:
-        return PLAIN.name
-    choices = _choices_of(built)
-    if asked is not None and "" in choices:
-        return choices[""]
-    draws = compared_draws(_draws_of(built) if asked is None else asked)
-    if draws == 0:
-        return PLAIN.name
-    comparison = f"{draws} of {built.job.seed}"
-    if comparison not in choices:
-        try:
-            # Guided filters are compiled only if the plain filter loses too much.
-            sets = built.job.problem.feasible.regular(), _with_long_gap(built.job)
-            why = why_plain(evaluator, sets, built.job.seed, plain, draws, in_words=False)
-            if not why:
-                _check_guided(built.evaluator, replace(plain, proposal=GUIDED.name))
-        except ModelError as error:
-            why = str(error)
-        choices[comparison] = PLAIN.name if why else GUIDED.name
-    choices[""] = choices[comparison]
-    return choices[""]
-
-
-def _proposal_of(run: Path) -> str:
-    """The proposal of a run; empty if there is no run, or none that can be read."""
-    from pfdist.store import has_models, read_run  # noqa: PLC0415  workers need no pyarrow
-
-    try:
-        section = read_run(run)[1].get("filter", {}) if has_models(run) else {}
-    except StoreError:  # whoever opens the run reports what is damaged
-        return ""
-    proposal = section.get("proposal", "")
-    return proposal if proposal in PROPOSALS else ""
-
-
-def _with_long_gap(job: Job) -> Times:
-    """A feasible set with a long gap, if possible at most twice the longest of regular times."""
-    feasible = job.problem.feasible
-
-    def longest(times: Times) -> int:
-        return int(np.diff(feasible.points.instants(times)).max(initial=0))
-
-    most = 2 * longest(feasible.regular())
-    sets = feasible.random(_MOST_TRIED, generator("proposal", job.seed))
-    short = [times for times in sets if longest(times) <= most]
-    return max(short, key=longest) if short else min(sets, key=longest)
 
 
 def _enough_particles(built: Built, proposal: str) -> int:

@@ -23,7 +23,7 @@ from pfdist.errors import (
     shown,
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
-from pfdist.filters.constants import constants_of
+from pfdist.filters.constants import FEW_VALUES, constants_of, different_values
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import (
     AUTO,
@@ -166,8 +166,8 @@ class Filter(Followed):
         own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         if not isinstance(model, StateSpaceModel) and _is_job(model):
             job = as_job(model)
-            built = build(without_choice(job))
-            own = settings_of_job(built, job.filter.proposal) | own
+            built = build(job, follows=True)
+            own = settings_of_job(built) | own
             clock = built.job.problem.clock
             prior = as_prior(prior, own["model"], clock.readers(), clock.instant_of_t)
         elif isinstance(model, StateSpaceModel | str):
@@ -175,6 +175,8 @@ class Filter(Followed):
         else:
             rule = "a StateSpaceModel, a name, or a job"
             raise ModelError(f"a model must be {rule}, got {shown(model)}")
+        if proposal is None and own.get("resample", "always") != "always":
+            own["proposal"] = PLAIN.name  # moved particles have equal weights
         self._start(**own, prior=prior, draw=draw)
 
     def _start(
@@ -208,12 +210,13 @@ class Filter(Followed):
         name = COMPILED.name if engine == AUTO else engine
         proposal = _proposal_of(proposal, self.model, name, resample, horizon)
         moves = proposal == MOVING.name
-        particles = particles or (_MOVED if moves else _UNMOVED)
+        if particles is None:
+            particles = _MOVED if moves else _UNMOVED
         settings = Estimation(
             particles, resampling, prior=start, threshold=threshold, proposal=proposal
         )
         check_filter_settings(self.model, self.model, settings)
-        PROPOSALS[proposal].check(name, self.model)
+        PROPOSALS[proposal].check(name, self.model, carries=settings.carries)
         if engine == COMPILED.name:
             for formula in declared(self.model).values():
                 raise formula.why
@@ -228,6 +231,9 @@ class Filter(Followed):
         self._many = replace(self.unmeasured, settings=many)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
+        tried = range(min(horizon, MOST_INSTANTS) + 1)
+        knows = name != "kalman" and not declared(self.model)
+        self._constants = constants_of(self.model, tried) if knows else ()
         self._collapsed: int | None = None
         self._now = self._estimate(mean[-1], variance[-1])
 
@@ -310,12 +316,16 @@ class Filter(Followed):
             self._follow(before)
             raise
         belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
-        if isinstance(cloud := _prior(moved), Cloud) and cloud.lines is not None:
-            belief = Particles(quantity(self.model, cloud, mean[-1]), np.ones(cloud.particles))
-            log_density = moved.evidence
+        cloud, has_lost = _prior(moved), False
+        if isinstance(cloud, Cloud) and cloud.lines is not None:
+            z = quantity(self.model, cloud, mean[-1])
+            belief, log_density = Particles(z, np.ones(cloud.particles), moved=True), moved.evidence
+        if isinstance(cloud, Cloud) and cloud.particles >= FEW_VALUES and self._constants:
+            has_lost = different_values(cloud.x, self._constants) < FEW_VALUES
         now = estimate_of(
-            t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed
-        )
+            t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed,
+            has_lost=has_lost,
+        )  # fmt: skip
         if warn and now.collapsed == t:
             line = few_particles(f"at t = {self._formatted(t)}")
             warnings.warn(line, PfdistWarning, stacklevel=2)
@@ -417,13 +427,14 @@ class Filter(Followed):
         if lag is not None and not np.max(lag) >= 1:
             raise ArgumentError(f"lag must be at least 1, got {shown(lag)}", argument="lag")
         found, estimates = start.smoothed(last, self.seen, lag or instants), []
+        moved = start.settings.proposal == MOVING.name
         for k, (mean, variance) in enumerate(
             zip(found.estimate[0], found.variance[0], strict=True)
         ):
             belief: Belief = Normal(mean, np.sqrt(variance))
             if found.line_z.size:
                 z = within_half_turn(found.line_z[0, k].T, mean, is_angle).T
-                belief = Particles(z, found.line_weight[0, k])
+                belief = Particles(z, found.line_weight[0, k], moved)
             each = estimate_of(start.t + k, mean, variance, is_angle, belief)
             estimates.append(replace(each, measured=each.t in measured))
         return estimates
@@ -453,7 +464,8 @@ class Filter(Followed):
         belief: Belief = Normal(mean, np.sqrt(variance))
         if isinstance(prior, Cloud):
             weight = np.ones(prior.particles) if prior.weight is None else prior.weight
-            belief = Particles(quantity(self.model, prior, mean), weight)
+            z, moved = quantity(self.model, prior, mean), prior.lines is not None
+            belief = Particles(z, weight, moved)
         is_angle, collapsed = self.model.is_angle, self._collapsed
         return estimate_of(prior.t, mean, variance, is_angle, belief, collapsed=collapsed)
 
@@ -514,46 +526,30 @@ def _at_each_instant(model: StateSpaceModel, horizon: int) -> StateSpaceModel:
     return model.with_parameters({name: value * instants for name, value in single.items()})
 
 
-def without_choice(job: Job) -> Job:
-    """The job of a filter of one system, whose proposal the filter itself chooses."""
-    if job.filter.is_automatic:
-        return job
-    return job.with_changes(settings={"filter": {"proposal": PLAIN.name}})
-
-
 def _proposal_of(
     wanted: str, model: StateSpaceModel, engine: str, resample: str, horizon: int
 ) -> str:
-    """The proposal of a filter of one system: "auto" moves particles if components of x do not.
-
-    A guided filter of one system is plain.
-    """
+    """The proposal of a filter of one system: "auto" moves particles if components of x do not."""
     if wanted != AUTO:
-        return wanted if wanted == MOVING.name else PLAIN.name
+        return wanted
     may_move = engine in MOVING.engines and resample == "always" and horizon <= MOST_INSTANTS
     if not may_move or declared(model) or not constants_of(model, range(horizon + 1)):
         return PLAIN.name
     return MOVING.name
 
 
-def settings_of_job(built: Built, proposal: str | None = None) -> dict[str, Any]:
-    """The arguments of a `Filter` with a job's model, [filter], clock and seed.
-
-    The proposal may be that of the job before it was built.
-    """
+def settings_of_job(built: Built) -> dict[str, Any]:
+    """The arguments of a `Filter` with a job's model, [filter], clock and seed."""
     job, evaluator = built.job, built.evaluator
-    own, resample = job.filter, job.filter.resample or "always"
-    proposal = _proposal_of(
-        proposal or own.proposal, evaluator.believed, evaluator.engine, resample, evaluator.horizon
-    )
+    own, moves = job.filter, job.filter.proposal == MOVING.name
     REAL_DATA.check("a real system", job)
     return {
         "model": evaluator.believed,
-        "particles": own.moved_particles or _MOVED if proposal == MOVING.name else own.particles,
-        "proposal": proposal,
+        "particles": max(_MOVED, own.compared_particles) if moves else own.particles,
+        "proposal": MOVING.name if moves else PLAIN.name,
         "seed": job.seed,
         "resampling": job.filter.resampling,
-        "resample": resample,
+        "resample": own.resample or "always",
         "engine": evaluator.engine,
         "horizon": evaluator.horizon,
         "limits": _limits(evaluator.believed, job.problem.sensed),

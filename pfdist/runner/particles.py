@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
+from pfdist.filters.constants import FEW_VALUES, constants_of, different_values
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.proposals import GUIDED, MOVING, PLAIN
 from pfdist.filters.work import Estimation, FilterWork, Result, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.results import Moments
@@ -76,7 +77,8 @@ def measured_loss(
     if by_two_filters:
         distance = errors(replace(own, estimator=FILTER_NOISE.name))
     whole = Moments.of_values(squared)
-    return particle_loss(own.particles, whole, squared, distance, variance), whole
+    moves = own.proposal == MOVING.name
+    return particle_loss(own.particles, whole, squared, distance, variance, moves=moves), whole
 
 
 def compared_draws(asked: float) -> int:
@@ -117,6 +119,23 @@ def why_plain(
             found = f"{loss.particles:,} plain particles lose {loss.text}"
             return f"{found}; {other.particles:,} guided ones lose {other.text}"
     return ""
+
+
+def lost_constants(
+    evaluator: Evaluator, times: Times, seed: int, estimation: Estimation, draws: int
+) -> float:
+    """The share of draws that end with few different values of a component that does not move.
+
+    Resampling copies such values, and nothing renews them, unless particles move.
+    """
+    evaluator = (evaluator.of_scenarios or (evaluator,))[0]
+    constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
+    if not constants or estimation.proposal == MOVING.name:
+        return 0.0
+    streams = [stream_of("particles", seed, "constants", role) for role in ("draws", "filter")]
+    simulated = evaluator.draws(range(draws), streams[0])
+    (found,) = evaluator.filter_each(simulated, [times], streams[1:], estimation)
+    return float(np.mean([different_values(x, constants) < FEW_VALUES for x in found.cloud]))
 
 
 def mean_effective_sizes(evaluator: Evaluator, work: FilterWork) -> "pd.Series[float]":

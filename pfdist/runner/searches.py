@@ -174,8 +174,10 @@ def deciding_of(job: Job) -> Estimation:
 def comparing_of(job: Job) -> Estimation:
     """The estimation of the comparison: the squared error of the job's own filter."""
     own = job.filter
-    particles = own.compared_particles
-    return Estimation(particles, own.resampling, threshold=own.threshold, proposal=own.proposal)
+    return Estimation(
+        own.compared_particles, own.resampling, threshold=own.threshold, proposal=own.proposal,
+        steps_a_particle=own.steps_a_particle,
+    )  # fmt: skip
 
 
 def check_memory(job: Job, section: SearchSection, draws: int) -> None:

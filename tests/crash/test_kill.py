@@ -103,7 +103,7 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
 def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
     job: Path, tmp_path: Path, make_forks: Callable[[Path], "Forks"]
 ) -> None:
-    rng, kills, forks = random.random.Random(1), 0, make_forks(job)
+    rng, kills, forks = random.Random(1), 0, make_forks(job)
     with running(job, tmp_path / "whole", "--pool", "ray") as driver:
         driver.wait_for(lambda: driver.parts("timings"))
         start = time.monotonic()

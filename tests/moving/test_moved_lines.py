@@ -13,13 +13,12 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.three_sensors import ThreeSensors
-from pfdist import StateSpaceModel, densities, linear_gaussian
+from oracles.unknown import constants, level_and_slope, moving
+from pfdist import StateSpaceModel, densities
 from pfdist.filters import kalman, plain
 from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
-from pfdist.filters.proposals import MOVING
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Estimation
 from pfdist.moving import arrays
 
 Array = NDArray[np.float64]
@@ -27,48 +26,6 @@ SENSORS = ThreeSensors(0.4, 0.95, 0.5, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), (0.
 HORIZON = 40
 TIMES = (*range(4, HORIZON + 1, 4),)
 DRAWS = 200
-
-
-def moving(particles: int, **settings: Any) -> Estimation:
-    """A filter that moves so many particles."""
-    return Estimation(particles, proposal=MOVING.name, **{"resampling": "systematic"} | settings)
-
-
-def level_and_slope(process: float, sensor: float) -> StateSpaceModel:
-    """A level that grows by an unknown slope, with process noise, and is measured."""
-    return linear_gaussian(
-        "level and slope",
-        initial_noise=[[1.0, 0.0], [0.0, 0.3]],
-        transition=[[1.0, 1.0], [0.0, 1.0]],
-        process_noise=[[process], [0.0]],
-        measurement=[[1.0, 0.0]],
-        measurement_noise=[[sensor]],
-        quantity_of_interest=[[1.0, 0.0], [0.0, 1.0]],
-    )
-
-
-def constants(number: int, sensor: float) -> StateSpaceModel:
-    """Unknown constants, and at each instant a measurement of another sum of them."""
-    factors = np.random.default_rng(3).normal(size=(21, number))
-    if number == 1:
-        factors[:] = 1.0
-
-    def predicted(x: Any, t: Any, p: Any) -> Any:
-        return sum(getattr(p, f"factor_{c}")[t] * x[c] for c in range(number))
-
-    return StateSpaceModel(
-        name="constants",
-        initial=lambda w, p: tuple(w),
-        transition=lambda x, t, w, p: x,
-        measurement=lambda x, t, v, p: (predicted(x, t, p) + sensor * v[0],),
-        log_likelihood=lambda y, x, t, p: densities.normal_logpdf(y[0], predicted(x, t, p), sensor),
-        quantity_of_interest=lambda x, t, p: tuple(x),
-        initial_noise=("normal",) * number,
-        process_noise=(),
-        measurement_noise=("normal",),
-        parameters={f"factor_{c}": tuple(factors[:, c].tolist()) for c in range(number)},
-        normalised=True,
-    )
 
 
 def excesses(model: StateSpaceModel, particles: int, lag: int = 0) -> Array:
@@ -186,8 +143,8 @@ def test_the_plain_twin_has_the_same_particles(
     found = filter_checked_draws(model, draws, times, 3, settings, True)
     twin = plain.filter_checked_draws(model, draws, times, 3, settings, True)
     for name in ("mse", "estimate", "variance", "sizes", "cloud", "lines"):
-        one, other = getattr(found, name), getattr(twin, name)
-        assert np.allclose(one, other, rtol=1e-8, atol=1e-10, equal_nan=True), name
+        values, expected = getattr(found, name), getattr(twin, name)
+        assert np.allclose(values, expected, rtol=1e-8, atol=1e-10, equal_nan=True), name
     assert found.degenerate.tolist() == twin.degenerate.tolist()
 
 

@@ -18,6 +18,7 @@ from pfdist.kernels.rules import Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.questions.rule_file import keep_rule, rule_json
 from pfdist.runner import build as builds
+from pfdist.runner import choice
 from pfdist.store import listing
 from pfdist.store.tables import _known as tables
 
@@ -67,7 +68,7 @@ def test_a_command_that_chooses_the_proposal_records_its_models_once(
         counted["checked"] += 1
         return draw(*given)
 
-    monkeypatch.setattr(builds, "_choices", {})
+    monkeypatch.setattr(choice, "_choices", {})
     monkeypatch.setattr(builds, "recorded_evaluator", recording)
     monkeypatch.setattr(builds, "few_draws", drawing)
     problem = Problem(model, horizon=8, measurement_budget=2, particles=120)

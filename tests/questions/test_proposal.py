@@ -17,9 +17,9 @@ from pfdist.filters.work import FilterWork
 from pfdist.problem.job import Job
 from pfdist.questions import model_checks as checks_of_models
 from pfdist.questions.check_model import checks_of
-from pfdist.runner import build as builds
-from pfdist.runner import particles
-from pfdist.runner.build import _with_long_gap, build
+from pfdist.runner import choice, particles
+from pfdist.runner.build import build
+from pfdist.runner.choice import with_long_gap
 
 SHARP = sharp_walk(4)
 
@@ -85,7 +85,7 @@ def test_few_draws_pay_no_comparison_and_take_the_choice_of_the_process(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The comparison filters 2,400 times as many draws; that of a run is made once."""
-    monkeypatch.setattr(builds, "_choices", {})
+    monkeypatch.setattr(choice, "_choices", {})
     judged = particles.why_plain
     monkeypatch.setattr(particles, "why_plain", lambda *_, **_s: 1 / 0)
     plain, guided = (
@@ -105,7 +105,7 @@ def test_a_comparison_takes_a_twentieth_of_the_work_of_the_run(
     draws: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A step of a guided filter counts as eight; see docs/benchmarks.md for measured times."""
-    monkeypatch.setattr(builds, "_choices", {})
+    monkeypatch.setattr(choice, "_choices", {})
     steps, filtered = list[float](), Evaluator.filtered
 
     def counted(self: Evaluator, work: FilterWork) -> object:
@@ -152,7 +152,7 @@ def test_a_guided_filter_by_hand_is_judged_as_auto_judges(monkeypatch: pytest.Mo
 
 def test_a_long_gap_is_at_most_twice_that_of_regular_times() -> None:
     job = problem("ungm", horizon=60, measurement_budget=21).job()
-    times = _with_long_gap(job)
+    times = with_long_gap(job)
     assert job.problem.feasible.accepts(times)
     gaps = [after - before for before, after in pairwise(times)]
     assert 3 < max(gaps) <= 6

@@ -80,7 +80,9 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(r
 def test_a_program_that_would_search_otherwise_does_not_go_on(
     raced: Run, small_job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(CommonNoiseSettings, "particles_of", lambda own, job_particles: 21)
+    monkeypatch.setattr(
+        CommonNoiseSettings, "particles_of", lambda own, job_particles, proposal: 21
+    )
     with pytest.raises(RunMismatchError, match=r"estimations.survivors.particles: 20 -> 21$"):
         pfdist.run(small_job.path, raced.path, figures=False)
 

@@ -1,0 +1,186 @@
+"""The choice that ``filter.proposal = "auto"`` leaves: by trying proposals on a few draws."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pfdist.common.measurement_times import Times
+from pfdist.common.streams import stream_of
+from pfdist.errors import ModelError, StoreError
+from pfdist.filters.constants import constants_of
+from pfdist.filters.engines import COMPILED
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.proposals import GUIDED, MOST_INSTANTS, MOVING, PLAIN, PROPOSALS
+from pfdist.filters.work import Estimation, with_truth
+from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
+from pfdist.kernels.variates import generator
+from pfdist.models.recorded import declared
+from pfdist.problem.job import Job
+from pfdist.problem.sections import MOVED_PARTICLES
+
+if TYPE_CHECKING:
+    from pfdist.runner.build import Built
+
+_MOST_TRIED = 200  # feasible sets, for one with a long gap
+_LOST = 0.05  # share of draws in which a plain filter loses a constant: more, and particles move
+_MOVED_DRAWS, _PILOT_DRAWS = 24, 8
+_A_CONSTANT = 20  # moved particles for each, if that is more than the usual number
+
+_choices: dict[str, dict[str, str]] = {}
+"""Proposals chosen in this process, by problem and comparison; "" has the last choice."""
+
+
+def _draws_of(built: "Built") -> float:
+    """The draws that a run filters at least, counted for each set, with the job's particles."""
+    steps = sum(
+        search.optimiser.evaluations
+        * search.settings.draws
+        * search.settings.estimation.steps_an_instant
+        for search in built.searches
+    )
+    compared = len(built.names) * built.job.comparison.draws
+    return steps / built.comparing.steps_an_instant + compared
+
+
+def choices_of(built: "Built") -> dict[str, str]:
+    """The choices of this process for a problem: its models, its filter and its constraints.
+
+    "" is the last one.
+    """
+    plain = replace(built.comparing, proposal=PLAIN.name)
+    problem = built.job.problem.model_dump(mode="json")
+    return _choices.setdefault(built.evaluator.id_of(plain, problem), {})
+
+
+def choice(built: "Built", asked: float | None, *, follows: bool) -> str:
+    """The proposal of a job that was built with the plain filter.
+
+    A run's choice depends on its job alone, so it can be repeated. A question, which asks for so
+    many draws, takes the last choice of the process. A work too small for a comparison is plain,
+    unless the plain filter loses constants. A filter that `follows` one system moves particles if
+    it may.
+    """
+    # Imported here, so that workers, which know the proposal, need no pandas.
+    from pfdist.runner.particles import compared_draws  # noqa: PLC0415
+
+    evaluator, plain = built.evaluator.self_consistent, built.comparing
+    may_guide = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
+    moving = None if plain.carries else moving_of(built)
+    if follows or not (may_guide or moving):
+        return MOVING.name if follows and moving else PLAIN.name
+    choices = choices_of(built)
+    if asked is not None and "" in choices:
+        return choices[""]
+    draws = compared_draws(_draws_of(built) if asked is None else asked)
+    comparison = f"{draws} of {built.job.seed}"
+    if comparison not in choices:
+        if moving and _should_move(evaluator, built, moving, draws):
+            choices[comparison] = MOVING.name
+        elif draws == 0 or not may_guide:
+            return PLAIN.name
+        else:
+            choices[comparison] = _plain_or_guided(built, draws)
+    choices[""] = choices[comparison]
+    return choices[""]
+
+
+def _plain_or_guided(built: "Built", draws: int) -> str:
+    from pfdist.runner.particles import why_plain  # noqa: PLC0415
+
+    evaluator, plain = built.evaluator.self_consistent, built.comparing
+    try:
+        # Guided filters are compiled only if the plain filter loses too much.
+        sets = built.job.problem.feasible.regular(), with_long_gap(built.job)
+        why = why_plain(evaluator, sets, built.job.seed, plain, draws, in_words=False)
+        if not why:
+            check_guided(built.evaluator, replace(plain, proposal=GUIDED.name))
+    except ModelError as error:
+        why = str(error)
+    return PLAIN.name if why else GUIDED.name
+
+
+# --- particles that move --------------------------------------------------------------------------
+
+
+def moving_of(built: "Built") -> Estimation | None:
+    """The estimation by particles that move, in a job that leaves the choice; None without need.
+
+    It takes components of x that do not move, a horizon that is not too long, and an engine that
+    knows it.
+    """
+    evaluator = built.evaluator.self_consistent
+    is_known = evaluator.engine in MOVING.engines and evaluator.horizon <= MOST_INSTANTS
+    if not is_known or declared(evaluator.believed):
+        return None
+    constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
+    number = moved_particles(built.job, len(constants))
+    return replace(built.comparing, particles=number, proposal=MOVING.name) if constants else None
+
+
+def moved_particles(job: Job, constants: int) -> int:
+    """The number of particles of a job, if they move."""
+    return job.filter.moved_particles or max(MOVED_PARTICLES, _A_CONSTANT * constants)
+
+
+def steps_a_particle(evaluator: Evaluator, times: Times, moving: Estimation) -> float:
+    """Particle-steps of a moved particle at an instant, from a few draws: the same everywhere."""
+    evaluator = (evaluator.of_scenarios or (evaluator,))[0]
+    stream = stream_of("proposal", 0, "pilot")
+    draws = evaluator.draws(range(_PILOT_DRAWS), stream)
+    found = evaluator.filter_sets(draws, [times], [evaluator.horizon], stream, moving)
+    filters = ESTIMATORS[moving.estimator].filters
+    taken = float(found.work[0]) if found.work.size else 0.0
+    instants = moving.particles * filters * (evaluator.horizon + 1 - evaluator.start)
+    return max(1.0, taken / (_PILOT_DRAWS * instants))
+
+
+def _should_move(evaluator: Evaluator, built: "Built", moving: Estimation, draws: int) -> bool:
+    """Whether a plain filter loses a constant, or differs more from another for what it costs."""
+    from pfdist.runner.particles import lost_constants, work_of_loss  # noqa: PLC0415
+
+    times, seed, plain = built.job.problem.feasible.regular(), built.job.seed, built.comparing
+    if lost_constants(evaluator, times, seed, plain, _MOVED_DRAWS) > _LOST:
+        return True
+    if draws == 0:
+        return False
+
+    def noise(own: Estimation, steps: float) -> float:
+        twice = replace(own, estimator=FILTER_NOISE.name)
+        work = work_of_loss(evaluator, times, seed, twice, _MOVED_DRAWS, "proposal")
+        return float(evaluator.filtered(work).mse.mean()) * own.particles * steps
+
+    steps = steps_a_particle(evaluator, times, moving)
+    return noise(moving, steps) < noise(plain, 1.0)
+
+
+def choice_of_run(run: Path) -> str:
+    """The proposal of a run; empty if there is no run, or none that can be read."""
+    from pfdist.store import has_models, read_run  # noqa: PLC0415  workers need no pyarrow
+
+    try:
+        section = read_run(run)[1].get("filter", {}) if has_models(run) else {}
+    except StoreError:  # whoever opens the run reports what is damaged
+        return ""
+    proposal = section.get("proposal", "")
+    return proposal if proposal in PROPOSALS else ""
+
+
+def with_long_gap(job: Job) -> Times:
+    """A feasible set with a long gap, if possible at most twice the longest of regular times."""
+    feasible = job.problem.feasible
+
+    def longest(times: Times) -> int:
+        return int(np.diff(feasible.points.instants(times)).max(initial=0))
+
+    most = 2 * longest(feasible.regular())
+    sets = feasible.random(_MOST_TRIED, generator("proposal", job.seed))
+    short = [times for times in sets if longest(times) <= most]
+    return max(short, key=longest) if short else min(sets, key=longest)
+
+
+def check_guided(evaluator: Evaluator, own: Estimation) -> None:
+    """Raise a `ModelError` if the filter that knows the truth, too, cannot be guided as wanted."""
+    if own.proposal == GUIDED.name and evaluator.truth is not evaluator:
+        evaluator.truth.compile(with_truth(1, own.proposal))

@@ -1,0 +1,139 @@
+"""Unknown constants in the filter of one system, and in evaluations: bands, surprises, evidence."""
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import pfdist
+from oracles.unknown import HOURS, constants, drug, level_and_slope, moving
+from pfdist import Filter, Problem, StateSpaceModel
+from pfdist.errors import ModelError, PfdistWarning
+from pfdist.filters.constants import constants_of
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.particle_filter import filter_checked_draws
+from pfdist.filters.proposals import MOVING, PLAIN
+from pfdist.filters.simulation import simulate
+from pfdist.kernels.estimators import EVIDENCE
+
+READINGS = 8
+DRUG = drug(0.03).on_clock(HOURS)
+
+
+def bands(model: StateSpaceModel, times: range, systems: int) -> tuple[Any, Any, Any]:
+    """Whether each 90 % band at the end holds the truth, its width, and all p-values."""
+    draws = simulate(model, times[-1], range(systems), 11)
+    holds, widths, surprises = [], [], []
+    for number, (y, z) in enumerate(zip(draws.y, draws.z[:, -1, 0], strict=True)):
+        filtering = Filter(model, seed=number, horizon=times[-1])
+        for t in times:
+            estimate = filtering.update(t, y[t])
+            surprises.append(estimate.surprise)
+        low, high = estimate.quantiles([0.05, 0.95])[:, 0]
+        holds.append(low <= z <= high)
+        widths.append(high - low)
+    assert filtering.unmeasured.settings.proposal == MOVING.name
+    return np.array(holds), np.array(widths), np.array(surprises)
+
+
+@pytest.mark.parametrize(
+    ("model", "times"),
+    [
+        pytest.param(constants(1, 0.05), range(1, READINGS + 1), id="constant"),
+        pytest.param(drug(0.15).on_clock(HOURS), range(14), id="drug", marks=pytest.mark.slow),
+        pytest.param(DRUG, range(14), id="sharp drug", marks=pytest.mark.slow),
+    ],
+)
+def test_bands_of_constants_hold_as_often_as_they_say(model: StateSpaceModel, times: range) -> None:
+    # Systems are simulated by the model itself. With 400, a share of 90 % has a standard error of
+    # 1.5 %; two systems of dependent p-values are the number of measurements of one.
+    holds, widths, surprises = bands(model, times, 400)
+    assert 0.855 <= holds.mean() <= 0.945
+    assert widths.min() > 1e-6
+    first = surprises.reshape(400, -1)[:, [0, -1]]
+    assert all(stats.kstest(each, "uniform").pvalue > 0.01 for each in first.T)
+
+
+@pytest.mark.parametrize(
+    ("model", "found"),
+    [
+        (level_and_slope(0.1, 0.05), (1,)),
+        (constants(3, 0.1), (0, 1, 2)),
+        ("ungm", ()),
+        ("tumour", (1,)),
+    ],
+)
+def test_components_that_do_not_move_are_found_by_trying(
+    model: Any, found: tuple[int, ...]
+) -> None:
+    model = pfdist.load_model(model) if isinstance(model, str) else model
+    assert constants_of(model, range(21)) == found
+
+
+def test_the_drug_has_the_exact_error_afterwards() -> None:
+    # .00160 +- .00012 by a filter with moves of another program; equal weights of instants.
+    evaluator = Evaluator(DRUG, 13, lag=13)
+    times = tuple(HOURS.index(t) for t in (0.25, 0.5, 1.5, 3.0, 4.0, 20.0))
+    mse = evaluator(evaluator.work((times,), 3, 5, (0, 2000), moving(100))).mse[:, 0]
+    error = np.hypot(mse.std() / 2000**0.5, 0.00012)
+    assert abs(mse.mean() - 0.00160) <= 3 * error
+
+
+def test_the_evidence_is_nearly_unbiased() -> None:
+    # Oracle: a normal density, of which adaptive exponents miss some per cent.
+    model, copies = constants(1, 0.1), 2000
+    draws = simulate(model, 4, range(copies), 7)
+    same = replace(draws, y=np.broadcast_to(draws.y[:1], draws.y.shape).copy())
+    y = draws.y[0, 1:, 0]
+    exact = stats.multivariate_normal(cov=np.eye(4) * 0.1**2 + 1.0).logpdf(y)
+    settings = moving(100, estimator=EVIDENCE.name)
+    found = filter_checked_draws(model, same, (1, 2, 3, 4), 3, settings).mse * 5 - exact
+    assert np.exp(found).mean() == pytest.approx(1.0, abs=0.05)
+    follows = Filter(model, horizon=8)
+    for t, value in enumerate(y, 1):
+        follows.update(t, value)
+    assert follows.log_evidence == pytest.approx(exact, abs=0.5)
+
+
+# --- what is taken, and what is said --------------------------------------------------------------
+
+
+def problem(**keys: Any) -> Problem:
+    return Problem(constants(1, 0.01), **{"horizon": 20, "measurement_budget": 6} | keys)
+
+
+def test_a_plain_filter_that_has_lost_a_constant_says_so() -> None:
+    model = constants(1, 0.001)
+    plain, moved = (Filter(model, 200, proposal=each, horizon=20) for each in ("plain", "moving"))
+    with pytest.warns(PfdistWarning, match="fewer than 20 values of a constant are left at t = 1"):
+        assert plain.update(1, 0.3).collapsed == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        estimate = moved.update(1, 0.3)
+    assert estimate.collapsed is None
+    assert estimate.standard_deviation[0] == pytest.approx(0.001, rel=0.2)
+
+
+def test_auto_moves_particles_where_a_plain_filter_loses_constants() -> None:
+    sharp = problem(instant_weights=[0] * 20 + [1])
+    blunt = sharp.with_changes(model=constants(1, 5.0))
+    assert pfdist.evaluate(sharp, range(1, 7), draws=200).expected_mse < 2e-5  # exactly 1.7e-5
+    taken = [Filter(each).unmeasured.settings.proposal for each in (sharp, blunt)]
+    assert taken == [MOVING.name] * 2
+    assert Filter("random_walk").unmeasured.settings.proposal == PLAIN.name
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"engine": "kalman"}, "needs filter.engine = 'compiled' or 'numpy', got 'kalman'"),
+        ({"resample": "below 0.5"}, "needs filter.resample = 'always'"),
+    ],
+)
+def test_settings_that_do_not_go_together_are_named(keys: Any, words: str) -> None:
+    given = Problem(level_and_slope(0.1, 0.05), horizon=8, measurement_budget=3, **keys)
+    with pytest.raises(ModelError, match=words):
+        pfdist.evaluate(given.with_changes(proposal="moving"), (1, 2, 3))
