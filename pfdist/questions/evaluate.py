@@ -40,10 +40,11 @@ from pfdist.results import Gain
 from pfdist.results.columns import COLUMNS, interval_cell
 from pfdist.results.criteria import fields_over_time
 from pfdist.results.over_time import Range, profile_of
+from pfdist.results.particle_loss import lost_text
 from pfdist.runner.build import Built, build
 from pfdist.runner.comparison_phase import FEWER, LOSS_DRAWS
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.runner.particles import fewest_lines
+from pfdist.runner.particles import LOST_DRAWS, fewest_lines, lost_constants
 from pfdist.runner.progress import Progress, heard, silent
 from pfdist.runner.searches import comparing_of
 
@@ -228,6 +229,11 @@ def _evaluated(
         formatted = built.job.problem.clock.formatted
         each_set = (work.part((0, draws), [place]) for place in range(len(sets)))
         lines = [("", False) if beside else fewest_lines(evaluator, e, formatted) for e in each_set]
+        seed, own = built.job.seed, estimation
+        lost = [
+            "" if beside else lost_text(lost_constants(evaluator, times, seed, own, LOST_DRAWS))
+            for times in sets.values()
+        ]
         found = {
             name: Evaluation(
                 written_of_set,
@@ -236,10 +242,10 @@ def _evaluated(
                 scenarios=scenarios,
                 criterion=criterion,
                 degenerate=degenerate,
-                few_lines=text * is_few,
+                few_lines=" ".join(filter(None, (text * is_few, said))),
             )
-            for name, written_of_set, mse, degenerate, (text, is_few) in zip(
-                sets, written, result.mse.T.copy(), result.degenerate.T, lines, strict=True
+            for name, written_of_set, mse, degenerate, (text, is_few), said in zip(
+                sets, written, result.mse.T.copy(), result.degenerate.T, lines, lost, strict=True
             )
         }
     if profile:

@@ -10,9 +10,10 @@ from typing import Unpack
 from pfdist.common.arguments import paths_argument
 from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError, relative
+from pfdist.filters.constants import constants_of
 from pfdist.filters.engines import AUTO
 from pfdist.filters.formulas import operations_of
-from pfdist.filters.proposals import GUIDED
+from pfdist.filters.proposals import GUIDED, MOVING
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -101,10 +102,16 @@ def run(
         built = build(job, path, *others)
         if job.filter.is_automatic:
             tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
-        if job.filter.proposal == AUTO and built.job.filter.proposal == GUIDED.name:
-            less = "which loses less in the same time; a step takes about 8 times as long"
-            tell(f"filter.proposal: guided, {less}")
+        if job.filter.proposal == AUTO and (why := _WHY.get(built.job.filter.proposal)):
+            tell(f"filter.proposal: {built.job.filter.proposal}, {why}")
         return run_built(built, path, chosen, show, tell, settings, others)
+
+
+_WHY = {
+    GUIDED.name: "which loses less in the same time; a step takes about 8 times as long",
+    MOVING.name: "because a plain filter loses the constants among the components of x",
+}
+"""Reasons for the proposals that "auto" takes."""
 
 
 def run_built(
@@ -212,7 +219,7 @@ def compute(
     session.reporter.foresee(foreseen, foreseen)
     with noted(session):
         yield from drive(session)
-        _note_few_lines(built, run)
+        _note_what_is_left(built, run)
         proves = prover is not None and not _is_long(session, run, prover)
         proof = prover.steps if prover is not None and proves else 0.0
         session.reporter.foresee(proof - foreseen, -foreseen)
@@ -263,13 +270,26 @@ def _is_long(session: RunSession, run: Run, prover: Prover) -> bool:
     return minutes > PATIENCE
 
 
-def _note_few_lines(built: Built, run: Run) -> None:
-    """Keep the sentence about few lines of the best set for every answer of the run."""
-    evaluator = built.evaluator
-    if not (evaluator.lag and evaluator.has_particles):
+def _note_what_is_left(built: Built, run: Run) -> None:
+    """Keep what is left of particles for every answer of the run: of lines, and of constants."""
+    evaluator, seed = built.evaluator, built.job.seed
+    if not evaluator.has_particles:
         return
-    from pfdist.runner.particles import fewest_lines, work_of_loss  # noqa: PLC0415  needs pandas
+    from pfdist.runner.particles import (  # noqa: PLC0415  needs pandas
+        LOST_DRAWS,
+        fewest_lines,
+        lost_constants,
+        work_of_loss,
+    )
 
+    if constants_of(evaluator.believed, range(evaluator.horizon + 1)):
+        lost = {
+            name: lost_constants(evaluator, times, seed, built.comparing, LOST_DRAWS)
+            for name, times in measured_of(run).items()
+        }
+        add_to_provenance(run.path, {"lost_constants": lost})
+    if not evaluator.lag:
+        return
     times = measured_of(run)[Subject(run).by_error[0]]
     work = work_of_loss(evaluator, times, built.job.seed, built.comparing, 24)
     text, is_few = fewest_lines(evaluator, work, built.job.problem.clock.formatted)

@@ -269,6 +269,10 @@ _DECLARED = [
     Column(name="particle_loss_at_most", meaning="at least the particle loss"),
     Column(name="particle_loss_at_most_error", meaning="standard error of particle_loss_at_most"),
     Column(name="particle_loss_limit", meaning="upper 95 % limit of the particle loss"),
+    Column(
+        name="lost_constants",
+        meaning="share of draws that end with fewer than 20 values of a constant",
+    ),
     Column(name="unmeasured_mse", meaning="expected MSE of the exact filter without measurements"),
     Column(
         name="bound", error="bound_error", head="lower bound",

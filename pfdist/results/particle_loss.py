@@ -17,6 +17,7 @@ import numpy as np
 from pfdist.common.estimate import Estimate
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.filters.aspects import DISTANCE, VARIANCE
+from pfdist.filters.constants import FEW_VALUES
 from pfdist.filters.estimate import largest_share
 from pfdist.filters.proposals import MOVING
 from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
@@ -24,6 +25,8 @@ from pfdist.results.stored_run import StoredRun, on_common_draws, statistics_of
 
 SMALL, SMALL_AT_MOST = 0.01, 0.05
 """Fractions of the expected MSE: P is enough if the loss by two filters and the limit are lower."""
+LOST = 0.05
+"""A larger share of draws that lose a constant is said, and lets particles move."""
 _NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
 _NOTABLE_TOP, _HEAVY = 0.1, 0.25
 _HARDLY = 0.95  # of the error without a measurement
@@ -156,6 +159,14 @@ def particle_loss(
         _top_share(squared, variance),
         moves,
     )
+
+
+def lost_text(share: float) -> str:
+    """The sentence about draws that lose a constant; empty if they are few."""
+    return (
+        f"In {percent(share, 0)} of the draws, the filter ends with fewer than {FEW_VALUES} values "
+        'of a constant: take filter.proposal = "moving".'
+    ) * (share > LOST)
 
 
 def _top_share(squared: Array, variance: Array) -> float:

@@ -27,7 +27,7 @@ from pfdist.results.columns import COLUMNS, Results, Row, frame_of_sets
 from pfdist.results.criteria import columns_of_criteria
 from pfdist.results.evenly_spaced import columns_of_even_times
 from pfdist.results.moments import ComparisonStatistics, relative_gain
-from pfdist.results.particle_loss import hardly_measured, particle_losses_of
+from pfdist.results.particle_loss import hardly_measured, lost_text, particle_losses_of
 from pfdist.results.stored_run import (
     StoredRun,
     angles_of,
@@ -39,6 +39,7 @@ from pfdist.results.stored_run import (
     on_common_draws,
     own_estimation,
     problem_of,
+    provenance_of,
     statistics_of,
     values_of,
 )
@@ -371,11 +372,15 @@ def _add_particle_losses(
     if not losses:
         return
     unmeasured = float(run._store.rows(VARIANCE.table)["unmeasured"].to_pandas().mean())
+    lost = provenance_of(run).get("lost_constants", {})
     # A budget curve has many sets: the largest loss speaks for all.
     worst = max(losses, key=lambda name: losses[name].limit) if "budget" in run.job else ""
     for name, loss in losses.items():
         row = rows[name]
         row.add(loss.columns() | {"unmeasured_mse": unmeasured})
+        if name in lost:
+            row.add({"lost_constants": lost[name]})
+            row.warnings += [text for text in [lost_text(lost[name])] if text]
         hardly = hardly_measured(row.expected_mse, unmeasured)
         is_heavy = row.largest_share is not None and row.largest_share > HEAVY  # said already
         said = loss.large if is_heavy else loss.warning

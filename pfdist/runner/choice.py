@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from pfdist.runner.build import Built
 
 _MOST_TRIED = 200  # feasible sets, for one with a long gap
-_LOST = 0.05  # share of draws in which a plain filter loses a constant: more, and particles move
-_MOVED_DRAWS, _PILOT_DRAWS = 24, 8
+_PILOT_DRAWS = 8
 _A_CONSTANT = 20  # moved particles for each, if that is more than the usual number
 
 _choices: dict[str, dict[str, str]] = {}
@@ -138,17 +137,22 @@ def steps_a_particle(evaluator: Evaluator, times: Times, moving: Estimation) -> 
 
 def _should_move(evaluator: Evaluator, built: "Built", moving: Estimation, draws: int) -> bool:
     """Whether a plain filter loses a constant, or differs more from another for what it costs."""
-    from pfdist.runner.particles import lost_constants, work_of_loss  # noqa: PLC0415
+    from pfdist.results.particle_loss import LOST  # noqa: PLC0415
+    from pfdist.runner.particles import (  # noqa: PLC0415  needs pandas
+        LOST_DRAWS,
+        lost_constants,
+        work_of_loss,
+    )
 
     times, seed, plain = built.job.problem.feasible.regular(), built.job.seed, built.comparing
-    if lost_constants(evaluator, times, seed, plain, _MOVED_DRAWS) > _LOST:
+    if lost_constants(evaluator, times, seed, plain, LOST_DRAWS) > LOST:
         return True
     if draws == 0:
         return False
 
     def noise(own: Estimation, steps: float) -> float:
         twice = replace(own, estimator=FILTER_NOISE.name)
-        work = work_of_loss(evaluator, times, seed, twice, _MOVED_DRAWS, "proposal")
+        work = work_of_loss(evaluator, times, seed, twice, LOST_DRAWS, "proposal")
         return float(evaluator.filtered(work).mse.mean()) * own.particles * steps
 
     steps = steps_a_particle(evaluator, times, moving)

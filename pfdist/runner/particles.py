@@ -30,6 +30,7 @@ _TRIED = 480  # draws with which proposals are compared, or fewer: at most 5 % o
 _LEAST_TRIED = 24
 _TIMES_A_DRAW = 2 * 2 * (1 + 1)  # two sets, two filters in the same time
 _SHARE = 0.05
+LOST_DRAWS = 24  # of which a share is known
 _FILTERS = 4  # of a draw behind a loss
 _SECONDS = 2.0  # of draws in memory at once
 _SIZE_DRAWS = 100  # behind a mean effective sample size

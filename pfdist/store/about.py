@@ -86,6 +86,7 @@ class _Provenance(_Recorded):
     declared: dict[str, str] = {}
     unproved: str = ""
     few_lines: str = ""
+    lost_constants: dict[str, float] = {}
     on_the_way: str = ""
 
 
