@@ -12,6 +12,7 @@ import matplotlib as mpl
 from benchmarks import (
     accelerator,
     backtest,
+    constants,
     coverage,
     densities,
     driver,
@@ -45,6 +46,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "prefixes": prefixes,
     "growth": growth,
     "guided": guided,
+    "constants": constants,
     "estimators": estimators,
     "coverage": coverage,
     "backtest": backtest,

@@ -12,8 +12,6 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.twin import twin_of
 
 Array = NDArray[np.float64]
-FEW_VALUES = 20
-"""Fewer different values of a component that does not move are too few for an estimate."""
 _STATES = 16  # that are tried
 _MOST = 2000  # instants that are tried
 
@@ -29,7 +27,8 @@ def constants_of(model: StateSpaceModel, instants: range) -> tuple[int, ...]:
     It is found by trying: a step leaves them bit for bit as they were, at each instant, for random
     states and noise.
     """
-    tried = instants[: _MOST + 1]
+    lengths = (len(value) for value in model.parameters.values() if isinstance(value, tuple))
+    tried = instants[: min(_MOST + 1, *lengths, len(instants))]
     found: tuple[int, ...] = model.kept(("constants", tried), lambda: _found(model, tried))
     return found
 

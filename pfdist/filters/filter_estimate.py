@@ -13,8 +13,8 @@ from scipy.special import logsumexp, ndtr, ndtri
 from pfdist.errors import ArgumentError, shown
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
-from pfdist.filters.constants import FEW_VALUES
 from pfdist.filters.one_filter import circular_components, log_likelihood
+from pfdist.filters.proposals import FEW_VALUES
 from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
@@ -37,8 +37,8 @@ def few_particles(where: str, or_else: str = "") -> str:
     """The sentence about a filter of which few particles are left; see `FilterEstimate`."""
     return (
         "The estimate is that of a few particles, not the model's: the effective sample size falls "
-        f"below {FEW:.0f}, or fewer than {FEW_VALUES} values of a constant are left {where}. What "
-        'may help: filter.proposal = "moving" for constants, more particles, '
+        f"below {FEW:.0f} {where}, or fewer than {FEW_VALUES} values of a constant are left. What "
+        'may help: more particles, filter.proposal = "moving" for constants, '
         f"{or_else}or the engine kalman if the model is linear and Gaussian."
     )
 

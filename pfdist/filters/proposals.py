@@ -75,6 +75,8 @@ MOVING = Proposal(
     engines=(COMPILED.name, NUMPY.name), cost=100, times_beside_truth=5, takes_weights=False,
     extended_by="pfdist.moving.arrays", twin_by="pfdist.moving.plain",
 )  # fmt: skip
+FEW_VALUES: Final = 20
+"""Fewer different values of a component that does not move are too few for an estimate."""
 MOST_INSTANTS: Final = 2000
 """The largest horizon for which a choice takes particles that move: their work grows with it."""
 PROPOSALS = {each.name: each for each in (PLAIN, GUIDED, MOVING)}

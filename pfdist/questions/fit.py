@@ -19,8 +19,8 @@ from pfdist.common.section import Whole, checked
 from pfdist.common.shown import Shown
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, MeasurementsError, ModelError
-from pfdist.filters.evidence import exact_log_evidence, log_evidence
-from pfdist.filters.proposals import PLAIN
+from pfdist.filters.evidence import exact_log_evidence, log_evidence, moved_log_evidence
+from pfdist.filters.proposals import AUTO, MOVING, PLAIN
 from pfdist.kernels.variates import generator
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import repeated
@@ -35,6 +35,8 @@ from pfdist.questions.subject import number_of
 from pfdist.results.columns import records_of
 from pfdist.runner.backtesting import evaluator_for, outcomes
 from pfdist.runner.build import Built, build
+from pfdist.runner.choice import moving_of
+from pfdist.runner.filter import MOVED
 from pfdist.runner.progress import Progress, Show
 from pfdist.store import is_job_of_run
 
@@ -176,6 +178,7 @@ class _Part(NamedTuple):
     particles: int  # 0: the exact likelihood
     stream: int
     is_trial: bool  # a model that fails then explains nothing
+    moves: bool  # whether particles move
 
 
 @with_options
@@ -198,7 +201,8 @@ def fit(
 
     The log evidence of all replicates is computed by the Kalman filter for the engine "kalman", and
     else by particles with common random numbers, which are resampled in the order of their first
-    component that differs. The search is Nelder and Mead's, which needs no derivatives. It starts
+    component that differs. Where components of x do not move, particles do; see
+    docs/particles.md. The search is Nelder and Mead's, which needs no derivatives. It starts
     at the values of the job, and then at distant values until the best two results agree.
     Parameters that cannot be negative are sought on a logarithmic scale. If the table has a column
     train, only replicates with train = 1 are used, which `backtest` does not judge.
@@ -218,7 +222,7 @@ def fit(
         Largest distance from a time to the instant that is used instead, if the model's step does
         not read p.dt; by default half a step.
     particles : int, optional
-        Number of particles; by default filter.particles of the job.
+        Number of particles; by default filter.particles of the job, or 300 that move.
     evaluations : int
         Largest number of evaluations of the likelihood, without those of the profiles.
     profile : bool
@@ -243,7 +247,8 @@ def fit(
         The table is wrong, or the measurements are impossible at the start.
     """
     chosen, table = Chosen(**options), table_argument("data", data)
-    # No times are judged.
+    proposal = as_job(job, changes).filter.proposal
+    # No times are judged, so nothing is tried.
     settings = {"execution": chosen.execution, "filter": {"proposal": PLAIN.name}}
     own = as_job(job, changes, settings=settings)
     is_of_run = is_job_of_run(own.path)  # its models remember states until values arrive
@@ -278,13 +283,26 @@ def fit(
     for each in used:
         groups.setdefault(each.key, []).append(each)
     grouped = [_group(built, those, start) for those in groups.values()]
-    number = (particles or built.comparing.particles) if built.evaluator.has_particles else 0
+    moves = _moves(built, proposal)
+    usual = (
+        max(MOVED, built.job.filter.moved_particles or 0) if moves else built.comparing.particles
+    )
+    number = (particles or usual) if built.evaluator.has_particles else 0
     with (
         following(chosen.progress, chosen.say) as (show, tell),
         at_work(built.job.execution, [built.evaluator.engine], tell) as pool,
     ):
-        fitting = _Fitting(grouped, number, built.job.seed, pool, start, bounds)
+        fitting = _Fitting(grouped, number, moves, built.job.seed, pool, start, bounds)
         return fitting.fitted(evaluations, show, profile=profile)
+
+
+def _moves(built: Built, wanted: str) -> bool:
+    """Whether particles move: as the job says, or where components of x do not."""
+    evaluator = built.evaluator
+    if wanted == MOVING.name:
+        MOVING.check(evaluator.engine, evaluator.believed, carries=built.comparing.carries)
+    is_open = wanted == AUTO and not built.comparing.carries
+    return wanted == MOVING.name or (is_open and moving_of(built) is not None)
 
 
 def _group(built: Built, replicates: Sequence[Replicate], fitted: Iterable[str]) -> _Group:
@@ -314,6 +332,7 @@ class _Fitting:
 
     groups: Sequence[_Group]
     particles: int  # 0: the exact likelihood
+    moves: bool
     seed: int
     pool: Pool
     start: Mapping[str, float]
@@ -452,7 +471,8 @@ class _Fitting:
             changed, size = model.with_parameters(values), -(-len(y) // self.pool.workers)
             for first in range(0, len(y), size):
                 some = y[first : first + size]
-                parts.append(_Part(changed, some, first, self.particles, stream, is_trial))
+                how = self.particles, stream, is_trial, self.moves
+                parts.append(_Part(changed, some, first, *how))
         totals = dict(outcomes(self.pool, _evidence, parts, "the fit"))
         return math.fsum(totals.values())
 
@@ -544,7 +564,8 @@ def _evidence(part: _Part) -> float:
     try:
         if not part.particles:
             return float(exact_log_evidence(part.model, part.y).sum())
-        found = log_evidence(part.model, part.y, part.particles, part.stream, part.first)
+        given = part.model, part.y, part.particles, part.stream, part.first
+        found = moved_log_evidence(*given) if part.moves else log_evidence(*given)
         return float(found.sum())
     except ModelError:  # a formula is not finite at these values
         if part.is_trial:

@@ -17,9 +17,8 @@ import numpy as np
 from pfdist.common.estimate import Estimate
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.filters.aspects import DISTANCE, VARIANCE
-from pfdist.filters.constants import FEW_VALUES
 from pfdist.filters.estimate import largest_share
-from pfdist.filters.proposals import MOVING
+from pfdist.filters.proposals import FEW_VALUES, MOVING
 from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, on_common_draws, statistics_of
 

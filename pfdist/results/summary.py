@@ -79,7 +79,7 @@ def _parsed(content: bytes, made_of: str) -> Summary | None:
     data = parse_json(content, finite=False)
     if not made_of or data["made_of"] != made_of:
         return None
-    rows = [Row(**row) for row in data["sets"]]
+    rows = [Row(**dict.fromkeys(COLUMNS) | row) for row in data["sets"]]
     names = {row.name for row in rows}
     are_right = all(
         isinstance(getattr(row, name), _TYPES[column.dtype])

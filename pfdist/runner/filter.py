@@ -23,7 +23,7 @@ from pfdist.errors import (
     shown,
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
-from pfdist.filters.constants import FEW_VALUES, constants_of, different_values
+from pfdist.filters.constants import constants_of, different_values
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import (
     AUTO,
@@ -52,7 +52,7 @@ from pfdist.filters.one_filter import (
     checked_measurement,
     formatted_instant,
 )
-from pfdist.filters.proposals import MOST_INSTANTS, MOVING, PLAIN, PROPOSALS
+from pfdist.filters.proposals import FEW_VALUES, MOST_INSTANTS, MOVING, PLAIN, PROPOSALS
 from pfdist.filters.settings import check_filter_settings
 from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation
@@ -78,7 +78,8 @@ LAST = 32_000  # the largest horizon of a job
 # measurements is 1 %, the level of the alarm.
 SUSPICIOUS = 1e-3
 MANY = 200_000
-_UNMOVED, _MOVED = 500, 300  # particles by default, of which the second ones move
+_UNMOVED, MOVED = 500, 300
+"""Particles of the filter of one system by default, of which the second ones move."""
 LEAST = 2 / MANY  # p-values below it cannot be told apart
 
 
@@ -211,7 +212,7 @@ class Filter(Followed):
         proposal = _proposal_of(proposal, self.model, name, resample, horizon)
         moves = proposal == MOVING.name
         if particles is None:
-            particles = _MOVED if moves else _UNMOVED
+            particles = MOVED if moves else _UNMOVED
         settings = Estimation(
             particles, resampling, prior=start, threshold=threshold, proposal=proposal
         )
@@ -545,7 +546,7 @@ def settings_of_job(built: Built) -> dict[str, Any]:
     REAL_DATA.check("a real system", job)
     return {
         "model": evaluator.believed,
-        "particles": max(_MOVED, own.compared_particles) if moves else own.particles,
+        "particles": max(MOVED, own.compared_particles) if moves else own.particles,
         "proposal": MOVING.name if moves else PLAIN.name,
         "seed": job.seed,
         "resampling": job.filter.resampling,

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
-from pfdist.filters.constants import FEW_VALUES, constants_of, different_values
+from pfdist.filters.constants import constants_of, different_values
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.proposals import GUIDED, MOVING, PLAIN
+from pfdist.filters.proposals import FEW_VALUES, GUIDED, MOVING, PLAIN
 from pfdist.filters.work import Estimation, FilterWork, Result, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.results import Moments

@@ -128,7 +128,7 @@ def check(evaluator: Evaluator, settings: Estimation) -> None:
         pieces = [[*found(range(d, min(d + size, DRAWS)))] for d in range(0, DRAWS, size)]
         for arrays, parts in zip(whole, zip(*pieces, strict=True), strict=True):
             for name, array in arrays._asdict().items():
-                if array.size:
+                if array.size and name != "work":  # that of all draws
                     axis = array.shape.index(DRAWS)
                     joined = np.concatenate([getattr(part, name) for part in parts], axis)
                     assert joined.tobytes() == array.tobytes(), (name, size)

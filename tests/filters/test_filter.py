@@ -352,7 +352,7 @@ def test_a_filter_that_collapses_says_so_ever_after() -> None:
     walk, exact = Filter("random_walk", 500, seed=1), Filter("random_walk", engine="kalman")
     assert walk.update(0, 0.3).collapsed is None
     with pytest.warns(
-        PfdistWarning, match=r"few particles, not the .* below 5, .* at t = 3\. What m"
+        PfdistWarning, match=r"few particles, not the .* below 5 at t = 3, .*\. What m"
     ):
         few = walk.update(3, 60.0)
     assert (few.collapsed, walk.predict(5).collapsed) == (3, 3)

@@ -5,11 +5,22 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
+from scipy.optimize import minimize_scalar
 
 import pfdist
-from oracles.unknown import HOURS, constants, drug, level_and_slope, moving
+from oracles.unknown import (
+    GLUCOSE_MINUTES,
+    HOURS,
+    constants,
+    drug,
+    epidemic,
+    level_and_slope,
+    minimal_model,
+    moving,
+)
 from pfdist import Filter, Problem, StateSpaceModel
 from pfdist.errors import ModelError, PfdistWarning
 from pfdist.filters.constants import constants_of
@@ -45,6 +56,18 @@ def bands(model: StateSpaceModel, times: range, systems: int) -> tuple[Any, Any,
         pytest.param(constants(1, 0.05), range(1, READINGS + 1), id="constant"),
         pytest.param(drug(0.15).on_clock(HOURS), range(14), id="drug", marks=pytest.mark.slow),
         pytest.param(DRUG, range(14), id="sharp drug", marks=pytest.mark.slow),
+        pytest.param(
+            minimal_model().on_clock(GLUCOSE_MINUTES),
+            range(1, 11),
+            id="minimal",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            epidemic().on_clock(tuple(range(0, 61, 6))),
+            range(1, 11),
+            id="epidemic",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_bands_of_constants_hold_as_often_as_they_say(model: StateSpaceModel, times: range) -> None:
@@ -98,6 +121,31 @@ def test_the_evidence_is_nearly_unbiased() -> None:
     assert follows.log_evidence == pytest.approx(exact, abs=0.5)
 
 
+def test_a_fit_finds_the_spread_of_a_constant() -> None:
+    # Oracle: the normal likelihood, maximised by SciPy. Plain particles lose the constant of each
+    # system, so the spread that they find is a third too large.
+    model = constants(1, 0.05)
+    wide = replace(
+        model,
+        initial=lambda w, p: (p.spread * w[0],),
+        parameters={**model.parameters, "spread": 1.5},
+    )
+    of_job = Problem(wide, horizon=20, measurement_budget=6)
+    y = simulate(model, 20, range(20), 5).y[:, 1:6, 0]
+    table = pd.DataFrame(
+        {"system": system, "t": t, "y": value}
+        for system, row in enumerate(y) for t, value in enumerate(row, 1)
+    )  # fmt: skip
+
+    def loss(spread: float) -> float:
+        covariance = np.eye(5) * 0.05**2 + spread**2
+        return -float(stats.multivariate_normal(cov=covariance).logpdf(y).sum())
+
+    exact = minimize_scalar(loss, bounds=(0.1, 5.0), method="bounded").x
+    fitted = pfdist.fit(of_job, table, {"spread": (0.1, 5.0)}, replicate="system")
+    assert fitted.parameters["spread"] == pytest.approx(exact, rel=0.03)
+
+
 # --- what is taken, and what is said --------------------------------------------------------------
 
 
@@ -108,7 +156,9 @@ def problem(**keys: Any) -> Problem:
 def test_a_plain_filter_that_has_lost_a_constant_says_so() -> None:
     model = constants(1, 0.001)
     plain, moved = (Filter(model, 200, proposal=each, horizon=20) for each in ("plain", "moving"))
-    with pytest.warns(PfdistWarning, match="fewer than 20 values of a constant are left at t = 1"):
+    with pytest.warns(
+        PfdistWarning, match="at t = 1, or fewer than 20 values of a constant are left"
+    ):
         assert plain.update(1, 0.3).collapsed == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")

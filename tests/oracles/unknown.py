@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from pfdist import StateSpaceModel, densities, linear_gaussian
+from pfdist import StateSpaceModel, densities, linear_gaussian, ode
 from pfdist.filters.proposals import MOVING
 from pfdist.filters.work import Estimation
 
@@ -85,3 +85,68 @@ def drug(error: float) -> StateSpaceModel:
         measurement_noise=("normal",),
         normalised=True,
     )
+
+
+GLUCOSE_MINUTES = (0.0, 2.0, 4.0, 8.0, 14.0, 22.0, 30.0, 50.0, 80.0, 120.0, 180.0)
+
+
+def minimal_model() -> StateSpaceModel:
+    """Glucose and insulin after an injection of glucose (Bergman 1979): three unknown rates."""
+
+    def slopes(x: Any, t: Any, p: Any) -> Any:
+        glucose, remote, insulin = x[:3]
+        sensitivity, effectiveness, clearance = (np.exp(value) for value in x[3:])
+        secretion = 0.004 * np.maximum(glucose - 90.0, 0.0) * t
+        return (
+            -(effectiveness + remote) * glucose + effectiveness * 90.0,
+            -0.03 * (remote - sensitivity * (insulin - 8.0)),
+            -clearance * (insulin - 8.0) + secretion,
+            0.0,
+            0.0,
+            0.0,
+        )
+
+    return StateSpaceModel(
+        name="minimal model",
+        initial=lambda w, p: (
+            90.0 + 280.0 * np.exp(0.1 * w[0]), 0.0, 8.0 + 350.0 * np.exp(0.3 * w[1]),
+            np.log(5e-4) + 0.5 * w[2], np.log(0.025) + 0.3 * w[3], np.log(0.25) + 0.3 * w[4],
+        ),
+        transition=ode(slopes),
+        measurement=lambda x, t, v, p: (x[0] * np.exp(0.02 * v[0]), x[2] * np.exp(0.1 * v[1])),
+        log_likelihood=lambda y, x, t, p: (
+            densities.lognormal_logpdf(y[0], np.log(x[0]), 0.02)
+            + densities.lognormal_logpdf(y[1], np.log(x[2]), 0.1)
+        ),
+        quantity_of_interest=lambda x, t, p: (x[3],),
+        initial_noise=("normal",) * 5,
+        process_noise=(),
+        measurement_noise=("normal", "normal"),
+        normalised=True,
+    )  # fmt: skip
+
+
+def epidemic() -> StateSpaceModel:
+    """An epidemic with unknown rates of infection and of recovery, and Poisson counts."""
+
+    def expected(x: Any) -> Any:
+        return 2000.0 * x[1] + 1.0
+
+    def slopes(x: Any, t: Any, p: Any) -> Any:
+        infected, recovered = np.exp(x[2]) * x[0] * x[1], np.exp(x[3]) * x[1]
+        return -infected, infected - recovered, 0.0, 0.0
+
+    return StateSpaceModel(
+        name="epidemic of two rates",
+        initial=lambda w, p: (
+            0.99, 0.01, np.log(0.4) + 0.2 * w[0], np.log(0.15) + 0.2 * w[1],
+        ),
+        transition=ode(slopes),
+        measurement=lambda x, t, v, p: (densities.poisson_draw(v[0], expected(x)),),
+        log_likelihood=lambda y, x, t, p: densities.poisson_logpmf(y[0], expected(x)),
+        quantity_of_interest=lambda x, t, p: (x[2],),
+        initial_noise=("normal", "normal"),
+        process_noise=(),
+        measurement_noise=("uniform",),
+        normalised=True,
+    )  # fmt: skip

@@ -214,7 +214,10 @@ def test_filters_that_collapse_come_first(planned: Path) -> None:
     told = replace(found, collapsed=3)
     assert told.as_json()["collapsed"] == 3
     few = "<The estimate is that of a few particles, not the model's: the effective sample size "
-    few += "falls below 5 in 3 of 6 filters. What may help: more particles, filter.proposal = "
+    few += (
+        "falls below 5 in 3 of 6 filters, or fewer than 20 values of a constant are left. What may "
+    )
+    few += "help: more particles, filter.proposal = "
     assert repr(told).startswith(few)
 
 
