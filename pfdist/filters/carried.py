@@ -11,18 +11,20 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import CarriedLines, Cloud
 from pfdist.filters.draws import Draws
-from pfdist.filters.proposals import MOVING
+from pfdist.filters.proposals import MOST_INSTANTS, MOVING
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
+from pfdist.models import StateSpaceModel
 
 Given = ParamSpec("Given")
 _OF_INSTANTS = ("estimate", "variance", "sizes", "lines", "line_z", "line_weight")
 
 
-def carried_by(settings: Estimation) -> CarriedLines | None:
+def carried_by(settings: Estimation, model: StateSpaceModel) -> CarriedLines | None:
     """The lines that a filter continues; None if it begins them, or moves none."""
-    moves = settings.proposal == MOVING.name
-    return settings.prior.lines if moves and isinstance(settings.prior, Cloud) else None
+    if settings.proposal != MOVING.name or not isinstance(settings.prior, Cloud):
+        return None
+    return settings.prior.lines_for(model)
 
 
 def continuing(filtering: Callable[Given, FilterArrays]) -> Callable[Given, FilterArrays]:
@@ -33,12 +35,12 @@ def continuing(filtering: Callable[Given, FilterArrays]) -> Callable[Given, Filt
     def filtered(*given: Given.args, **named: Given.kwargs) -> FilterArrays:
         arguments = {**dict(zip(names, given, strict=False)), **named}
         draws, settings = cast(Draws, arguments["draws"]), cast(Estimation, arguments["settings"])
-        lines = carried_by(settings)
+        lines = carried_by(settings, cast(StateSpaceModel, arguments["model"]))
         if lines is None:
             return filtering(*given, **named)
         function: Callable[..., FilterArrays] = filtering
         found = function(**{**arguments, "draws": _since(lines, draws)})
-        return _without_earlier(found, draws.start - lines.start)
+        return _without_earlier(found, draws.start - lines.start, len(draws.instants))
 
     return filtered
 
@@ -73,7 +75,7 @@ def _measurements(lines: CarriedLines, draws: Draws) -> NDArray[np.float64]:
     return y
 
 
-def _without_earlier(found: FilterArrays, before: int) -> FilterArrays:
+def _without_earlier(found: FilterArrays, before: int, instants: int) -> FilterArrays:
     """The results without those of instants before a filter began."""
     cut = {name: array[:, before:] for name in _OF_INSTANTS if (array := getattr(found, name)).size}
     if found.log_likelihoods.size:
@@ -81,18 +83,24 @@ def _without_earlier(found: FilterArrays, before: int) -> FilterArrays:
     if found.errors.size:
         cut["errors"] = found.errors[..., before:]
     if found.measured.size:
-        sensors = found.counts.shape[2] or 1
+        sensors = found.measured.shape[1] // (before + instants)
         cut["measured"] = found.measured[:, before * sensors :]
     return found._replace(**cut)
 
 
-def carried_lines(found: FilterArrays, draws: Draws, settings: Estimation) -> CarriedLines | None:
-    """The lines behind the particles of a filter of one system; None if these do not move."""
-    if not found.noise.size:
+def carried_lines(
+    found: FilterArrays, draws: Draws, model: StateSpaceModel, settings: Estimation
+) -> CarriedLines | None:
+    """The lines behind the particles of a filter of one system.
+
+    None if these do not move, or have too many steps: from then on components stay.
+    """
+    if not found.noise.size or found.noise.shape[1] > MOST_INSTANTS + 1:
         return None
-    lines, y, start = carried_by(settings), draws.y[0], draws.start
+    lines, y, start = carried_by(settings, model), draws.y[0], draws.start
     begins = settings.prior is None
     if lines is not None:
         start, begins = lines.start, lines.begins
         y = _measurements(lines, draws)[0]
-    return CarriedLines(start, found.noise[0], found.first_states[0], y, found.counts[0], begins)
+    noise, states, counts = found.noise[0], found.first_states[0], found.counts[0]
+    return CarriedLines(start, noise, states, y, counts, begins, model)

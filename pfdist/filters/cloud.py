@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from inspect import unwrap
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import PriorError, shown
 from pfdist.kernels.variates import FILTER_INITIAL, TRUTH_INITIAL, variates
+from pfdist.models import StateSpaceModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -53,6 +55,33 @@ class CarriedLines:
     y: Array  # (t - s + 1, m): measurements
     counts: NDArray[np.uint8]  # (t - s + 1, sensors): which of them count
     begins: bool  # whether `initial` gave the states at s
+    model: StateSpaceModel  # whose noise it is, and whose likelihoods have counted
+
+    @property
+    def has_measured(self) -> bool:
+        """Whether the last instant was measured: then no other measurement may count there."""
+        return bool(self.counts[-1].any())
+
+    def fits(self, model: StateSpaceModel, t: int) -> bool:
+        """Whether a filter with a model, which begins at t, can continue the lines.
+
+        Other formulas or parameters, also of readings that come with theirs, and another clock
+        would change what has happened.
+        """
+        own = self.model
+        return (
+            len(self.noise) == t - self.start + 1
+            and own.components == model.components
+            and own.parameters == model.parameters
+            and (own.initial_noise, own.process_noise) == (model.initial_noise, model.process_noise)
+            and _formulas_of(own) == _formulas_of(model)
+        )
+
+
+def _formulas_of(model: StateSpaceModel) -> list[Any]:
+    """The formulas on which a path and its likelihood depend, as the user wrote them."""
+    likelihoods = [part.model.log_likelihood for part in model.parts]
+    return [*map(unwrap, (model.initial, model.transition, *likelihoods))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +136,10 @@ class Cloud:
                 f"a prior must have one weight for each of its {particles} particles, finite, at "
                 f"least 0, and not all 0, got {shown(weight)}"
             )
+
+    def lines_for(self, model: StateSpaceModel) -> CarriedLines | None:
+        """The lines, if a filter with this model can continue them."""
+        return self.lines if self.lines is not None and self.lines.fits(model, self.t) else None
 
     @property
     def components(self) -> int:

@@ -38,7 +38,8 @@ def few_particles(where: str, or_else: str = "") -> str:
     return (
         "The estimate is that of a few particles, not the model's: the effective sample size falls "
         f"below {FEW:.0f} {where}, or fewer than {FEW_VALUES} values of a constant are left. What "
-        'may help: more particles, filter.proposal = "moving" for constants, '
+        'may help: more particles, filter.proposal = "moving" for constants (those of a prior of '
+        "your own do not move), "
         f"{or_else}or the engine kalman if the model is linear and Gaussian."
     )
 

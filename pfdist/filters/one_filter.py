@@ -92,7 +92,9 @@ class OneFilter:
         else:
             weight = filtered.weight[0] if self.settings.carries else None
             draws, _ = self._draws(t, [] if y is None else [(t, y)])
-            prior = Cloud(t, last, weight, lines=carried_lines(filtered, draws, self.settings))
+            prior = Cloud(
+                t, last, weight, lines=carried_lines(filtered, draws, self.model, self.settings)
+            )
         measured = y is not None or (self.measured and t == self.t)
         evidence = filtered.log_likelihoods[0].sum() if filtered.noise.size else math.nan
         settings = replace(self.settings, prior=prior)

@@ -18,11 +18,6 @@ from pfdist.moving.moves import OF_CONSTANTS, OF_PATHS, Move
 
 _MOST_SAVED = 2**24  # numbers of single precision of saved lines, about
 
-_NO_LINES = CarriedLines(
-    0, np.zeros((0, 0, 0), np.float32), np.zeros((0, 0)), np.zeros((0, 0)),
-    np.zeros((0, 0), np.uint8), begins=True,
-)  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Moved:
@@ -33,6 +28,7 @@ class Moved:
     process: int  # of the process noise
     gains: Gains | None
     carried: CarriedLines | None = None  # that the filter continues
+    begins: bool = True  # whether lines begin with the initial noise
     together: int = 1
 
     def planned(self, request: FilterRequest, plan: Plan) -> Plan:
@@ -65,7 +61,7 @@ class Moved:
     ) -> tuple[Steps, int, Any]:
         """Steps that keep and move lines, and the lines."""
         instants, stride, gains = request.instants, batch.stride, self.gains
-        carried = self.carried or _NO_LINES
+        carried, nothing = self.carried, np.zeros((0, 0, 0))
         noise = instants * request.components * batch.spacious
         states = instants * request.states * stride
         events = instants * request.sensors
@@ -106,16 +102,16 @@ class Moved:
             kind=np.array([move.kind for move in self.moves]),
             scale=np.array([move.scale for move in self.moves]),
             span=np.array([move.span for move in self.moves]),
-            components=self.initial if carried.begins else 0,
+            components=self.initial if self.begins else 0,
             process=self.process,
             driven=np.zeros(1, np.int64) if gains is None else gains.driven,
             inverse=np.zeros(1) if gains is None else gains.inverse.ravel(),
             keeps_path=gains is not None,
             until=self._until,
-            columns=carried.states.shape[1],
-            carried_noise=carried.noise,
-            carried_states=carried.states,
-            carried_counts=carried.counts,
+            columns=carried.states.shape[1] if carried else 0,
+            carried_noise=carried.noise if carried else nothing.astype(np.float32),
+            carried_states=carried.states if carried else nothing,
+            carried_counts=carried.counts if carried else nothing.astype(np.uint8),
             keeps=results.noise.size > 0,
             keep=steps.keep,
             events=events,
@@ -142,7 +138,10 @@ def extension(model: StateSpaceModel, instants: range, prior: Prior | None) -> M
     found: Moved = model.kept(("moved", instants), lambda: _moved(model, instants))
     if not isinstance(prior, Cloud):
         return found
-    return replace(found, carried=prior.lines or replace(_NO_LINES, begins=False))
+    lines = prior.lines_for(model)
+    if lines is None:
+        return replace(found, begins=False)
+    return replace(found, carried=lines, begins=lines.begins)
 
 
 def _moved(model: StateSpaceModel, instants: range) -> Moved:

@@ -12,7 +12,9 @@ from pfdist.models.derivatives import pulled
 from pfdist.models.program import groups_of
 from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import Formula, trace
+from pfdist.models.twin import twin_of
 
+_TRIED = 16  # states, and instants
 _LEAST = 1e-9  # of a matrix that has an inverse: its smallest singular value over the largest
 
 
@@ -51,6 +53,8 @@ def additive_gains(model: StateSpaceModel, instants: range) -> Gains | None:
     none = {"x": [0.0] * states, "w": [0.0] * count}
     values = [np.ravel(found.values(none, t, model.parameters)) for t in steps]
     matrices = np.array(values, np.float64).reshape(len(steps), states, count)
+    if not _is_additive(model, matrices, steps):
+        return None
     driven = _driven(matrices[0])
     square = matrices[:, driven]
     sizes = np.linalg.svd(square, compute_uv=False)
@@ -58,6 +62,28 @@ def additive_gains(model: StateSpaceModel, instants: range) -> Gains | None:
         return None
     inverse = np.asarray(np.linalg.inv(square), np.float64)
     return Gains(np.array(driven, np.int64), inverse)
+
+
+def _is_additive(model: StateSpaceModel, matrices: NDArray[np.float64], steps: range) -> bool:
+    """Whether a change of noise changes x by its gains, for random states and noise.
+
+    A derivative does not show where a function jumps.
+    """
+    rng, (states, count) = np.random.default_rng(0), matrices.shape[1:]
+    x, w, change = (rng.normal(size=(n, _TRIED)) for n in (states, count, count))
+    twin = twin_of(model, range(steps[0], steps[-1] + 2))
+    for t, matrix in list(zip(steps, matrices, strict=True))[:: max(1, len(steps) // _TRIED)]:
+        with np.errstate(all="ignore"):
+            first, second = (
+                np.stack([np.broadcast_to(each, _TRIED) for each in
+                          twin.transition(tuple(x), t, tuple(noise), model.p)])
+                for noise in (w, w + change)
+            )  # fmt: skip
+        known = np.isfinite(first) & np.isfinite(second)
+        moved = np.where(known, second - first, 0.0)
+        if not np.allclose(moved, np.where(known, matrix @ change, 0.0), rtol=1e-6, atol=1e-9):
+            return False
+    return True
 
 
 def _driven(matrix: NDArray[np.float64]) -> list[int]:

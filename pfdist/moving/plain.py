@@ -151,10 +151,10 @@ def _continue(lines: _Lines, stream: int) -> int:
         return -1
     chosen = prior.chosen_for_filters(particles, draws.index, stream)
     carried = lines.moved.carried
-    x = prior.x if carried is None or not len(carried.noise) else carried.states
+    x = prior.x if carried is None else carried.states
     lines.path.append(tuple(values[chosen] for values in x))
     lines.noise.append(())
-    if carried is None or not len(carried.noise):
+    if carried is None:
         return 0
     for k, noise in enumerate(carried.noise):
         kinds = lines.model.process_noise if k else lines.model.initial_noise

@@ -15,13 +15,14 @@ from pfdist.common.measurement_times import Times, regular
 from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded
 from pfdist.errors import JobError, ModelError
+from pfdist.filters.constants import constants_of
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import BATCHED, ENGINES, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
-from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.proposals import GUIDED, MOVING, PLAIN
 from pfdist.filters.work import Estimation, FilterWork
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel, squared_error
@@ -33,13 +34,15 @@ from pfdist.models.program import Program, merged
 from pfdist.models.recorded import declarations, recorded
 from pfdist.models.twin import traced
 from pfdist.questions.measured import missing_components, normalised
-from pfdist.results.particle_loss import top_percent_share
+from pfdist.results.particle_loss import lost_text, top_percent_share
 from pfdist.runner.contract import few_draws, looked
 from pfdist.runner.likelihood import Within, likelihood
 from pfdist.runner.particles import (
+    LOST_DRAWS,
     NUMBERS,
     enough_particles,
     fewest_lines,
+    lost_constants,
     mean_effective_sizes,
     measured_loss,
     why_plain,
@@ -253,6 +256,18 @@ def _particles(evaluator: Evaluator, work: FilterWork, seconds: float) -> tuple[
     return "note", f"{text}; {found.particles:,} {few}: they lose {found.text}"
 
 
+def _constants(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
+    """How many values of constants are left to plain particles."""
+    constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
+    if not constants or work.estimation.proposal == MOVING.name:
+        return
+    names = ", ".join(f"x[{c}]" for c in constants)
+    share = lost_constants(evaluator, work.measurement_times[0], 0, work.estimation, LOST_DRAWS)
+    said = lost_text(share).replace("the filter", "a plain filter")
+    text = f"{names}: no step changes {'them' if len(constants) > 1 else 'it'}. {said}"
+    yield Check("constants", "note" if said else "ok", text.strip())
+
+
 def _guided(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
     """Compare "guided" with the choice of "auto", by its own measurement."""
     if work.estimation.proposal == GUIDED.name:
@@ -379,6 +394,7 @@ def _filtered(
     if believed.has_particle_loss:
         yield Check("particles", *_particles(believed, work, seconds_of_a_step))
         yield from _guided(believed, work)
+        yield from _constants(believed, work)
     yield Check("an evaluation", "ok", an_evaluation)
     if isinstance(model, BatchedModel) and evaluator.believed == model:
         found = _engines(evaluator, model.as_formulas, times, estimation, seconds_of_a_step)

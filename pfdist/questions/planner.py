@@ -14,7 +14,12 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import unrounded
 from pfdist.common.section import checked
 from pfdist.common.streams import stream_of
-from pfdist.errors import ArgumentError, MeasurementsError, MeasurementTimesError, shown
+from pfdist.errors import (
+    ArgumentError,
+    MeasurementsError,
+    MeasurementTimesError,
+    shown,
+)
 from pfdist.filters.cloud import Cloud, Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
@@ -30,6 +35,7 @@ from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.filter import Filter
+from pfdist.runner.online_work import affordable
 from pfdist.runner.planning import Now, Planning, Replanner, Replanning
 from pfdist.runner.searches import planning_of
 
@@ -88,17 +94,19 @@ class Planner:
         ON_THE_WAY.check("choosing times on the way", built.job, built.evaluator)
         believed, clock = built.evaluator.believed, built.job.problem.clock
         start = as_prior(prior, believed, clock.readers(), clock.instant_of_t)
-        planning = planning_of(built.job, built.evaluator.variance_is_error)
         stream = stream_of("online", built.job.seed, "planner")
         self._points = built.job.problem.points
         planned = None if times is None else self._points.checked(times, "times", "times")
         feasible = _feasible(built, planned)
-        replanner, now = Replanner(built.evaluator, feasible, planning, stream), Now(start)
         self._filter, self._built, self._heard = filter_of(built, start, draw), built, 0
+        wanted = planning_of(built.job, built.evaluator.variance_is_error)
+        planning = affordable(built, feasible, wanted)
+        replanner = Replanner(built.evaluator, feasible, planning, stream)
+        now = Now(start, self._filter.unmeasured.measured)
         self._times = self.clock  # of the filter's instants
         self._asked = -1  # the last instant of `decide`
         if planned is None:
-            first = replace(replanner, planning=first_planning(planning))
+            first = replace(replanner, planning=affordable(built, feasible, first_planning(wanted)))
             planned = first.plan(now, (), (), int(draw))
         self.rest = Replanning(replanner, planned, now, int(draw))
         """The points that were measured, those in flight, and the plan."""

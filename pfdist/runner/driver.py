@@ -26,7 +26,7 @@ from pfdist.runner.comparison_phase import (
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.evenly_spaced import scan_steps
 from pfdist.runner.information_prover import InformationProver
-from pfdist.runner.online_work import OnlineWork
+from pfdist.runner.online_work import OnlineWork, affordable
 from pfdist.runner.opponent import SHARE, best_evenly_spaced, opponent_steps
 from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover
@@ -238,7 +238,9 @@ def online_work(built: Built, plan: Times, name: str) -> OnlineWork:
         estimation=built.comparing,
         ids=("online",),
         feasible=built.feasible,
-        planning=planning_of(job, built.evaluator.variance_is_error),
+        planning=affordable(
+            built, built.feasible, planning_of(job, built.evaluator.variance_is_error)
+        ),
         planning_stream=stream_of(purpose, job.seed, "planning"),
         shown=TRAJECTORIES,
         sensors=built.evaluator.points.ways,

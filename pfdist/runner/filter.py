@@ -51,8 +51,9 @@ from pfdist.filters.one_filter import (
     checked_instant,
     checked_measurement,
     formatted_instant,
+    log_likelihood,
 )
-from pfdist.filters.proposals import FEW_VALUES, MOST_INSTANTS, MOVING, PLAIN, PROPOSALS
+from pfdist.filters.proposals import FEW_VALUES, MOVING, PLAIN, PROPOSALS
 from pfdist.filters.settings import check_filter_settings
 from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation
@@ -108,8 +109,8 @@ class Filter(Followed):
         "kalman" is exact, for models that declare themselves linear-Gaussian.
     proposal : {"auto", "plain", "moving"}, optional
         "moving" moves whole lines of particles at each measurement, so that constants are learned;
-        see docs/particles.md. "auto" (the default) takes it if components of x do not move, for a
-        horizon of at most 2,000.
+        see docs/particles.md. "auto" (the default) takes it if components of x do not move. After
+        2,000 instants they no longer move.
     prior : Cloud, Gaussian, array or DataFrame, optional
         The distribution of x(s), instead of the model's `initial`; the filter then starts at s. An
         array (n, M) holds M particles of x(0); a DataFrame has a row for each. The `cloud` of
@@ -223,7 +224,9 @@ class Filter(Followed):
                 raise formula.why
         if name == "kalman":
             matrices_of(self.model, 0)
-        super().__init__(OneFilter(self.model, settings, self.stream, draw, name))
+        lines = start.lines_for(self.model) if moves and isinstance(start, Cloud) else None
+        measured = lines is not None and lines.has_measured
+        super().__init__(OneFilter(self.model, settings, self.stream, draw, name, measured))
         self._filter, mean, variance = self.unmeasured.at(self.unmeasured.t)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
@@ -232,7 +235,7 @@ class Filter(Followed):
         self._many = replace(self.unmeasured, settings=many)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
-        tried = range(min(horizon, MOST_INSTANTS) + 1)
+        tried = range(horizon + 1)
         knows = name != "kalman" and not declared(self.model)
         self._constants = constants_of(self.model, tried) if knows else ()
         self._collapsed: int | None = None
@@ -322,7 +325,11 @@ class Filter(Followed):
             z = quantity(self.model, cloud, mean[-1])
             belief, log_density = Particles(z, np.ones(cloud.particles), moved=True), moved.evidence
         if isinstance(cloud, Cloud) and cloud.particles >= FEW_VALUES and self._constants:
-            has_lost = different_values(cloud.x, self._constants) < FEW_VALUES
+            expected = cast(Cloud, _prior(predicted))
+            possible = np.isfinite(log_likelihood(self.model, expected, measurement)).sum()
+            # Moves from few possible particles are too short to find the others.
+            lost = min(possible, different_values(cloud.x, self._constants))
+            has_lost = bool(lost < FEW_VALUES)
         now = estimate_of(
             t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed,
             has_lost=has_lost,
@@ -533,7 +540,7 @@ def _proposal_of(
     """The proposal of a filter of one system: "auto" moves particles if components of x do not."""
     if wanted != AUTO:
         return wanted
-    may_move = engine in MOVING.engines and resample == "always" and horizon <= MOST_INSTANTS
+    may_move = engine in MOVING.engines and resample == "always"
     if not may_move or declared(model) or not constants_of(model, range(horizon + 1)):
         return PLAIN.name
     return MOVING.name

@@ -11,16 +11,21 @@ from numpy.typing import NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.formulas import operations_of
 from pfdist.filters.one_filter import Followed, OneFilter
+from pfdist.filters.proposals import MOVING, PLAIN
 from pfdist.filters.strategy import follow
 from pfdist.filters.work import FilterWork, Result
 from pfdist.models import StateSpaceModel
 from pfdist.problem.feasible import Feasible
+from pfdist.runner.build import Built
 from pfdist.runner.planning import Now, Planning, Replanner, Replanning
+from pfdist.runner.searches import planning_of
 
 # A step of a plan takes longer than a step of the comparison: measurements are near each other,
 # particles are few, and the search itself takes time.
 _SLOWER = 2.0
+_MOST_OPERATIONS = 60 * 4e9  # of a plan with moved particles: a core does 4e9 in a second, about
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +91,25 @@ def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArra
     for part in (model.parts[model.points.way(time)] for time in times):
         measured[part.y] = y[part.y]
     return measured
+
+
+def affordable(built: Built, feasible: Feasible, planning: Planning) -> Planning:
+    """The planning of what is left, with plain particles if a plan with moved ones takes too long.
+
+    A minute of one core is too long, by counted work.
+    """
+    own, evaluator = built.job.filter, built.evaluator
+    if planning.estimation.proposal != MOVING.name:
+        return planning
+    sets = planning.optimiser(feasible).evaluations * planning.draws
+    steps = sets * (feasible.horizon + 1) * planning.estimation.steps_an_instant
+    operations = operations_of(evaluator.believed, range(evaluator.horizon + 1))
+    if steps * operations <= _MOST_OPERATIONS:
+        return planning
+    filtered = own.chosen(PLAIN.name, own.particles, None, 1.0)
+    job = built.job.model_copy(update={"filter": filtered})
+    plain = planning_of(job, evaluator.variance_is_error).estimation
+    return replace(planning, estimation=plain)
 
 
 @lru_cache(maxsize=4)

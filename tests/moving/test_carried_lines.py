@@ -4,11 +4,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import pfdist
 from oracles.three_sensors import ThreeSensors
 from oracles.unknown import constants, level_and_slope, moving
-from pfdist import StateSpaceModel
+from pfdist import Filter, Problem, StateSpaceModel
+from pfdist.densities import normal_logpdf
+from pfdist.errors import MeasurementsError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.interface import EACH_DRAW
@@ -87,3 +91,70 @@ def test_particles_of_a_user_do_not_move_but_later_noise_does() -> None:
     assert np.allclose(found.cloud, twin.cloud, rtol=1e-8)
     assert np.isin(found.cloud[:, 1], x[1]).all()
     assert np.unique(found.cloud[0, 0]).size == 48
+
+
+# --- lines that do not fit ------------------------------------------------------------------------
+
+
+def a_cloud(model: StateSpaceModel, t: int = 4) -> Cloud:
+    """The cloud of a filter with two measurements."""
+    y = simulate(model, 12, range(1), 7).y[0]
+    cloud = followed(model, [(2, y[2]), (t, y[t])], "compiled").settings.prior
+    assert isinstance(cloud, Cloud)
+    return cloud
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda model, cloud: (model.with_parameters({"factor_0": (2.0,) * 21}), cloud),
+        lambda model, cloud: (
+            replace(model, initial=lambda w, p: tuple(2.0 * e for e in w)),
+            cloud,
+        ),
+        lambda model, cloud: (model, replace(cloud, t=6)),
+    ],
+    ids=["parameters", "formula", "clock"],
+)
+def test_lines_of_another_system_or_clock_are_left_out(change: Any) -> None:
+    # Their noise would give other paths, and other numbers of steps lie outside of arrays.
+    model, cloud = change(constants(2, 0.05), a_cloud(constants(2, 0.05)))
+    draws = simulate(model, 12, range(4), 11, cloud)
+    settings = moving(48, prior=cloud)
+    found = filter_checked_draws(model, draws, (8, 12), 5, settings, True)
+    without = replace(settings, prior=replace(cloud, lines=None))
+    alone = filter_checked_draws(model, draws, (8, 12), 5, without, True)
+    assert np.array_equal(found.estimate, alone.estimate)
+    assert np.isin(found.cloud[:, 0], cloud.x[0]).all()
+
+
+def test_an_instant_that_lines_have_measured_is_not_measured_again() -> None:
+    model = level_and_slope(0.1, 0.05)
+    first = Filter(model, seed=1, horizon=12)
+    first.update(3, 0.5)
+    second = Filter(model, seed=1, horizon=12, prior=first.cloud)
+    assert np.array_equal(second.now.mean, first.now.mean)
+    with pytest.raises(MeasurementsError, match="t must be after 3, got 3"):
+        second.update(3, 0.7)
+    first.update(5, 0.9)
+    assert np.array_equal(second.update(5, 0.9).mean, first.now.mean)
+
+
+def test_a_table_off_the_clock_is_planned_from_particles_without_lines() -> None:
+    # The filter has an instant for each time of the table, so its lines have other steps.
+    model = StateSpaceModel(
+        name="decay",
+        initial=lambda w, p: (1.0 + 0.3 * w[0], -1.0 + 0.3 * w[1]),
+        transition=lambda x, t, w, p: (x[0] * np.exp(-np.exp(x[1]) * p.dt[t]), x[1]),
+        measurement=lambda x, t, v, p: (x[0] + 0.05 * v[0],),
+        log_likelihood=lambda y, x, t, p: normal_logpdf(y[0], x[0], 0.05),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal", "normal"),
+        process_noise=(),
+        measurement_noise=("normal",),
+    )
+    problem = Problem(model, horizon=12, time_step=0.5, time_unit="h", measurement_budget=4)
+    table = pd.DataFrame({"t": [0.1, 0.3, 0.35, 0.8, 1.7], "y": [0.9, 0.9, 0.8, 0.7, 0.5]})
+    found = pfdist.next_time(problem, table)
+    assert found.now == pytest.approx(1.7, abs=0.5)
+    assert found.expected.expected_mse < 0.1
