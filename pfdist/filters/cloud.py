@@ -1,5 +1,6 @@
 """Distributions of x(s) from which draws and filters start at s, instead of `initial`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from inspect import unwrap
@@ -65,17 +66,25 @@ class CarriedLines:
     def fits(self, model: StateSpaceModel, t: int) -> bool:
         """Whether a filter with a model, which begins at t, can continue the lines.
 
-        Other formulas or parameters, also of readings that come with theirs, and another clock
-        would change what has happened.
+        Other formulas, another clock, or other parameters until then, also of readings that come
+        with theirs, would change what has happened.
         """
         own = self.model
         return (
             len(self.noise) == t - self.start + 1
             and own.components == model.components
-            and own.parameters == model.parameters
+            and _until(t, own.parameters) == _until(t, model.parameters)
             and (own.initial_noise, own.process_noise) == (model.initial_noise, model.process_noise)
             and _formulas_of(own) == _formulas_of(model)
         )
+
+
+def _until(t: int, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters up to an instant; values of later readings may still come."""
+    return {
+        name: value[: t + 1] if isinstance(value, tuple) else value
+        for name, value in parameters.items()
+    }
 
 
 def _formulas_of(model: StateSpaceModel) -> list[Any]:

@@ -41,7 +41,7 @@ FAULTS = {"ended": Ended, "ENOSPC": StoreError, "EIO": StoreError}
 faults = pytest.mark.parametrize(
     "fault", ["ended", *(pytest.param(each, marks=pytest.mark.crash) for each in ("ENOSPC", "EIO"))]
 )
-LAST = 8  # operations, by which a run keeps its summary; it is as good without one
+LAST = 12  # operations, by which a run keeps its summary; it is as good without one
 SAYS = r"cannot (write|remove|move|lock) [^\n]*: (No space left on device|Input/output error);"
 SAYS += r" finished work is saved, run the same command again once this is fixed$"
 
