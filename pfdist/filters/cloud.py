@@ -69,20 +69,20 @@ class CarriedLines:
         Other formulas, another clock, or other parameters until then, also of readings that come
         with theirs, would change what has happened.
         """
-        own = self.model
+        own, known = self.model, t + self.has_measured  # instants whose parameters have counted
         return (
             len(self.noise) == t - self.start + 1
             and own.components == model.components
-            and _until(t, own.parameters) == _until(t, model.parameters)
+            and _of_first(known, own.parameters) == _of_first(known, model.parameters)
             and (own.initial_noise, own.process_noise) == (model.initial_noise, model.process_noise)
             and _formulas_of(own) == _formulas_of(model)
         )
 
 
-def _until(t: int, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters up to an instant; values of later readings may still come."""
+def _of_first(instants: int, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of the first instants; values of later readings may still come."""
     return {
-        name: value[: t + 1] if isinstance(value, tuple) else value
+        name: value[:instants] if isinstance(value, tuple) else value
         for name, value in parameters.items()
     }
 
