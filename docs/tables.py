@@ -417,6 +417,36 @@ def guided() -> str:
     return _table(head, rows)
 
 
+def constants() -> str:
+    """Give the table of particle-steps that unknown constants need, from their benchmark."""
+    table = pd.read_csv(BENCHMARKS / "constants.csv", comment="#")
+    proposals = [*dict.fromkeys(table["proposal"])]
+    rows = list[list[str]]()
+    for system, own in table.groupby("system", sort=False):
+        cells = list[str]()
+        for proposal in proposals:
+            tried = own[own["proposal"] == proposal]
+            if not len(tried):
+                cells.append("not possible")
+                continue
+            last = tried.iloc[-1]
+            steps = f"{last['steps']:,.0f} ({last['particles']:,.0f})"
+            is_enough = last["excess"] + last["excess_error"] < 0.05
+            cells.append(steps if is_enough else f"{100 * last['excess']:+,.0f} % with {steps}")
+        rows.append([str(system), *cells])
+    return _table(["system", *proposals], rows)
+
+
+def static() -> str:
+    """Give the table of static posteriors, from their benchmark."""
+    table = pd.read_csv(BENCHMARKS / "static.csv", comment="#")
+    rows = [
+        [row["program"], f"{row['particles']:,}", f"{row['excess']:.3f}", f"{row['ms']:.1f}"]
+        for _, row in table.iterrows()
+    ]
+    return _table(["program", "particles", "excess", "ms a posterior"], rows)
+
+
 def size() -> str:
     """Give the table of the time and memory of large problems, from their benchmark."""
     rows = list[list[str]]()
@@ -578,7 +608,7 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, backtest, guided, size, seconds_of_plan,
+        gallery, genetic, stone_soup, backtest, guided, constants, static, size, seconds_of_plan,
         ways, driver, searches, robust, rules, engines, schemes, commands, figures,
         densities, needs,
     )

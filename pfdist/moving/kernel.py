@@ -62,7 +62,7 @@ from pfdist.moving.moves import INDEPENDENT, SUM, WALK, derived
 MOVED, ACCEPTED, PLACED = np.arange(8, 11)
 """Roles of the noise of moves; see `pfdist.kernels.variates`."""
 
-KEPT = 0.5
+EFFECTIVE = 0.5
 """Share of the particles that an exponent keeps effective."""
 HALVINGS, BISECTIONS, MOST = np.int64(100), np.int64(10), np.int64(300)
 """Steps of the search for an exponent, and exponents of a measurement, at most."""
@@ -158,7 +158,7 @@ def begin(instant):
         return
     call(own.begin, instant)
     own.now[0], own.now[1], own.now[2], own.now[3] = 0, 0, -1, 0
-    _keep(instant.at, np.int64(0), own.components)
+    _note_step(instant.at, np.int64(0), own.components)
 
 
 @compiled
@@ -208,11 +208,11 @@ def move(instant):
         return
     call(own.move, instant)
     instant.at.work.results.work[0] += instant.at.work.request.particles
-    _keep(instant.at, instant.t, own.process)
+    _note_step(instant.at, instant.t, own.process)
 
 
 @compiled
-def _keep(at, t, count):
+def _note_step(at, t, count):
     own, request, batch = _own(at.work.own), at.work.request, at.work.batch
     copy_numbers(batch.noise, _noise(at, own.noise, t), count * batch.spacious)
     copy_numbers(present(at), _path(at, own.path, t), request.states * batch.stride)
@@ -422,26 +422,26 @@ def _weigh(at, exponent):
 
 
 @compiled
-def _keeps(at, exponent):
+def _is_effective(at, exponent):
     total, batch = _weigh(at, exponent), at.work.batch
     squares = sum_of_squares(batch.weight, np.int64(0), batch.width)
-    return total * total >= KEPT * at.work.request.particles * squares
+    return total * total >= EFFECTIVE * at.work.request.particles * squares
 
 
 @compiled
 def _exponent(at, most):
     """The largest exponent, to three digits, that keeps half of the particles effective."""
-    if _keeps(at, most):
+    if _is_effective(at, most):
         return most
     low = 0.5 * most
     for _ in range(HALVINGS):
-        if _keeps(at, low):
+        if _is_effective(at, low):
             break
         low *= 0.5
     high = 2.0 * low
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if _keeps(at, middle):
+        if _is_effective(at, middle):
             low = middle
         else:
             high = middle
@@ -524,7 +524,7 @@ def _move(measurement, k):
             last = t
             _keep_path(at, t)
     else:
-        first, last = _block(at, t, stream, k)
+        first, last = _stretch(at, t, stream, k)
         if first > last:
             return
         _propose_process(at, stream, first, last, own.scale[k], kind == SUM)
@@ -657,7 +657,7 @@ def _keep_path(at, t):
 
 
 @compiled
-def _block(at, t, stream, k):
+def _stretch(at, t, stream, k):
     """The first and the last step that a move of process noise changes; none if first > last."""
     own = _own(at.work.own)
     none = np.int64(1), np.int64(0)

@@ -227,19 +227,19 @@ def _weights(likelihood: Array, exponent: Array) -> Array:
 def _exponent(likelihood: Array, most: Array) -> Array:
     """The largest exponents, to three digits, that keep half of the particles effective."""
 
-    def keeps(exponent: Array) -> Flags:
+    def is_effective(exponent: Array) -> Flags:
         weight = _weights(likelihood, exponent)
         total, squares = weight.sum(axis=1), np.sum(weight**2, axis=1)
-        kept: Flags = total * total >= kernel.KEPT * likelihood.shape[1] * squares
-        return kept
+        found: Flags = total * total >= kernel.EFFECTIVE * likelihood.shape[1] * squares
+        return found
 
-    whole, low = keeps(most), 0.5 * most
+    whole, low = is_effective(most), 0.5 * most
     for _ in range(kernel.HALVINGS):
-        low = np.where(keeps(low), low, 0.5 * low)
+        low = np.where(is_effective(low), low, 0.5 * low)
     high = 2.0 * low
     for _ in range(kernel.BISECTIONS):
         middle = 0.5 * (low + high)
-        kept = keeps(middle)
+        kept = is_effective(middle)
         low, high = np.where(kept, middle, low), np.where(kept, high, middle)
     return np.where(whole, most, low)
 
@@ -362,7 +362,7 @@ def _process(lines: _Lines, k: int, move: Move, stream: int) -> list[States] | N
     kinds, steps = lines.model.process_noise, np.arange(1, k + 1)[:, None]
     if not k or not kinds or (move.kind == SUM and k < 2):
         return None
-    changes = _block(lines, k, move, stream, steps)  # (k, D)
+    changes = _stretch(lines, k, move, stream, steps)  # (k, D)
     number = changes.sum(axis=0)[:, None]
     found = list[list[Array]]()
     for c, kind in enumerate(kinds):
@@ -388,7 +388,7 @@ def _added(values: Array) -> Array:
     return total
 
 
-def _block(lines: _Lines, k: int, move: Move, stream: int, steps: NDArray[np.intp]) -> Flags:
+def _stretch(lines: _Lines, k: int, move: Move, stream: int, steps: NDArray[np.intp]) -> Flags:
     """Whether each step changes in each draw, (k, D)."""
     instants = np.zeros((k, len(lines.draws.index)), np.bool_)
     for at, _, counts, _ in lines.events:
