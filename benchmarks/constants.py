@@ -41,8 +41,8 @@ ENOUGH = 0.05  # of the exact error
 _DRAWS, _EXACT = 400, 1000
 _NUMBERS = {PLAIN.name: (250, 2**17), GUIDED.name: (250, 2**15), MOVING.name: (25, 1600)}
 _COLORS = {PLAIN.name: RED, GUIDED.name: GREEN, MOVING.name: BLUE}
-_SENSOR, _READINGS = 0.05, 8
-_OWN, _OF_PEER = (100, 300), (4000, 16_000)  # particles; with fewer, covariances are singular
+_SENSOR, _READINGS = 0.2, 8  # sharper ones make covariances of IBIS singular
+_OWN, _OF_PEER = (100, 300), (4000, 16_000)  # particles
 
 
 @dataclass(frozen=True)

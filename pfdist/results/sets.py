@@ -244,6 +244,7 @@ def _add_results(run: StoredRun, rows: dict[str, Row], statistics: ComparisonSta
     _add_typical_errors(run, rows)
     _add_search_errors(run, rows)
     _add_particle_losses(run, rows, statistics)
+    _add_lost_constants(run, rows)
 
 
 def _add_typical_errors(run: StoredRun, rows: dict[str, Row]) -> None:
@@ -372,20 +373,22 @@ def _add_particle_losses(
     if not losses:
         return
     unmeasured = float(run._store.rows(VARIANCE.table)["unmeasured"].to_pandas().mean())
-    lost = provenance_of(run).get("lost_constants", {})
     # A budget curve has many sets: the largest loss speaks for all.
     worst = max(losses, key=lambda name: losses[name].limit) if "budget" in run.job else ""
     for name, loss in losses.items():
         row = rows[name]
         row.add(loss.columns() | {"unmeasured_mse": unmeasured})
-        if name in lost:
-            row.add({"lost_constants": lost[name]})
-            row.warnings += [text for text in [lost_text(lost[name])] if text]
         hardly = hardly_measured(row.expected_mse, unmeasured)
         is_heavy = row.largest_share is not None and row.largest_share > HEAVY  # said already
         said = loss.large if is_heavy else loss.warning
         warnings = [said, hardly if name in statistics.gains else ""]
         row.warnings += [text for text in warnings if text and worst in ("", name)]
+
+
+def _add_lost_constants(run: StoredRun, rows: dict[str, Row]) -> None:
+    for name, share in provenance_of(run).get("lost_constants", {}).items():
+        rows[name].add({"lost_constants": share})
+        rows[name].warnings += [text for text in [lost_text(share)] if text]
 
 
 def best_first(sets: Sequence[Row]) -> list[str]:

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.proposals import MOVING, PLAIN
 from pfdist.filters.simulation import simulate
 from pfdist.kernels.estimators import EVIDENCE
+from pfdist.runner import online_work
 
 READINGS = 8
 DRUG = drug(0.03).on_clock(HOURS)
@@ -187,3 +189,26 @@ def test_settings_that_do_not_go_together_are_named(keys: Any, words: str) -> No
     given = Problem(level_and_slope(0.1, 0.05), horizon=8, measurement_budget=3, **keys)
     with pytest.raises(ModelError, match=words):
         pfdist.evaluate(given.with_changes(proposal="moving"), (1, 2, 3))
+
+
+def test_the_share_of_draws_that_lose_a_constant_is_a_column_and_said(tmp_path: Path) -> None:
+    plain = problem(proposal="plain", particles=100)
+    evaluation = pfdist.evaluate(plain, range(1, 7), draws=50)
+    assert "of the draws, the filter ends with fewer than 20 values" in evaluation.few_lines
+    job = plain.job(comparison={"draws": 50, "sets": {"early": [1, 2, 3]}}, search=[])
+    run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
+    assert (run.table("sets")["lost_constants"] > 0.5).all()
+    assert 'take filter.proposal = "moving"' in str(run)
+
+
+def test_a_plan_on_the_way_that_would_take_too_long_keeps_plain_particles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    of_job = Problem(level_and_slope(0.1, 0.05), horizon=12, measurement_budget=3)
+    proposals = list[str]()
+    for most in (online_work._MOST_OPERATIONS, 1.0):
+        monkeypatch.setattr(online_work, "_MOST_OPERATIONS", most)
+        planner = pfdist.Planner(of_job, (2, 6, 10))
+        proposals.append(planner.rest.replanner.planning.estimation.proposal)
+        assert planner._filter.unmeasured.settings.proposal == MOVING.name
+    assert proposals == [MOVING.name, PLAIN.name]
