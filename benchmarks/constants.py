@@ -201,7 +201,8 @@ def plot(tables: Tables) -> Figure:
     table = tables["constants"]
     names = [*dict.fromkeys(table["system"])]
     figure = Figure(figsize=(2 * COLUMN_INCHES, 1.6 * COLUMN_INCHES), layout="constrained")
-    for axes, name in zip(figure.subplots(2, 3, sharex=True, sharey=True).flat, names, strict=False):
+    panels = figure.subplots(2, 3, sharex=True, sharey=True)
+    for axes, name in zip(panels.flat, names, strict=False):
         for proposal, color in _COLORS.items():
             rows = table[(table["system"] == name) & (table["proposal"] == proposal)]
             axes.plot(rows["steps"], 100 * rows["excess"], "o-", ms=3, color=color, label=proposal)
