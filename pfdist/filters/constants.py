@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_of
 from pfdist.filters.draws import noise_of
+from pfdist.filters.proposals import MOST_INSTANTS
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS
 from pfdist.models import StateSpaceModel
 from pfdist.models.twin import twin_of
 
 Array = NDArray[np.float64]
 _STATES = 16  # that are tried
-_MOST = 2000  # instants that are tried
 
 
 def different_values(x: Array, constants: tuple[int, ...]) -> int:
@@ -28,7 +28,7 @@ def constants_of(model: StateSpaceModel, instants: range) -> tuple[int, ...]:
     states and noise.
     """
     lengths = (len(value) for value in model.parameters.values() if isinstance(value, tuple))
-    tried = instants[: min(_MOST + 1, *lengths, len(instants))]
+    tried = instants[: min(MOST_INSTANTS + 1, *lengths, len(instants))]
     found: tuple[int, ...] = model.kept(("constants", tried), lambda: _found(model, tried))
     return found
 

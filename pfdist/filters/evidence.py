@@ -82,12 +82,9 @@ def moved_log_evidence(
     Adaptive exponents bias the mean evidence by some per cent, and the mean log evidence by more.
     """
     count, instants, _ = y.shape
-    evidence, points = (
-        np.full(count, -np.inf),
-        np.stack([~np.isnan(y[:, :, part.y]).all(axis=2) for part in model.parts], axis=2).reshape(
-            count, -1
-        ),
-    )
+    evidence = np.full(count, -np.inf)
+    measured = [~np.isnan(y[:, :, part.y]).all(axis=2) for part in model.parts]
+    points = np.stack(measured, axis=2).reshape(count, -1)
     settings = Estimation(particles, SYSTEMATIC.name, EVIDENCE.name, proposal=MOVING.name)
     x, z = np.empty((1, 0, 0)), np.zeros((1, instants, model.components[2]))
     for row in range(count):  # each has its own times

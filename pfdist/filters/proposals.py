@@ -35,8 +35,8 @@ class Proposal:
         """Raise `ModelError` if an engine does not know it, or a filter wrongly carries weights."""
         if carries and not self.takes_weights:
             raise ModelError(
-                f"filter.proposal = {self.name!r} needs filter.resample = 'always': its particles "
-                "have equal weights"
+                f"filter.proposal = {self.name!r} needs filter.resample = 'always', got "
+                "'below ...': its particles have equal weights"
             )
         if not self.engines or engine in self.engines:
             return
