@@ -18,7 +18,6 @@ class Proposal:
     """A proposal."""
 
     name: str  # as job files name it
-    description: str  # in one line, for help and manual
     engines: tuple[str, ...] = ()  # that know it; none: all
     cost: int = 1  # plain particle-steps in the time of one; see docs/benchmarks.md
     # that of a filter with the truth among its particles, and how many times as many it has
@@ -65,13 +64,13 @@ class Proposal:
         return import_module(self.twin_by).filter_block if self.twin_by else None
 
 
-PLAIN = Proposal("plain", "Noise is drawn from the model.")
+PLAIN = Proposal("plain")  # noise is drawn from the model
 GUIDED = Proposal(
-    "guided", "Noise since the last measurement is drawn again when the next one is known.",
+    "guided",  # noise since the last measurement is drawn again when the next one is known
     engines=(COMPILED.name,), cost=8, beside_truth="guided",
 )  # fmt: skip
 MOVING = Proposal(
-    "moving", "Whole lines of particles take Metropolis steps at each measurement.",
+    "moving",  # whole lines of particles take Metropolis steps at each measurement
     engines=(COMPILED.name, NUMPY.name), cost=100, times_beside_truth=5, takes_weights=False,
     extended_by="pfdist.moving.arrays", twin_by="pfdist.moving.plain",
 )  # fmt: skip
