@@ -42,7 +42,7 @@ def budget_section(subject: Subject) -> Section | None:
         *_target(subject),
         Figures(["budget"]),
         Table("Expected MSE ± standard error", head, _cells(rows)),
-        *subject.heavy_tail,
+        *subject.notes,
         *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
         *_worse(rows),
         all_sets(subject),

@@ -78,7 +78,7 @@ def compared(subject: Subject) -> Section | None:
     blocks: list[Block] = [
         *([Text(best, prominent=True)] if best else []),
         without_empty_columns(sets),
-        *([] if subject.found_rows else subject.heavy_tail),  # else the answer has it
+        *([] if subject.found_rows else subject.notes),  # else the answer has it
         Text(_SETS_MEANING, detail=True),
         Figures(["compared"] if subject.found_rows else ["system", "compared"]),
         Table("Pairs of sets", _PAIRS_HEAD, rows, detail=True, optional=_PAIRS_HEAD[:-3:-1]),

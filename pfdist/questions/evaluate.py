@@ -338,6 +338,7 @@ class Evaluated:
     limits: Collection[ErrorBeside] = ()  # those of `beside` that are upper limits
     form: Criterion = MEAN  # what the job minimises
     criteria: Mapping[str, OtherCriterion] = field(default_factory=dict)  # also wanted
+    taken: str = ""  # the filter's proposal, if the job leaves it open
 
     def as_json(self) -> dict[str, Any]:
         """The estimates of each set, or of the one that has no name."""
@@ -380,7 +381,8 @@ class Evaluated:
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
         heavy = heavy_tail_warning(each.largest_share for each in self.evaluations.values())
-        texts = [Text(f"{said}.", prominent=True), *([Text(heavy)] if heavy else [])]
+        notes = filter(None, [f"{self.taken}." * bool(self.taken), heavy])
+        texts = [Text(f"{said}.", prominent=True), *map(Text, notes)]
         section = Section("", [*texts, *tables])
         doubts = ((name, each.alarm) for name, each in self.evaluations.items())
         alarms = [f"{name}: " * bool(name) + f"{text}." for name, text in doubts if text]
@@ -515,7 +517,10 @@ def evaluated(
     about = loaded.problem, broken, [each.parameters for each in scenarios]
     judged_by = built.job.criterion, built.job.other_criteria
     limits = [*filter(built.evaluator.is_limit, errors)]
-    return Evaluated(evaluations, beside, *about, seconds, _quantity(built), limits, *judged_by)
+    return Evaluated(
+        evaluations, beside, *about, seconds, _quantity(built), limits, *judged_by,
+        taken=built.taken,
+    )  # fmt: skip
 
 
 def _text_of(evaluation: Evaluation) -> str:

@@ -39,8 +39,9 @@ from pfdist.questions.subject import mse_cell, number_of
 from pfdist.results import Run, finite
 from pfdist.results.online import is_online
 from pfdist.results.pairs import pairs_table
+from pfdist.results.particle_loss import lost_text
 from pfdist.results.sets import best_first, rows_of_sets
-from pfdist.results.stored_run import check_one_number, measured_of
+from pfdist.results.stored_run import check_one_number, measured_of, provenance_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch, complete
 from pfdist.runner.driver import core_steps
@@ -92,6 +93,8 @@ class Ruled(Shown):
         The unit of the standard deviation of z; empty if it is not known, or if there is none.
     finer : Estimate, optional
         How much more the rule spends on average with four times the particles, on the same draws.
+    lost_constants : float
+        The share of draws in which the filter ends with few values of a constant.
     figures : list of Path
     """
 
@@ -106,6 +109,7 @@ class Ruled(Shown):
     bound: Estimate | None
     unit: str
     finer: Estimate | None = None
+    lost_constants: float = 0.0
     figures: Sequence[Path] = ()
 
     @property
@@ -249,6 +253,8 @@ class Ruled(Shown):
                 f"With {MORE} times the particles the rule spends {finer.text} {self.what} on "
                 "average: its thresholds fit this number of particles."
             )
+        if copies := lost_text(self.lost_constants):
+            warnings.append(f"{copies} There a deviation of 0 is that of copies, and the rule ends.")
         if few:
             warnings += [f"In {few:,} draws, no particle explains a measurement of the rule."]
         return Page("", "", [Section("", blocks)], warnings)
@@ -370,10 +376,11 @@ def _judge(
         name: float(feasible.price_of(measured[name])) if name in measured else feasible.budget
         for name in labels
     }
-    criterion = built.job.criterion
+    lost = provenance_of(run).get("lost_constants", {}).get(plan, 0.0)
     return Ruled(
-        run.path, own, feasible, criterion, plan, table, labels, numbers, bound, unit, finer
-    )
+        run.path, own, feasible, built.job.criterion, plan, table, labels, numbers, bound, unit,
+        finer, lost,
+    )  # fmt: skip
 
 
 def _with_more_particles(

@@ -11,9 +11,8 @@ from pfdist.common.arguments import paths_argument
 from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.constants import constants_of
-from pfdist.filters.engines import AUTO
 from pfdist.filters.formulas import operations_of
-from pfdist.filters.proposals import GUIDED, MOVING
+from pfdist.filters.proposals import GUIDED
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -102,16 +101,9 @@ def run(
         built = build(job, path, *others)
         if job.filter.is_automatic:
             tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
-        if job.filter.proposal == AUTO and (why := _WHY.get(built.job.filter.proposal)):
-            tell(f"filter.proposal: {built.job.filter.proposal}, {why}")
+        if built.taken:
+            tell(built.taken)
         return run_built(built, path, chosen, show, tell, settings, others)
-
-
-_WHY = {
-    GUIDED.name: "which loses less in the same time; a step takes about 8 times as long",
-    MOVING.name: "because a plain filter loses the constants among the components of x",
-}
-"""Reasons for the proposals that "auto" takes."""
 
 
 def run_built(

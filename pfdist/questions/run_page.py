@@ -194,7 +194,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     if subject.job_reference == REGULAR and not has_even_sets(problem.feasible):
         yield Text("No evenly spaced times include all required ones.")
     yield from (Text(each, prominent=True) for each in beside_given_sets(subject, row))
-    yield from subject.heavy_tail
+    yield from subject.notes
     for error in subject.beside:
         yield from _beside(subject, row, error)
     if others := len(subject.found_rows) - 1:

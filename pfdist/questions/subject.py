@@ -96,10 +96,11 @@ class Subject:
         return {name: row for name, row in self.rows.items() if row.kind == FOUND}
 
     @cached_property
-    def heavy_tail(self) -> list[Text]:
-        """A line beside errors whose intervals are too short, or nothing."""
-        text = heavy_tail_warning(row.largest_share for row in self.rows.values())
-        return [Text(text)] if text else []
+    def notes(self) -> list[Text]:
+        """Lines beside errors: the filter's proposal and why, and intervals that are too short."""
+        taken = provenance_of(self.run).get("taken", "")
+        heavy = heavy_tail_warning(row.largest_share for row in self.rows.values())
+        return [Text(text) for text in (f"{taken}." * bool(taken), heavy) if text]
 
     @cached_property
     def alarms(self) -> list[str]:

@@ -44,7 +44,7 @@ def why_page(subject: Subject, frames: Frames) -> Page:
     frames : mapping of str to DataFrame
         profile, worth and sampling_windows, as `pfdist.questions.why.Why` has them.
     """
-    tables = [*_tables(subject, frames), *subject.heavy_tail]
+    tables = [*_tables(subject, frames), *subject.notes]
     section = Section("", [*tables, _meaning(subject)])
     said, place = _extremes(subject, frames), str(subject.run.path)
     return Page("", said, [section], place=place, alarms=subject.alarms)

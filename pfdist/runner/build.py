@@ -13,9 +13,10 @@ from pfdist.common.component_names import Component
 from pfdist.common.nearest import must_be
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
 from pfdist.filters.constants import constants_of
-from pfdist.filters.engines import AUTO, BATCHED, COMPILED, WITHOUT_FMA
+from pfdist.filters.engines import AUTO as AUTO_ENGINE
+from pfdist.filters.engines import BATCHED, COMPILED, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.proposals import MOVING, PLAIN
+from pfdist.filters.proposals import AUTO, MOVING, PLAIN, PROPOSALS
 from pfdist.filters.work import Estimation
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
@@ -74,6 +75,7 @@ class Built:
     study: Study
     evaluator: Evaluator
     searches: tuple[NamedSearch, ...] = field(repr=False)
+    taken: str = ""  # the proposal that "auto" takes, and why; empty for a plain filter
 
     @property
     def phases(self) -> list[str]:
@@ -137,7 +139,9 @@ def build(job: Job, *runs: Path, asked: float | None = None, follows: bool = Fal
         return built
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", EngineWarning)  # it came with the first filter
-        return _built(_with_filter(job, proposal, particles, built), built.evaluator)
+        found = _built(_with_filter(job, proposal, particles, built), built.evaluator)
+    why = PROPOSALS[proposal].why * is_open
+    return replace(found, taken=f"filter.proposal: {proposal}, {why}" * bool(why))
 
 
 def _with_filter(job: Job, proposal: str, particles: int, built: Built | None = None) -> Job:
@@ -443,7 +447,7 @@ def _compiled_or_batched(evaluator: Evaluator) -> str:
 
     The formulas are compiled here, and workers on this machine find the result on disk.
     """
-    if evaluator.engine == AUTO:
+    if evaluator.engine == AUTO_ENGINE:
         evaluator = replace(evaluator, engine=COMPILED.name)
         for name, declared in declarations(evaluator.model, evaluator.believed).items():
             evaluator = replace(evaluator, engine=BATCHED.name)

@@ -39,6 +39,7 @@ def provenance(built: Built) -> dict[str, Any]:
         "names": {"z": [*model.z_names], "y": [*model.y_names]},
         "angles": [*model.is_angle] if model.error is squared_error else [],
         **_here(built),
+        "taken": built.taken,
         "execution": job.execution.model_dump(mode="json"),
         **({"declared": declared} if declared else {}),
     }

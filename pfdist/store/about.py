@@ -88,6 +88,7 @@ class _Provenance(_Recorded):
     few_lines: str = ""
     lost_constants: dict[str, float] = {}
     on_the_way: str = ""
+    taken: str = ""
 
 
 class _Run(_Recorded):

@@ -25,7 +25,9 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 sys.exit(main())
 """
-GONE_SECONDS = 60.0  # after which nothing of a program that has ended may live
+# After which nothing of a program that has ended may live: agents of Ray whose server has ended first
+# look for it for 60 s.
+GONE_SECONDS = 120.0
 
 
 class Running:

@@ -49,7 +49,7 @@ LOST = "pfdist: (no answer from (the Ray cluster|any worker) for|the Ray)"
 
 ENDED = "pfdist: The process that computes ended with exit code 1 and without a message: "
 
-RAYLET, GCS, AGENT = "raylet/raylet", "gcs_server", "dashboard/agent.py"
+RAYLET, GCS, AGENT = "raylet/raylet", "gcs_server", "ray::DashboardAgent"
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
         if code:
             said = "\n".join(driver.said)
             assert re.search(LOST, said)
-        until(lambda: all_gone(everything), 2 * GONE_SECONDS)  # Ray's agents wait for a minute
+        until(lambda: all_gone(everything), GONE_SECONDS)
     assert finish(job, tmp_path / "run", "--pool", "serial") == _whole(job)
 
 
@@ -159,7 +159,7 @@ def test_a_run_whose_server_is_killed_says_so_with_exit_code_75_and_leaves_nothi
         assert driver.wait() == 75
         assert time.monotonic() - start < RAY_SECONDS
         assert driver.said[-1].startswith(ENDED) or re.match(LOST, driver.said[-1])
-        until(lambda: all_gone(everything), 2 * GONE_SECONDS)
+        until(lambda: all_gone(everything), GONE_SECONDS)
     assert finish(job, tmp_path / "run", "--pool", "threads") == _whole(job)
 
 
