@@ -224,7 +224,7 @@ def expected_errors(
         return _errors_of_wrong_filter(model, believed, horizon, sets, prior)
     start = 0 if prior is None else prior.t
     matrices, points = cached_matrices(model, horizon), model.points
-    measured = _measured(points, horizon, sets, start)
+    measured = measured_points(points, horizon, sets, start)
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
     errors = np.zeros((len(sets), horizon + 1 - start))
@@ -254,14 +254,14 @@ def expected_errors(
     if lag:
         covariances, maps, gained = (np.array(each) for each in zip(*kept, strict=True))
         last = last_used(lag, range(start, horizon + 1))
-        covariances -= covariances @ _later(maps, gained, last, both=True) @ covariances
+        covariances -= covariances @ later(maps, gained, last, both=True) @ covariances
         for k, each in enumerate(covariances):
             h = matrices.quantity_of_interest[start + k].matrix
             errors[:, k] = np.trace(h @ each @ h.T, axis1=1, axis2=2)
     return errors
 
 
-def _measured(
+def measured_points(
     points: PointNumbers, horizon: int, sets: Sequence[Times], start: int
 ) -> NDArray[np.bool_]:
     """Whether each set has each point."""
@@ -287,7 +287,7 @@ def _errors_of_wrong_filter(
     """
     start, points = 0 if prior is None else prior.t, model.points
     truth, own = cached_matrices(model, horizon), cached_matrices(believed, horizon)
-    measured = _measured(points, horizon, sets, start)
+    measured = measured_points(points, horizon, sets, start)
     (mean, spread), (guess, begin) = _begin(truth, prior), _begin(own, prior)
     n, last = mean.size, mean.size + guess.size
     joint = np.concatenate([mean, guess, [1.0]])
@@ -335,7 +335,7 @@ def _unmeasured(
     return np.broadcast_to(step, covariance.shape).copy(), np.zeros(covariance.shape)
 
 
-def _later(maps: Array, gained: Array, last: NDArray[np.int64], *, both: bool) -> Array:
+def later(maps: Array, gained: Array, last: NDArray[np.int64], *, both: bool) -> Array:
     """The part of measurements after t, until `last`, in the estimate of x(t), at all K instants.
 
     That of measurements at t, in x(t - 1), is ``gained[t]``. That of later ones goes through
@@ -377,9 +377,9 @@ def filter_checked_draws(
     means, covariances, maps, gained, pulls = (np.array(each) for each in zip(*kept, strict=True))
     if settings.lag:
         last_measured = last_used(settings.lag, draws.instants)
-        later = _later(maps[:, None], pulls[..., None], last_measured, both=False)
-        means += (covariances[:, None] @ later)[..., 0]
-        information = _later(maps, gained, last_measured, both=True)
+        pull = later(maps[:, None], pulls[..., None], last_measured, both=False)
+        means += (covariances[:, None] @ pull)[..., 0]
+        information = later(maps, gained, last_measured, both=True)
         covariances -= covariances @ information @ covariances
     for k, quantity in enumerate(matrices.quantity_of_interest):
         h = quantity.matrix

@@ -254,7 +254,9 @@ class Ruled(Shown):
                 "average: its thresholds fit this number of particles."
             )
         if copies := lost_text(self.lost_constants):
-            warnings.append(f"{copies} There a deviation of 0 is that of copies, and the rule ends.")
+            warnings.append(
+                f"{copies} There a deviation of 0 is that of copies, and the rule ends."
+            )
         if few:
             warnings += [f"In {few:,} draws, no particle explains a measurement of the rule."]
         return Page("", "", [Section("", blocks)], warnings)

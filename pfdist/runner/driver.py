@@ -23,6 +23,7 @@ from pfdist.runner.comparison_phase import (
     tables_of_first_draws,
     ways_out,
 )
+from pfdist.runner.design import designs_of
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.evenly_spaced import scan_steps
 from pfdist.runner.information_prover import InformationProver
@@ -127,8 +128,9 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
         for name, times in given.items()
     ]
     for search in built.searches:
-        opponent = next(iter(given.values()))
-        winners = better or (yield from run_search(session, search, opponent))
+        opponent, most = next(iter(given.values())), SHARE * core_steps(built)
+        rivals = [opponent, *(designs_of(built, [opponent], most) if search.is_polished else [])]
+        winners = better or (yield from run_search(session, search, rivals))
         rows += [
             {
                 "name": name,

@@ -96,19 +96,19 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
 
 
 def run_search(
-    session: RunSession, search: NamedSearch, opponent: Times
+    session: RunSession, search: NamedSearch, rivals: Sequence[Times]
 ) -> Generator[WorkBatch, None, dict[str, Evaluation]]:
     """The search's own evaluation of each compared set, by name, on draws that chose the set.
 
-    The best opponent races with a polished set, which is then not clearly worse. Empty if every
-    set at the end of the search or of the race has an infinite error.
+    Rivals, the best opponent and the linearized design, race with a polished set, which is then not
+    clearly worse. Empty if every set at the end of the search or of the race has an infinite error.
     """
     built, reporter = session.built, session.reporter
     start, total = reporter.progress.done, reporter.progress.total
     found = yield from _found(session, search)
     believed, raced = found.believed, None
-    joins = bool(believed and search.is_polished) and built.feasible.accepts(opponent)
-    if sets := built.study.racing(dict.fromkeys((*believed, *[opponent] * joins))):
+    joining = [*filter(built.feasible.accepts, rivals)] if believed and search.is_polished else []
+    if sets := built.study.racing(dict.fromkeys((*believed, *joining))):
         raced = yield from _finalists(session, _racing(built, search, sets))
     ranked = list(believed)
     if raced is not None:

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import dataclass, replace
+from typing import Any
 
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion
@@ -128,9 +129,11 @@ class NamedSearch:
 
 
 def named_search(
-    study: Study, job: Job, section: SearchSection, variance_is_error: bool
+    study: Study, job: Job, section: SearchSection, variance_is_error: bool, errors: Any = None
 ) -> NamedSearch:
     """The optimiser of a section [[search]], with the settings of its evaluations.
+
+    `errors` gives the linearized errors of sets, if its method takes them.
 
     Raises `JobError` if the optimiser cannot search this problem.
     """
@@ -141,7 +144,7 @@ def named_search(
     if not METHODS[section.method].online:  # it asks for errors of instants, block by block
         settings = replace(settings, draws=-(-settings.draws // BLOCK) * BLOCK)
     check_memory(job, section, settings.draws)
-    optimiser = study.optimiser(section, settings.draws)
+    optimiser = study.optimiser(section, settings.draws, errors)
     # Only the method itself may kill sets, as the paper says.
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
     estimator = ESTIMATORS[settings.estimation.estimator]

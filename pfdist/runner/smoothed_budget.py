@@ -31,7 +31,7 @@ def budget_of_smoothed(
     It notes these evenly spaced sets, too.
     """
     built, (search,) = session.built, session.built.searches
-    found = yield from run_search(session, search, next(iter(given.values())))
+    found = yield from run_search(session, search, [next(iter(given.values()))])
     plans, before = built.study.names(search.name), Times()
     exchanging = _exchanging(built)
     if not exchanging:

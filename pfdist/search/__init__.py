@@ -11,6 +11,7 @@ from pfdist.search.corridor import Corridor
 from pfdist.search.exchange import Exchange
 from pfdist.search.exhaustive import Exhaustive
 from pfdist.search.genetic import GeneticAlgorithm
+from pfdist.search.linearized import LinearizedDesign
 from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials
 from pfdist.search.refine import Refine

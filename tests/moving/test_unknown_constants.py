@@ -80,7 +80,9 @@ def test_bands_of_constants_hold_as_often_as_they_say(model: StateSpaceModel, ti
     assert 0.855 <= holds.mean() <= 0.945
     assert widths.min() > 1e-6
     first = surprises.reshape(400, -1)[:, [0, -1]]
-    assert all(stats.kstest(each, "uniform").pvalue > 0.01 for each in first.T)
+    # That of several components is a bound (Bonferroni), so small ones are not too many.
+    side = "greater" if model.components[1] > 1 else "two-sided"
+    assert all(stats.kstest(p, "uniform", alternative=side).pvalue > 0.01 for p in first.T)
 
 
 @pytest.mark.parametrize(

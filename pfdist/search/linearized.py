@@ -1,0 +1,109 @@
+"""The linearized design: exchanges by linearized errors, which take no filter.
+
+Sources: Fedorov, "Theory of optimal experiments", 1972 (exchange); see `pfdist.filters.linearized`
+for the errors.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.measurement_times import Times
+from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count
+from pfdist.search.base import FINALISTS, Candidate, best_of
+
+LinearizedErrors = Callable[[Sequence[Times]], NDArray[np.float64]]
+"""The linearized errors of sets, (S,)."""
+_LOWER = 1.0 - 1e-9  # of an error, so that no rounding decides
+
+
+def designs(
+    feasible: Feasible, errors: LinearizedErrors, starts: Sequence[Times], most: float
+) -> list[Times]:
+    """The sets at which exchanges from some feasible sets end, the lowest linearized error first.
+
+    One time after another is exchanged for the best other one, until none lowers the error, or so
+    many sets were looked at.
+    """
+    ends, left = dict[Times, float](), most
+    for start in dict.fromkeys(starts):
+        best, error, since = start, float(errors([start])[0]), 0
+        while since < len(best) and left > 0:
+            moved, others = best[since], feasible.exchanges(best)
+            if feasible.counted:
+                others, since = [each for each in others if moved not in each], since + 1
+            else:  # what is bought with the rest differs: all exchanges at once
+                since = len(best)
+            left -= len(others)
+            found = errors(others) if others else np.empty(0)
+            if found.size and found.min() < _LOWER * error:
+                best, error, since = others[int(found.argmin())], float(found.min()), 0
+        ends[best] = error
+        if left <= 0:
+            break
+    return sorted(ends, key=lambda times: ends[times])
+
+
+@dataclass(frozen=True)
+class DesignState:
+    """Progress of the search."""
+
+    evaluations: tuple[Evaluation, ...] = ()
+
+
+@method("linearized", online=False)
+@dataclass(frozen=True)
+class LinearizedDesign:
+    """Linearized design: exchanges by the derivatives of the model, as PopED and PFIM.
+
+    The sets at which they end are then evaluated by filters.
+
+    Parameters
+    ----------
+    feasible : Feasible
+    errors : callable
+        The linearized errors of sets.
+    starts : int
+        Number of sets from which exchanges begin: regular times, then random ones.
+    """
+
+    feasible: Feasible
+    errors: LinearizedErrors = field(compare=False)
+    starts: Count = 5
+
+    @property
+    def generations(self) -> int:
+        """One: exchanges take no filter."""
+        return 1
+
+    @property
+    def evaluations(self) -> float:
+        """The number of sets that filters evaluate, at most."""
+        return min(self.starts, FINALISTS)
+
+    def init(self) -> DesignState:
+        """The state before the exchanges."""
+        return DesignState()
+
+    def ask(self, state: DesignState, rng: np.random.Generator) -> list[Candidate]:
+        """The sets at which exchanges end."""
+        starts = [self.feasible.regular(), *self.feasible.random(self.starts - 1, rng)]
+        found = designs(self.feasible, self.errors, starts, np.inf)
+        return [Candidate(times) for times in found[:FINALISTS]]
+
+    def tell(self, state: DesignState, evaluations: Sequence[Evaluation]) -> DesignState:
+        """Keep the evaluations."""
+        return DesignState(evaluations=best_of(evaluations))
+
+    def done(self, state: DesignState) -> bool:
+        """Whether the sets were evaluated."""
+        return bool(state.evaluations)
+
+    def finalists(self, state: DesignState) -> tuple[Evaluation, ...]:
+        """The evaluated sets."""
+        return state.evaluations
