@@ -14,7 +14,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.gone import without_gone
-from pfdist.common.measurement_times import EVEN, REGULAR, Times
+from pfdist.common.measurement_times import EVEN, LINEARIZED, REGULAR, Times
 from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text, with_texts
 from pfdist.common.section import JobSection, checked, explained
@@ -362,7 +362,8 @@ class Job(JobSection):
     def given_sets(self) -> dict[str, Times | None]:
         """Instants of the sets that the job gives, the reference first.
 
-        None means regular times, or the best evenly spaced times as the reference.
+        None means regular times, the best evenly spaced times as the reference, or the linearized
+        design, which `pfdist.runner.build.with_design` finds.
 
         Raises `MeasurementTimesError`, which names the key, if a time lies outside the horizon, is
         not on the clock, or is given twice.
@@ -372,7 +373,7 @@ class Job(JobSection):
         written = {name: (f"comparison.sets.{name}", times) for name, times in named.items()}
         own = written.pop(first, ("comparison.reference", comparison.reference))
         return {
-            name: None if times in (EVENLY_SPACED, REGULAR)
+            name: None if times in (EVENLY_SPACED, REGULAR, (LINEARIZED,))
             else references[times[0]] if len(times) == 1 and times[0] in references
             else self.problem.points.checked(times, key, key)
             for name, (key, times) in {first: own, **written}.items()

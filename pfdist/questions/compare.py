@@ -20,7 +20,7 @@ from pfdist.questions.run import run_built
 from pfdist.questions.run_of_job import finished_run, folder_of
 from pfdist.results import Run
 from pfdist.results.stored_run import check_one_number, measured_of, problem_of
-from pfdist.runner.build import Built, build, check_pool, say_model_files
+from pfdist.runner.build import Built, build, check_pool, say_model_files, with_design
 from pfdist.runner.identity import changed_models
 
 _STRANGE = re.compile(r"[^a-z0-9]+")
@@ -272,7 +272,7 @@ def compare(
     chosen = Chosen(**options)
     comparing = {"draws": draws, "also": criteria_in(also)}
     settings = {"execution": chosen.execution, "comparison": comparing}
-    job = as_job(job, changes, settings=settings)
+    job = with_design(as_job(job, changes, settings=settings))
     sets, opened = SetsToCompare(job), [finished_run(run) for run in runs]
     sets.add_named()
     for run in opened:

@@ -15,7 +15,7 @@ import numpy as np
 from pfdist.common.arguments import sets_argument
 from pfdist.common.changes import change_of, is_clear
 from pfdist.common.component_names import Component
-from pfdist.common.measurement_times import REGULAR, Times
+from pfdist.common.measurement_times import LINEARIZED, REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, unrounded
@@ -41,7 +41,7 @@ from pfdist.results.columns import COLUMNS, interval_cell
 from pfdist.results.criteria import fields_over_time
 from pfdist.results.over_time import Range, profile_of
 from pfdist.results.particle_loss import lost_text
-from pfdist.runner.build import Built, build
+from pfdist.runner.build import Built, build, design_of_job
 from pfdist.runner.comparison_phase import FEWER, LOSS_DRAWS
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import LOST_DRAWS, fewest_lines, lost_constants
@@ -179,6 +179,8 @@ def instants_evaluated(job: Job, name: str, written: Iterable[Time | str] | str)
     """The instants of a set; the error names the option, and the set if it has a name."""
     if isinstance(written, str) and written == REGULAR:
         return job.problem.feasible.regular()
+    if isinstance(written, str) and written == LINEARIZED:
+        return design_of_job(job)
     place = f"times of {name}" if name else "measurement_times"
     points = job.problem.points
     if isinstance(written, str) and written.startswith("@"):

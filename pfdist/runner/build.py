@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.common.component_names import Component
+from pfdist.common.measurement_times import LINEARIZED, Times
 from pfdist.common.nearest import must_be
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
 from pfdist.filters.constants import constants_of
@@ -46,7 +47,7 @@ from pfdist.runner.choice import (
     steps_a_particle,
 )
 from pfdist.runner.contract import few_draws
-from pfdist.runner.design import linearized_of
+from pfdist.runner.design import design_of, linearized_of
 from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
     RANKING,
@@ -118,6 +119,7 @@ def build(job: Job, *runs: Path, asked: float | None = None, follows: bool = Fal
     range, or if a resampling scheme does not fit. Raises `JobError` if particles is
     "auto" and no number is sufficient.
     """
+    job = with_design(job)
     own, path = job.filter, runs[0] if runs else None
     is_open, is_automatic = own.proposal == AUTO, own.is_automatic
     kept = choice_of_run(path) if is_open and path is not None else ""
@@ -144,6 +146,29 @@ def build(job: Job, *runs: Path, asked: float | None = None, follows: bool = Fal
         found = _built(_with_filter(job, proposal, particles, built), built.evaluator)
     why = PROPOSALS[proposal].why * is_open
     return replace(found, taken=f"filter.proposal: {proposal}, {why}" * bool(why))
+
+
+def with_design(job: Job) -> Job:
+    """The job whose sets have the times of the linearized design in the place of "linearized".
+
+    Raises `ModelError` as `design_of_job`.
+    """
+    named = job.comparison.named
+    names = [name for name, times in named.items() if times == (LINEARIZED,)]
+    if not names:
+        return job
+    written = job.problem.points.written_of(design_of_job(job))
+    sets = {**named, **dict.fromkeys(names, written)}
+    return job.with_changes(settings={"comparison": {"sets": sets}})
+
+
+def design_of_job(job: Job) -> Times:
+    """The linearized design of a job.
+
+    Raises `ModelError` if its models cannot be loaded, or as `linearized_of`.
+    """
+    plain = job.model_copy(update={"filter": job.filter.chosen(PLAIN.name, 1, None, 1.0)})
+    return design_of(job, evaluator_of(plain, *models_of_job(job)))
 
 
 def _with_filter(job: Job, proposal: str, particles: int, built: Built | None = None) -> Job:

@@ -1,7 +1,7 @@
 """The linearized design of a job's problem: an opponent of every plan, and a finalist."""
 
+import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
@@ -11,9 +11,6 @@ from pfdist.filters.linearized import DRAWS, Linearized, linearized
 from pfdist.kernels.variates import generator
 from pfdist.problem.job import Job
 from pfdist.search.linearized import designs
-
-if TYPE_CHECKING:
-    from pfdist.runner.build import Built
 
 _STARTS = 3  # random sets from which exchanges begin, beside given ones
 _STEPS = 100  # particle-steps in the time of a draw and an instant of a linearized error
@@ -44,19 +41,16 @@ def linearized_of(job: Job, evaluator: Evaluator) -> Linearized:
     return found
 
 
-def designs_of(built: "Built", starts: Iterable[Times], most: float) -> list[Times]:
-    """The linearized design, alone in a list, for so many particle-steps; empty if there is none.
+def design_of(
+    job: Job, evaluator: Evaluator, starts: Iterable[Times] = (), most: float = math.inf
+) -> Times:
+    """The linearized design of a job, for so many particle-steps.
 
-    Exchanges begin at the given sets that are feasible, and at random ones.
+    Exchanges begin at the given sets that are feasible, or at regular times, and at random sets.
+    Raises `ModelError` as `linearized_of`.
     """
-    job, evaluator, feasible = built.job, built.evaluator, built.feasible
-    if job.budget is not None or evaluator.exact:
-        return []
-    try:
-        errors = linearized_of(job, evaluator)
-    except ModelError:
-        return []
-    own = filter(feasible.accepts, starts)
+    errors, feasible = linearized_of(job, evaluator), job.problem.feasible
+    own = [*filter(feasible.accepts, starts)] or [feasible.regular()]
     some = feasible.random(_STARTS, generator("search", job.seed, "linearized"))
     sets = most / (DRAWS * (evaluator.horizon + 1) * _STEPS)
-    return designs(feasible, errors, [*own, *some], sets)[:1]
+    return designs(feasible, errors, [*own, *some], sets)[0]

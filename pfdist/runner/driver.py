@@ -1,6 +1,7 @@
 """The driver of a run: searches, then the comparison, then online draws; it uses no pool itself."""
 
 from collections.abc import Generator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, get_args
 
@@ -9,7 +10,7 @@ import pyarrow as pa
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
-from pfdist.errors import SearchError
+from pfdist.errors import ModelError, SearchError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import FilterWork, Result, cut
 from pfdist.problem.online_section import Online
@@ -23,7 +24,7 @@ from pfdist.runner.comparison_phase import (
     tables_of_first_draws,
     ways_out,
 )
-from pfdist.runner.design import designs_of
+from pfdist.runner.design import design_of
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.evenly_spaced import scan_steps
 from pfdist.runner.information_prover import InformationProver
@@ -128,9 +129,7 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
         for name, times in given.items()
     ]
     for search in built.searches:
-        opponent, most = next(iter(given.values())), SHARE * core_steps(built)
-        rivals = [opponent, *(designs_of(built, [opponent], most) if search.is_polished else [])]
-        winners = better or (yield from run_search(session, search, rivals))
+        winners = better or (yield from run_search(session, search, _rivals(built, given)))
         rows += [
             {
                 "name": name,
@@ -163,6 +162,19 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     # Written after the tables of the searches: it marks the searches as done.
     session.later(partial(_publish_compared, session.store, table))
     return {row["name"]: row["measurement_times"] for row in rows}
+
+
+def _rivals(built: Built, given: Mapping[str, Times]) -> list[Times]:
+    """The sets that race with a plan: the best opponent, and the linearized design if there is one.
+
+    That takes a twentieth of the plan's work at most.
+    """
+    opponent, rivals = next(iter(given.values())), list[Times]()
+    if built.job.budget is None and not built.evaluator.exact:
+        with suppress(ModelError):
+            most = SHARE * core_steps(built)
+            rivals.append(design_of(built.job, built.evaluator, [opponent], most))
+    return [opponent, *rivals]
 
 
 def _exact_columns(built: Built, sets: Sequence[Times]) -> dict[str, tuple[Any, Part]]:
