@@ -16,6 +16,7 @@ import numpy as np
 from pfdist.common.measurement_times import Times
 from pfdist.filters.criterion import MEAN
 from pfdist.filters.estimate import Evaluation
+from pfdist.kernels.estimators import FILTER_VARIANCE, TWO_CLOUDS
 from pfdist.problem.feasible import Feasible
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
@@ -27,6 +28,8 @@ from pfdist.search.exchange import FEWEST
 
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
+_FEW_SETS, _KEPT = 5000, 12  # sets that may all be looked at; of these, the last that race
+_FEWEST_OF_ALL = 8  # draws of the first round
 _REACH = 2.5  # mean gaps by which an exchange that polishes may move a time
 MOST_STEPS = 2e11  # particle-steps of exchanges: minutes of a core. They grow as the horizon cubed
 TOO_LONG = "search {}: exchanges would take too long and are skipped"
@@ -52,9 +55,13 @@ def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, Non
     """The finalists of a search, of which the best are polished."""
     finalists = yield from _finalists(session, _searching(session.built, search))
     polishes = search.is_polished and not _is_too_long(session.built, search)
-    if finalists and search.is_polished and not polishes:
+    race = _race_of_all(session.built, search) if finalists else None
+    if race is not None:  # nothing is left to exchange
+        every = yield from _finalists(session, race)
+        finalists = [*every[:_POLISHED], *finalists[:_UNPOLISHED]]
+    elif finalists and search.is_polished and not polishes:
         heard(session.say, TOO_LONG.format(search.name))
-    if finalists and polishes:
+    elif finalists and polishes:
         start, ends = finalists[0].measurement_times, list[Evaluation]()
         for name in search.polishes:
             polished = yield from _finalists(session, polishing(session.built, search, start, name))
@@ -71,7 +78,7 @@ def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, Non
         )
         for each in finalists
     ]
-    return _Found(judged_alike, polishes)
+    return _Found(judged_alike, polishes or race is not None)
 
 
 def _finalists(session: RunSession, phase: Phase) -> Generator[WorkBatch, None, list[Evaluation]]:
@@ -141,12 +148,38 @@ def exchanged(
 def search_steps(built: Built, search: NamedSearch, usual: bool = False) -> float:
     """Approximate particle-steps of a search and the phases after it; see `Phase.steps`."""
     start = built.job.problem.feasible.regular()
-    phases: list[Phase] = [_searching(built, search)]
+    phases, race = [_searching(built, search)], _race_of_all(built, search)
     if search.is_polished:
-        if not _is_too_long(built, search):
+        if race is not None:
+            phases.append(race)
+        elif not _is_too_long(built, search):
             phases += [polishing(built, search, start, name) for name in search.polishes]
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED + 1)))
     return sum(phase.steps(usual) for phase in phases)
+
+
+def _race_of_all(built: Built, search: NamedSearch) -> Phase | None:
+    """A race between all feasible sets, by the estimates of the search; None if they are many.
+
+    It takes as much work as the search, at most. Criteria of draws need more.
+    """
+    size = built.feasible.size
+    may = search.is_polished and search.criterion.additive and built.job.budget is None
+    if not may or built.evaluator.exact or not 1 < size <= _FEW_SETS:
+        return None
+    own = search.settings.estimation
+    if own.estimator == FILTER_VARIANCE.name:  # it does not see that a cloud collapses
+        own = replace(own, estimator=TWO_CLOUDS.name)
+    settings = replace(search.polishing, estimation=own)
+
+    def race(draws: int) -> Phase:
+        sets, of_race = tuple(built.feasible.every()), replace(settings, draws=draws)
+        among = Race(sets, draws, _KEPT, search.settings.draws)
+        return Phase(search.every, among, "search", of_race, built, search.criterion)
+
+    share = _searching(built, search).steps(usual=True) / race(FEWEST).steps()
+    draws = min(FEWEST, int(share * FEWEST))
+    return race(draws) if draws >= _FEWEST_OF_ALL else None
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase:

@@ -113,6 +113,11 @@ class NamedSearch:
         return *of_mean, self.polish
 
     @property
+    def every(self) -> str:
+        """Name of the phase that looks at all sets, where they are few."""
+        return f"{self.name}.every"
+
+    @property
     def shortlist(self) -> str:
         """Name of the phase that decides between the final sets of the search."""
         return shortlist_of(self.name)
@@ -120,7 +125,7 @@ class NamedSearch:
     @property
     def phases(self) -> tuple[str, ...]:
         """Names of all phases that the search may have."""
-        return self.name, *self.polishes, self.shortlist
+        return self.name, self.every, *self.polishes, self.shortlist
 
     @property
     def all_settings(self) -> tuple[Settings, ...]:
