@@ -48,6 +48,7 @@ from pfdist.questions.subject import (
 from pfdist.questions.why_page import worth_section
 from pfdist.results import Run
 from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, ERRORS_SHOWN, Row, sets_table
+from pfdist.results.particle_loss import TOO_FEW
 from pfdist.results.run import SHOWN
 from pfdist.results.stored_run import (
     copies_of,
@@ -155,7 +156,10 @@ def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
 
 
 def _warnings(subject: Subject) -> list[str]:
-    warnings = [f"{row.label}: {text}" for row in subject.rows.values() for text in row.warnings]
+    warnings = [
+        f"{row.label}: {text}" for row in subject.rows.values() for text in row.warnings
+        if not (subject.lost and TOO_FEW in text)  # said at once
+    ]  # fmt: skip
     # The last line in a terminal is the warning that nothing is proved.
     few_lines = provenance_of(subject.run).get("few_lines", "")
     last = [few_lines, unproved(subject.run)]
@@ -187,7 +191,8 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
         return
     yield Text(f"Measure {at}", prominent=True)
     sentences = [
-        _gain(subject, row), _as_good(subject, row), _proof(subject, row), online_sentence(subject),
+        (_beating if row.beats_search else _gain)(subject, row),
+        _as_good(subject, row), _proof(subject, row), online_sentence(subject),
         provenance_of(subject.run).get("on_the_way", ""),
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)
@@ -197,7 +202,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     yield from subject.notes
     for error in subject.beside:
         yield from _beside(subject, row, error)
-    if others := len(subject.found_rows) - 1:
+    if (others := len(subject.found_rows) - 1) and not row.beats_search:
         best = f"This is {phrase_of(row.label)}, the best of {others + 1} plans"
         # The errors of worst scenarios are those of draws, whatever the engine.
         by_chance = row.standard_error or not subject.criterion.is_mean
@@ -222,6 +227,18 @@ def _gain(subject: Subject, row: Row) -> str:
     if is_clear(interval):
         return f"T{typical[1:]} with {subject.reference}: {said}"
     return f"No clear difference from {subject.reference}: {typical}, and {said}"
+
+
+def _beating(subject: Subject, row: Row) -> str:
+    """That a set is clearly better than those of the searches: it was chosen, so it has no gain."""
+    found = min(subject.found_rows.values(), key=lambda each: float(each.expected_mse))
+    label, mse = subject.criterion.label, COLUMNS["expected_mse"]
+    listed = problem_of(subject.run).clock.listed(found.measurement_times)
+    return (
+        f"These are {phrase_of(row.label)}: the search found nothing better. The {label} is "
+        f"{mse.cell(row).text}; with the set of the search (t = {listed}) it is "
+        f"{mse.cell(found).text}."
+    )
 
 
 def _beside(subject: Subject, row: Row, error: ErrorBeside) -> Iterator[Text]:
@@ -288,7 +305,7 @@ def gains(subject: Subject) -> Section | None:
         *([] if named_sets(subject.run) else said),  # else the comparison of the sets says it
         *_degenerate(subject),
         *_broken(subject),
-        Figures(["gain"], subject.by_error[:1], detail=True),
+        Figures(["gain"], subject.shown[:1], detail=True),
         all_sets(subject),
     ]
     return Section("All sets", blocks)

@@ -23,6 +23,7 @@ from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.criteria import other_criteria
 from pfdist.results.online import is_online, online_draws
+from pfdist.results.particle_loss import particle_losses_of
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import (
     angles_of,
@@ -112,7 +113,15 @@ class Subject:
         ]
         why = unproved(self.run)
         is_wrong = any(reason in why for reason in (CHECK_FAILS, RANKS_FAIL))
-        return degenerate[:1] + [why] * is_wrong
+        return degenerate[:1] + [why] * is_wrong + self.lost
+
+    @cached_property
+    def lost(self) -> list[str]:
+        """That much of the best set's error is lost by its particles."""
+        best = self.by_error[:1] if self.is_compared and "budget" not in self.run.job else []
+        losses = particle_losses_of(self.run) if best else {}
+        said = [losses[name].alarm for name in best if name in losses]
+        return [f"With {phrase_of(self.rows[best[0]].label)}, {text}" for text in said if text]
 
     @property
     def others(self) -> dict[str, Row]:

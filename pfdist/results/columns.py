@@ -203,6 +203,11 @@ _DECLARED = [
         "draws; the intervals of all such differences hold together with 95 %",
     ),
     Column(
+        name="beats_search", dtype="object",
+        meaning="whether a given set or opponent, which keeps the constraints, is better than all "
+        "found sets by three standard errors on common draws: then answers name it",
+    ),
+    Column(
         name="gain_of_means", has_interval=True, is_percent=True, head="lower by, %",
         meaning="1 - expected_mse / expected_mse of the reference; interval by Fieller",
     ),

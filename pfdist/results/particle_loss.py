@@ -24,9 +24,11 @@ from pfdist.results.stored_run import StoredRun, on_common_draws, statistics_of
 
 SMALL, SMALL_AT_MOST = 0.01, 0.05
 """Fractions of the expected MSE: P is enough if the loss by two filters and the limit are lower."""
+TOO_FEW = "particles may be too few"
 LOST = 0.05
 """A larger share of draws that lose a constant is said, and lets particles move."""
 _NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
+_ALARMING = 0.2
 _NOTABLE_TOP, _HEAVY = 0.1, 0.25
 _HARDLY = 0.95  # of the error without a measurement
 _QUANTILE = NormalDist().inv_cdf(0.95)
@@ -109,8 +111,20 @@ class ParticleLoss:
         )
         if self.moves:
             more = "More moved particles help (filter.moved_particles)."
-        few = f"{self.particles} particles may be too few: they lose {self.text}. {more}"
+        few = f"{self.particles} {TOO_FEW}: they lose {self.text}. {more}"
         return few * self.is_large
+
+    @property
+    def alarm(self) -> str:
+        """A sentence if more than a fifth may be lost, so that it comes before the answer."""
+        losses = (self.by_two_filters,) if self.moves else (self.by_two_filters, self.at_most)
+        if not any(e.value - _QUANTILE * e.standard_error > _ALARMING for e in losses):
+            return ""
+        more = "More moved particles help (filter.moved_particles)."
+        if not self.moves:
+            more = 'More particles help, or filter.proposal = "moving" where x has constants.'
+        lost = f"{self.particles:,} particles lose {self.text}"
+        return f"{lost}, so all errors are those of this filter. {more}"
 
     @property
     def warning(self) -> str:

@@ -114,7 +114,8 @@ class Run(StoredRun, Shown):
         """The times to measure at, and their results: a row of the table ``sets``.
 
         It is the found set with the lowest expected MSE, or with the lowest error in the worst
-        scenario, if the job asks for it. Without a search, it is the best of the job's sets.
+        scenario, if the job asks for it. A given set or an opponent that is clearly better takes
+        its place; see the column beats_search. Without a search, it is the best of the job's sets.
 
         Raises
         ------

@@ -26,7 +26,12 @@ from pfdist.results.budget_curve import FOUND, GIVEN, add_bounds, worse_than
 from pfdist.results.columns import COLUMNS, Results, Row, frame_of_sets
 from pfdist.results.criteria import columns_of_criteria
 from pfdist.results.evenly_spaced import columns_of_even_times
-from pfdist.results.moments import ComparisonStatistics, relative_gain
+from pfdist.results.moments import (
+    ComparisonStatistics,
+    Moments,
+    controlled_mse,
+    relative_gain,
+)
 from pfdist.results.particle_loss import hardly_measured, lost_text, particle_losses_of
 from pfdist.results.stored_run import (
     StoredRun,
@@ -58,6 +63,7 @@ _TOO_FEW = (
     "The mean of mse - control is not above 0: there are too few draws to know a gain or the "
     "size of the error."
 )
+_BEATEN = 3.0  # standard errors by which another set is better than those that searches found
 _ERRS_MORE = "the search's filter has a larger error than the job's"
 
 
@@ -82,6 +88,8 @@ def _computed(run: StoredRun) -> list[Row]:
     if has_results:
         for name, number in worse_than(rows.values(), blocks_of(run)).items():
             rows[name].worse_than = number
+        for name in _beating(run, [*rows.values()]):
+            rows[name].beats_search = True
     return [*rows.values()]
 
 
@@ -210,6 +218,26 @@ def _add_errors_beside(run: StoredRun, rows: dict[str, Row]) -> None:
         for name, row in rows.items() if columns else ():
             mse, numbers = columns[f"{error.named}_{name}"], columns.get("scenario")
             row.add(error.columns(Evaluation((), mse, scenarios=numbers, criterion=form).estimate))
+
+
+def _beating(run: StoredRun, rows: Sequence[Row]) -> list[str]:
+    """Names of the given sets and opponents that clearly beat every found set, by common draws."""
+    judged = [row for row in rows if row.expected_mse is not None and not row.broken_constraints]
+    found = [row for row in judged if row.kind == FOUND]
+    if not found or "budget" in run.job or any(row.criterion_value for row in rows):
+        return []
+    best = min(found, key=lambda row: row.expected_mse)
+    others = [row for row in judged if row.kind != FOUND and row.expected_mse < best.expected_mse]
+    differences = {row.name: Moments() for row in others}
+    for block in blocks_of(run) if others else ():
+        for name, moments in differences.items():
+            difference = controlled_mse(block, best.name) - controlled_mse(block, name)
+            moments.add(difference[~np.isnan(difference)])
+    return [
+        row.name for row in others
+        if row.standard_error == best.standard_error == 0.0
+        or differences[row.name].estimate.is_positive(_BEATEN)
+    ]  # fmt: skip
 
 
 def _exact(name: str, value: float) -> Results:
@@ -394,10 +422,11 @@ def _add_lost_constants(run: StoredRun, rows: dict[str, Row]) -> None:
 def best_first(sets: Sequence[Row]) -> list[str]:
     """Names of the found sets, or of all sets of a run without a search, the best first.
 
-    They are ordered by the number that the job minimises. Sets of which it is unknown or infinite
-    come last. The run has one number of measurements.
+    A given set or opponent that beats all found ones is one of them. They are ordered by the number
+    that the job minimises. Sets of which it is unknown or infinite come last. The run has one
+    number of measurements.
     """
-    chosen = [row for row in sets if row.kind == FOUND] or sets
+    chosen = [row for row in sets if row.kind == FOUND or row.beats_search] or sets
 
     def error(row: Row) -> float:
         found = row.expected_mse if row.criterion_value is None else row.criterion_value
