@@ -266,7 +266,8 @@ class Comparison(JobSection):
         The set with which the others are compared.
     sets : dict of str to times, clock
         At most 100 sets by name; names are lower-case letters, digits and underscores. "@last.csv"
-        takes the times in the column t of a table, "@last.csv:date" in another.
+        takes the times in the column t of a table, "@last.csv:date" in another; "linearized" those
+        of least linearized error.
     labels : dict of str to str
         The names of these sets in answers, as "30 min and 1 h after meals".
     control : bool

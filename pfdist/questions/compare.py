@@ -244,7 +244,8 @@ def compare(
         Folders of finished runs, whose found sets, and references if they differ, are compared,
         too. A name that is in use gets the folder's name before it.
     times : mapping of str to iterable or str, or list of str, optional
-        Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``, the regular times;
+        Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3``, ``old=regular``, the regular times,
+        or ``design=linearized``, the set of least linearized error;
         ``last=@last.csv`` takes the column t of a table, ``last=@last.csv:date`` another. They may
         break constraints. Give the option once for each set.
     results : str or Path, optional

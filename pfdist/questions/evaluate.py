@@ -101,8 +101,9 @@ def evaluate(
     job : Problem, Job, str or Path
         A job file, as ``jobs/plan.toml``, or the folder of a run.
     measurement_times : iterable of int or float, or str; or mapping of str to these
-        Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3" or
-        "regular" (the regular times of the job). They may break the job's constraints:
+        Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3",
+        "regular" (the regular times of the job) or "linearized" (the set of least linearized
+        error). They may break the job's constraints:
         ``load_job(path).problem.broken(times)`` lists the broken ones. Sets with names share their
         draws and the noise of their filters.
     draws, particles, seed : int, optional

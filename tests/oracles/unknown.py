@@ -112,7 +112,7 @@ def minimal_model() -> StateSpaceModel:
             90.0 + 280.0 * np.exp(0.1 * w[0]), 0.0, 8.0 + 350.0 * np.exp(0.3 * w[1]),
             np.log(5e-4) + 0.5 * w[2], np.log(0.025) + 0.3 * w[3], np.log(0.25) + 0.3 * w[4],
         ),
-        transition=ode(slopes),
+        transition=ode(slopes, largest_step=2.0),
         measurement=lambda x, t, v, p: (x[0] * np.exp(0.02 * v[0]), x[2] * np.exp(0.1 * v[1])),
         log_likelihood=lambda y, x, t, p: (
             densities.lognormal_logpdf(y[0], np.log(x[0]), 0.02)
@@ -150,3 +150,51 @@ def epidemic() -> StateSpaceModel:
         measurement_noise=("uniform",),
         normalised=True,
     )  # fmt: skip
+
+
+def response(name: str, curve: Any, deviation: Any, constants: int) -> StateSpaceModel:
+    """A curve of unknown constants, each a standard normal number in x; readings are off."""
+
+    def predicted(x: Any, t: Any, p: Any) -> Any:
+        return curve(x, p.time[t])
+
+    return StateSpaceModel(
+        name=name,
+        initial=lambda w, p: tuple(w),
+        transition=lambda x, t, w, p: x,
+        measurement=lambda x, t, v, p: (predicted(x, t, p) + deviation(predicted(x, t, p)) * v[0],),
+        log_likelihood=lambda y, x, t, p: densities.normal_logpdf(
+            y[0], predicted(x, t, p), deviation(predicted(x, t, p))
+        ),
+        quantity_of_interest=lambda x, t, p: (predicted(x, t, p),),
+        initial_noise=("normal",) * constants,
+        process_noise=(),
+        measurement_noise=("normal",),
+        normalised=True,
+    )
+
+
+def emax() -> StateSpaceModel:
+    """A response that rises to a plateau (Hill): four unknown constants."""
+
+    def curve(x: Any, t: Any) -> Any:
+        begin, most, half, power = (
+            typical * np.exp(0.3 * value)
+            for typical, value in zip((10.0, 60.0, 8.0, 2.5), x, strict=True)
+        )
+        risen = (t + 1e-9) ** power
+        return begin + most * risen / (half**power + risen)
+
+    return response("emax", curve, lambda c: 1.0 + 0.0 * c, 4)
+
+
+def logistic() -> StateSpaceModel:
+    """Logistic growth by an unknown rate, to an unknown size, from an unknown one."""
+
+    def curve(x: Any, t: Any) -> Any:
+        rate, size, first = (
+            0.5 * np.exp(0.25 * x[0]), 100.0 * np.exp(0.25 * x[1]), 3.0 * np.exp(0.4 * x[2]),
+        )  # fmt: skip
+        return size / (1.0 + (size / first - 1.0) * np.exp(-rate * t))
+
+    return response("logistic", curve, lambda c: 0.05 * c + 0.5, 3)
