@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import pfdist
-from oracles.unknown import constants, drug, level_and_slope
+from oracles.unknown import constants, drug, emax, epidemic, level_and_slope, logistic, moving
 from pfdist import Problem
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
+from pfdist.filters.evaluator import Evaluator
+from pfdist.kernels.estimators import TWO_CLOUDS
 from pfdist.problem.feasible import Feasible
 from pfdist.runner import search_phase
 
@@ -119,3 +121,38 @@ def test_a_loss_of_more_than_a_fifth_comes_before_the_times(tmp_path: Path) -> N
     alarm = html.index("particles lose at most")
     assert alarm < html.index("Measure at")
     assert "particles may be too few" not in html
+
+
+# --- small systems, of which all sets are known ---------------------------------------------------
+
+TWELVE = (0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0, 16.0, 24.0)
+SMALL = {
+    "drug, 3 %": (drug(0.03), TWELVE),
+    "drug, 15 %": (drug(0.15), TWELVE),
+    "plateau": (emax(), tuple(range(0, 34, 3))),
+    "growth": (logistic(), tuple(range(0, 24, 2))),
+    "epidemic": (epidemic(), tuple(range(0, 56, 5))),
+    "two constants": (constants(2, 0.3), tuple(range(12))),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+def test_a_plan_of_constants_is_the_best_of_all_sets(name: str, tmp_path: Path) -> None:
+    # All 220 sets by moved particles: some draws choose five, others judge these and the plan. The
+    # regret is at most 1 % beyond two standard errors.
+    model, times = SMALL[name]
+    of_job = Problem(
+        model.on_clock(times), horizon=11, measurement_budget=3, estimate="smoothed",
+        proposal="moving",
+    )  # fmt: skip
+    run = planned(of_job, tmp_path / "run")
+    evaluator = Evaluator(model.on_clock(times), 11, lag=11)
+    sets = [*Feasible(11, 3).every()]
+    chosen = evaluator(evaluator.work(sets, 3, 5, (0, 200), moving(100, estimator=TWO_CLOUDS.name)))
+    best = [sets[k] for k in np.argsort(chosen.mse.mean(axis=0))[:5]]
+    rivals = [run.sets["relaxation"], *best]
+    mse = evaluator(evaluator.work(rivals, 7, 11, (0, 4000), moving(100))).mse
+    regret = mse[:, :1] - mse[:, 1:]
+    error = regret.std(axis=0) / len(mse) ** 0.5
+    assert (regret.mean(axis=0) <= 0.01 * mse[:, 0].mean() + 2 * error).all()
