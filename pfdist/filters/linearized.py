@@ -38,9 +38,10 @@ from pfdist.models.twin import traced, twin_of
 
 DRAWS: Final = 60
 """Draws suffice whose mean ranks sets within .1 % of their errors."""
-_STEP = 1e-6  # of a difference, in standard deviations of a component over draws and instants
-_WIDE_STEP, _JUMPED = 0.05, 3.0  # of one in which a jump shows, as so many times the information
-_NODES = 64  # simulated measurements of each draw and instant
+_STEP = 1e-6  # of a difference, in standard deviations of a component over draws
+_HALVINGS, _JUMPED = 30, 1e-3  # of an interval; what is then left of a jump, relative
+_LOOKED_AT = 8  # instants, for jumps
+_NODES = 32  # simulated measurements of each draw and instant
 _LEAST = 1e-9  # of an information's eigenvalue, relative to the largest
 _MOST = 4_000_000  # numbers in an array of all instants
 _JUMPS = MASKS | {"floor", "ceil", "trunc", "rint", "sign", "floor_divide", "remainder", "fmod"}
@@ -140,9 +141,8 @@ def linearized(
     p, twin, index, (n, *_) = model.p, twin_of(model, instants), range(draws), model.components
     with np.errstate(all="ignore"):
         w = _noise(model.initial_noise, stream, index, 0, TRUTH_INITIAL)
-        spread = np.ones(len(w))
         states = [_components(twin.initial(w, p), (draws,))]
-        root = _slopes(lambda w: twin.initial(w, p), w, spread, n)
+        root = _slopes(lambda w: twin.initial(w, p), w, np.ones(len(w)), n)
         own = _variances(model.initial_noise)
         begin = np.einsum("dik,k,djk->dij", root, own, root)
         noises = list[Array]()
@@ -150,32 +150,26 @@ def linearized(
             noises.append(_noise(model.process_noise, stream, index, t, TRUTH_PROCESS))
             after = twin.transition(states[-1], t, noises[-1], p)
             states.append(_components(after, states[-1].shape[1:]))
-        x = np.array(states)
-        # a component that is the same in all draws has no error, so any step will do
-        spread = x.std(axis=(0, 2))
-        spread = np.where(spread > 0.0, spread, np.maximum(1.0, np.abs(x).max(axis=(0, 2))))
+        spreads = _spreads(np.array(states))
         steps, added = np.empty((2, horizon, draws, n, n))
         own = _variances(model.process_noise)
         for t, (state, w) in enumerate(zip(states[:-1], noises, strict=True)):
             check()
             by_x, by_w = partial(_by_state, twin, t, w), partial(_by_noise, twin, t, state)
-            steps[t] = _slopes(by_x, state, spread, n)
+            steps[t] = _slopes(by_x, state, spreads[t], n)
             root = _slopes(by_w, w, np.ones(len(w)), n)
             added[t] = np.einsum("dik,k,djk->dij", root, own, root)
         q = model.components[2]
         quantities = np.array(
-            [_slopes(partial(_quantity, twin, t), states[t], spread, q) for t in instants]
+            [_slopes(partial(_quantity, twin, t), states[t], spreads[t], q) for t in instants]
         )
-        rows, sizes = list[Array](), np.zeros((len(twin.parts), 2, n))
+        rows, every = list[Array](), max(1, horizon // _LOOKED_AT)
         for t in instants:
             check()
-            for number, part in enumerate(twin.parts):
-                near, far = _informations(part.model, states[t], t, spread)
-                sizes[number] += np.einsum("sdii->si", np.array([near, far]))
-                rows.append(_rows(near, spread))
-    if (jumps := np.any(sizes[:, 1] > _JUMPED * sizes[:, 0], axis=1)).any():
-        part = twin.parts[int(jumps.argmax())]
-        raise ModelError(f"model {part.model.name}: log_likelihood jumps where x changes")
+            for part in twin.parts:
+                if t % every == 0 and _jumps(part.model, states[t], t, spreads[t]):
+                    raise ModelError(f"model {model.name}: log_likelihood jumps where x changes")
+                rows.append(_rows(_information(part.model, states[t], t, spreads[t]), spreads[t]))
     for name, values in (("transition", steps), ("process noise", added), ("z", quantities)):
         if not np.isfinite(values).all():
             raise ModelError(f"model {model.name}: the derivative of {name} is not finite")
@@ -201,6 +195,17 @@ def _jump(program: Program) -> str:
         if depends[-1] and name in _JUMPS:
             return name
     return ""
+
+
+def _spreads(x: Array) -> Array:
+    """The standard deviation of each component at each instant, (T+1, n), for steps.
+
+    Where it is 0, nothing depends on the step: that of all instants, or 1, will do.
+    """
+    own, usual = x.std(axis=2), x.std(axis=(0, 2))
+    usual = np.where(usual > 0.0, usual, np.maximum(1.0, np.abs(x).max(axis=(0, 2))))
+    found: Array = np.where(own > 1e-9 * usual, own, usual)
+    return found
 
 
 def _noise(kinds: tuple[str, ...], stream: int, index: range, t: int, role: Any) -> Array:
@@ -236,12 +241,10 @@ def _wide(values: Array, like: Array) -> Array:
     return np.tile(values, like.shape[1] // max(1, values.shape[1]))
 
 
-def _slopes(
-    formula: Callable[[Any], Any], at: Array, spread: Array, count: int, step: float = _STEP
-) -> Array:
+def _slopes(formula: Callable[[Any], Any], at: Array, spread: Array, count: int) -> Array:
     """The derivatives of a formula by its argument (k, D), (D, count, k): central differences."""
     size, columns = at.shape
-    steps = step * spread
+    steps = _STEP * spread
     moved = at[:, None, None] + np.zeros((size, 2, size, columns))
     for c in range(size):
         moved[c, 0, c] += steps[c]
@@ -253,22 +256,48 @@ def _slopes(
     return ((high - low) / (2 * steps[:, None])).transpose(2, 0, 1)
 
 
-def _informations(model: StateSpaceModel, x: Array, t: int, spread: Array) -> list[Array]:
-    """A measurement's information about x, (n, D), for x in standard deviations, (D, n, n).
+def _jumps(model: StateSpaceModel, x: Array, t: int, spread: Array) -> bool:
+    """Whether a log-likelihood jumps between two states near to each of some, (n, D).
 
-    By differences over a short step, and over one in which a jump shows.
+    Of an interval, the half in which it changes more is halved again: only a jump is left.
     """
+    nodes, _ = _nodes(model.measurement_noise)
+    noise = nodes[:, np.arange(x.shape[1]) % nodes.shape[1]]
+    y = _components(model.measurement(x, t, noise, model.p), x.shape[1:])
+
+    def likely(x: Array) -> Array:
+        found: Array = _components([model.log_likelihood(y, x, t, model.p)], x.shape[1:])[0]
+        return found
+
+    for step in np.diag(spread):
+        ends = [x - step[:, None], x + step[:, None]]
+        values = [likely(each) for each in ends]
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (ends[0] + ends[1])
+            value = likely(middle)
+            first, second = (np.abs(value - each) for each in values)
+            is_first = np.where(np.isfinite(first), first, -1) > np.where(
+                np.isfinite(second), second, -1
+            )
+            ends = [np.where(is_first, ends[0], middle), np.where(is_first, middle, ends[1])]
+            values = [np.where(is_first, values[0], value), np.where(is_first, value, values[1])]
+        change = np.abs(values[1] - values[0])
+        if np.any(np.isfinite(change) & (change > _JUMPED * (1.0 + np.abs(values[0])))):
+            return True
+    return False
+
+
+def _information(model: StateSpaceModel, x: Array, t: int, spread: Array) -> Array:
+    """A measurement's information about x, (n, D), for x in standard deviations, (D, n, n)."""
     (size, draws), p = x.shape, model.p
     nodes, share = _nodes(model.measurement_noise)  # (k, K) and (K,)
     states, noise = np.repeat(x, len(share), axis=1), np.tile(nodes, draws)
-    y, found = _components(model.measurement(states, t, noise, p), states.shape[1:]), []
-    for step in (_STEP, _WIDE_STEP):
-        score = _slopes(
-            lambda x: [model.log_likelihood(_wide(y, x), x, t, p)], states, spread, 1, step
-        ).reshape(draws, len(share), size)
-        score = np.where(np.isfinite(score), score * spread, 0.0)
-        found.append(score.swapaxes(1, 2) @ (share[:, None] * score))
-    return found
+    y = _components(model.measurement(states, t, noise, p), states.shape[1:])
+    score = _slopes(lambda x: [model.log_likelihood(_wide(y, x), x, t, p)], states, spread, 1)
+    score = score.reshape(draws, len(share), size)
+    score = np.where(np.isfinite(score), score * spread, 0.0)
+    information: Array = score.swapaxes(1, 2) @ (share[:, None] * score)
+    return information
 
 
 def _rows(information: Array, spread: Array) -> Array:
