@@ -447,6 +447,23 @@ def static() -> str:
     return _table(["program", "particles", "excess", "ms a posterior"], rows)
 
 
+def designs() -> str:
+    """Give the table of plans beside linearized designs, from their benchmark."""
+    table, rows = pd.read_csv(BENCHMARKS / "designs.csv", comment="#"), list[list[str]]()
+    others = [each for each in dict.fromkeys(table["times"]) if each != "plan"]
+    for system, own in table.groupby("system", sort=False):
+        by_set = own.set_index("times")
+        cells = [str(system), f"{float(by_set['mse']['plan']):.4g}"]
+        for name in others:
+            above, error = (
+                float(by_set[each].get(name, np.nan)) for each in ("above", "above_error")
+            )
+            same = by_set["t"].get(name) == by_set["t"]["plan"]
+            cells.append("the same" if same else f"{100 * above:+.1f} ± {100 * error:.1f} %")
+        rows.append(cells)
+    return _table(["system", "expected MSE of the plan", *others], rows)
+
+
 def size() -> str:
     """Give the table of the time and memory of large problems, from their benchmark."""
     rows = list[list[str]]()
@@ -608,8 +625,8 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, backtest, guided, constants, static, size, seconds_of_plan,
-        ways, driver, searches, robust, rules, engines, schemes, commands, figures,
+        gallery, genetic, stone_soup, backtest, guided, constants, static, designs, size,
+        seconds_of_plan, ways, driver, searches, robust, rules, engines, schemes, commands, figures,
         densities, needs,
     )
 }  # fmt: skip

@@ -20,8 +20,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from pfdist.common.measurement_times import Lag, Times, last_used
 from pfdist.common.points import PointNumbers
@@ -65,14 +63,15 @@ class Linearized:
     weights: Array | None = None  # (T+1,): of instants, with mean 1
 
     def __call__(self, sets: Sequence[Times]) -> Array:
-        """The mean linearized error of each set, (S,)."""
+        """The mean linearized error of each set, (S,); infinite if it is not finite."""
         together = max(1, _MOST // self.quantities[..., 0, :].size // self.begin.shape[-1])
-        found = [
-            self._errors(sets[first : first + together]).mean(axis=0)
-            for first in range(0, len(sets), together)
-        ]
-        errors: Array = np.concatenate(found)
-        return errors
+        with np.errstate(all="ignore"):  # then an error is not finite, which counts as infinite
+            found = [
+                self._errors(sets[first : first + together]).mean(axis=0)
+                for first in range(0, len(sets), together)
+            ]
+        errors = np.concatenate(found)
+        return np.where(np.isfinite(errors), errors, np.inf)
 
     def _errors(self, sets: Sequence[Times]) -> Array:
         """The linearized errors with each set, (D, S)."""
@@ -259,7 +258,7 @@ def _slopes(formula: Callable[[Any], Any], at: Array, spread: Array, count: int)
 def _jumps(model: StateSpaceModel, x: Array, t: int, spread: Array) -> bool:
     """Whether a log-likelihood jumps between two states near to each of some, (n, D).
 
-    Of an interval, the half in which it changes more is halved again: only a jump is left.
+    The half of an interval in which it changes more is halved again: only a jump is left.
     """
     nodes, _ = _nodes(model.measurement_noise)
     noise = nodes[:, np.arange(x.shape[1]) % nodes.shape[1]]
@@ -315,6 +314,10 @@ def _nodes(kinds: tuple[str, ...]) -> tuple[Array, Array]:
         return nodes[None], weights / weights.sum()
     if not kinds:
         return np.zeros((0, 1)), np.ones(1)
+    # Workers, which import this, wait for no SciPy.
+    from scipy.special import ndtri  # noqa: PLC0415
+    from scipy.stats import qmc  # noqa: PLC0415
+
     many = len(kinds) > 1
     sobol = qmc.Sobol(len(kinds), scramble=False).random(4 * _NODES) if many else None
     middle = (np.arange(_NODES)[:, None] + 0.5) / _NODES

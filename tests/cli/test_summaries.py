@@ -147,7 +147,7 @@ class Budget:
     """A run of 16 measurements, as a chapter sees it."""
 
     is_compared = True
-    heavy_tail = ()
+    notes = ()
 
     def __init__(self, scale: float = 1.0, reached: Any = None, **changes: Any) -> None:
         self.rows = {

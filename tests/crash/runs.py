@@ -25,8 +25,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 sys.exit(main())
 """
-# After which nothing of a program that has ended may live: agents of Ray whose server has ended first
-# look for it for 60 s.
+# After which nothing of a program that has ended may live: agents of Ray look for a server that has
+# ended before them for 60 s.
 GONE_SECONDS = 120.0
 
 

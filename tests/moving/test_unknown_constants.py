@@ -135,9 +135,9 @@ def test_the_evidence_is_unbiased_with_exponents_and_covariances_of_a_pilot(
     rows = np.array([model.parameters[f"factor_{c}"] for c in range(2)])[:, 1:5].T
     seeds = simulate(model, 4, range(copies), 7)
     seeds = replace(seeds, y=np.broadcast_to(seeds.y[:1], seeds.y.shape).copy())
-    one = replace(simulate(model, 4, range(1), 7), y=seeds.y[:1])
+    pilot = replace(simulate(model, 4, range(1), 7), y=seeds.y[:1])
     exact = stats.multivariate_normal(cov=np.eye(4) * 0.3**2 + rows @ rows.T).logpdf(
-        one.y[0, 1:, 0]
+        pilot.y[0, 1:, 0]
     )
     exponent, of_noise = plain._exponent, plain._moments_of_noise
     exponents, moments = list[tuple[Any, Any]](), list[tuple[Any, Any]]()
@@ -151,15 +151,15 @@ def test_the_evidence_is_unbiased_with_exponents_and_covariances_of_a_pilot(
         return moments[-1]
 
     def frozen_exponent(likelihood: Any, rest: Any) -> Any:
-        ((pilot,), (most,)) = exponents.pop(0)
-        return rest if pilot == most else np.full_like(rest, pilot)
+        ((first,), (most,)) = exponents.pop(0)
+        return rest if first == most else np.full_like(rest, first)
 
     def frozen_moments(lines: Any, weight: Any) -> Any:
         return tuple(np.repeat(each, len(weight), axis=0) for each in moments.pop(0))
 
     monkeypatch.setattr(plain, "_exponent", kept_exponent)
     monkeypatch.setattr(plain, "_moments_of_noise", kept_moments)
-    plain.filter_block(model, one, (1, 2, 3, 4), 3, moving(1000), keeps_lines=False)
+    plain.filter_block(model, pilot, (1, 2, 3, 4), 3, moving(1000), keeps_lines=False)
     assert len(exponents) > 4
     monkeypatch.setattr(plain, "_exponent", frozen_exponent)
     monkeypatch.setattr(plain, "_moments_of_noise", frozen_moments)

@@ -106,7 +106,7 @@ def test_a_search_is_named_after_its_method_unless_it_has_a_name(write):
     assert [search.name for search in job.search] == ["genetic", "second"]
 
 
-ONLINE = ", ".join(repr(name) for name in METHODS if name != "relaxation")
+ONLINE = ", ".join(repr(name) for name, method in METHODS.items() if method.online)
 PRICED = "problem={{horizon=10, total_price=3, price={}}}"
 BUDGET = "budget={least=2, most=4}"
 RELAXATION = "search=[{method='relaxation', polish=false}]"

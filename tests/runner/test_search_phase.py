@@ -67,14 +67,15 @@ def test_the_phases_of_a_search_take_these_estimators(
     race = rows[rows["phase"] == f"{DEFAULT_METHOD}.shortlist"]
     assert set(race["estimator"]) == {"squared_error"}
     assert set(race["particles"]) == {small_job.filter.particles}
-    # 3 polished, 1 of the search, the opponent:
-    assert 2 <= race["measurement_times"].map(tuple).nunique() <= 5
+    # 3 polished, 1 of the search, the opponent, the linearized design:
+    assert 2 <= race["measurement_times"].map(tuple).nunique() <= 6
 
 
 def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pfdist.runner.search_phase.MOST_STEPS", 1.0)
+    monkeypatch.setattr("pfdist.runner.search_phase._FEW_SETS", 0)
     line = "search relaxation: exchanges would take too long and are skipped"
     with pytest.warns(PfdistWarning, match=f"^{line}$"):  # where nobody receives lines
         run = pfdist.plan(small_job, tmp_path / "run", bound_draws=0, figures=False)
