@@ -51,8 +51,10 @@ class _Found:
         return believed
 
 
-def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, None, _Found]:
-    """The finalists of a search, of which the best are polished."""
+def _found(
+    session: RunSession, search: NamedSearch, others: tuple[Times, ...]
+) -> Generator[WorkBatch, None, _Found]:
+    """The finalists of a search, of which the best are polished, or of others that are better."""
     finalists = yield from _finalists(session, _searching(session.built, search))
     polishes = search.is_polished and not _is_too_long(session.built, search)
     race = _race_of_all(session.built, search) if finalists else None
@@ -64,7 +66,8 @@ def _found(session: RunSession, search: NamedSearch) -> Generator[WorkBatch, Non
     elif finalists and polishes:
         start, ends = finalists[0].measurement_times, list[Evaluation]()
         for name in search.polishes:
-            polished = yield from _finalists(session, polishing(session.built, search, start, name))
+            phase = polishing(session.built, search, start, name, others=others)
+            polished = yield from _finalists(session, phase)
             start = polished[0].measurement_times if polished else start
             ends = [*polished[:_POLISHED], *ends[:1]]
         finalists = [*ends, *finalists[:_UNPOLISHED]]
@@ -112,9 +115,10 @@ def run_search(
     """
     built, reporter = session.built, session.reporter
     start, total = reporter.progress.done, reporter.progress.total
-    found = yield from _found(session, search)
+    joining = [*filter(built.feasible.accepts, rivals)] * search.is_polished
+    found = yield from _found(session, search, tuple(t for t in joining if t in rivals[1:]))
     believed, raced = found.believed, None
-    joining = [*filter(built.feasible.accepts, rivals)] if believed and search.is_polished else []
+    joining *= bool(believed)
     if sets := built.study.racing(dict.fromkeys((*believed, *joining))):
         raced = yield from _finalists(session, _racing(built, search, sets))
     ranked = list(believed)
@@ -191,13 +195,19 @@ def _searching(built: Built, search: NamedSearch) -> Phase:
 
 
 def polishing(
-    built: Built, search: NamedSearch, start: Times, name: str, feasible: Feasible | None = None
+    built: Built,
+    search: NamedSearch,
+    start: Times,
+    name: str,
+    feasible: Feasible | None = None,
+    others: tuple[Times, ...] = (),
 ) -> Phase:
     """Exchanges on draws of their own: the draws of the search favour the set that it found.
 
     Exchanges for the worst scenario judge each scenario by its own draws. They may end in a local
     optimum, so they begin at the best mean, which races with their result. A number of a budget
-    has its own feasible sets, and exact errors of the farthest exchanges, too.
+    has its own feasible sets, and exact errors of the farthest exchanges, too. Other sets, such as
+    the linearized design, may take the place of the first one.
     """
     own, settings = feasible or built.feasible, search.polishing
     far = feasible is not None and built.evaluator.exact
@@ -207,7 +217,7 @@ def polishing(
         draws = criterion.scenario_count * settings.draws
         settings = replace(settings, draws=draws, estimation=built.comparing)
     fewest = max(criterion.scenario_count * FEWEST, criterion.fewest)
-    exchange = Exchange(own, settings.draws, start, reach, fewest=fewest)
+    exchange = Exchange(own, settings.draws, start, reach, fewest=fewest, others=others)
     return Phase(name, exchange, "search", settings, built, criterion)
 
 

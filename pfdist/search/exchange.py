@@ -89,6 +89,8 @@ class Exchange:
         Largest number of moves.
     fewest : int
         Number of draws of the first evaluation of a set.
+    others : tuple of tuple of int
+        Good sets from which exchanges may begin, too, if they are better than the first set.
     """
 
     feasible: Feasible
@@ -97,6 +99,7 @@ class Exchange:
     reach: int | None = None
     moves: int = 200
     fewest: int = FEWEST
+    others: tuple[Times, ...] = ()
 
     @property
     def generations(self) -> int:
@@ -119,7 +122,9 @@ class Exchange:
 
     def init(self) -> ExchangeState:
         """The state before the first generation."""
-        return self._around(self._start)
+        first = self._around(self._start)
+        beside = (each for each in self.others if each != first.best)
+        return replace(first, neighbours=(*dict.fromkeys((*first.neighbours, *beside)),))
 
     def ask(self, state: ExchangeState, rng: np.random.Generator) -> list[Candidate]:
         """The best set and the neighbours that may be better."""
