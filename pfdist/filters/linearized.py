@@ -13,7 +13,7 @@ covariances also holds where x has constants). Chaloner, Verdinelli, "Bayesian e
 a review", Statistical Science 10, 1995 (the mean over draws).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -43,7 +43,7 @@ _NODES = 32  # simulated measurements of each draw and instant
 _LEAST = 1e-9  # of an information's eigenvalue, relative to the largest
 _MOST = 4_000_000  # numbers in an array of all instants
 _JUMPS = MASKS | {"floor", "ceil", "trunc", "rint", "sign", "floor_divide", "remainder", "fmod"}
-_VARIANCES = {"normal": 1.0, "uniform": 1 / 12, "centred": 1 / 12}
+_VARIANCES = {"normal": 1.0, "uniform": 1.0, "centred": 1 / 12}  # uniform: see `_noise`
 _FORMULAS = "initial", "transition", "quantity_of_interest"
 
 Array = NDArray[np.float64]
@@ -137,18 +137,18 @@ def linearized(
         raise ModelError(f"model {model.name}: only a squared error of numbers can be linearized")
     instants = range(horizon + 1)
     _check_smooth(model, instants)
-    p, twin, index, (n, *_) = model.p, twin_of(model, instants), range(draws), model.components
+    twin, index, (n, *_, q) = twin_of(model, instants), range(draws), model.components
     with np.errstate(all="ignore"):
         w = _noise(model.initial_noise, stream, index, 0, TRUTH_INITIAL)
-        states = [_components(twin.initial(w, p), (draws,))]
-        root = _slopes(lambda w: twin.initial(w, p), w, np.ones(len(w)), n)
+        begun = partial(_initial, twin)
+        states = [_components(begun(w), (draws,))]
+        root = _slopes(begun, w, np.ones(len(w)), n)
         own = _variances(model.initial_noise)
         begin = np.einsum("dik,k,djk->dij", root, own, root)
         noises = list[Array]()
         for t in instants[:-1]:
             noises.append(_noise(model.process_noise, stream, index, t, TRUTH_PROCESS))
-            after = twin.transition(states[-1], t, noises[-1], p)
-            states.append(_components(after, states[-1].shape[1:]))
+            states.append(_components(_by_noise(twin, t, states[-1], noises[-1]), (draws,)))
         spreads = _spreads(np.array(states))
         steps, added = np.empty((2, horizon, draws, n, n))
         own = _variances(model.process_noise)
@@ -158,21 +158,31 @@ def linearized(
             steps[t] = _slopes(by_x, state, spreads[t], n)
             root = _slopes(by_w, w, np.ones(len(w)), n)
             added[t] = np.einsum("dik,k,djk->dij", root, own, root)
-        q = model.components[2]
         quantities = np.array(
             [_slopes(partial(_quantity, twin, t), states[t], spreads[t], q) for t in instants]
         )
-        rows, every = list[Array](), max(1, horizon // _LOOKED_AT)
-        for t in instants:
-            check()
-            for part in twin.parts:
-                if t % every == 0 and _jumps(part.model, states[t], t, spreads[t]):
-                    raise ModelError(f"model {model.name}: log_likelihood jumps where x changes")
-                rows.append(_rows(_information(part.model, states[t], t, spreads[t]), spreads[t]))
+        rows = [*_information_rows(model.name, twin, states, spreads)]
     for name, values in (("transition", steps), ("process noise", added), ("z", quantities)):
         if not np.isfinite(values).all():
             raise ModelError(f"model {model.name}: the derivative of {name} is not finite")
     return Linearized(model.points, begin, steps, added, tuple(rows), quantities, lag, weights)
+
+
+def _information_rows(
+    name: str, twin: StateSpaceModel, states: Sequence[Array], spreads: Array
+) -> Iterator[Array]:
+    """The rows of each point; raises `ModelError` if they say nothing."""
+    every, is_any = max(1, (len(states) - 1) // _LOOKED_AT), False
+    for t, (x, spread) in enumerate(zip(states, spreads, strict=True)):
+        check()
+        for part in twin.parts:
+            if t % every == 0 and _jumps(part.model, x, t, spread):
+                raise ModelError(f"model {name}: log_likelihood jumps where x changes")
+            rows = _rows(_information(part.model, x, t, spread), spread)
+            is_any |= rows.size > 0
+            yield rows
+    if not is_any:
+        raise ModelError(f"model {name}: measurements have no smooth information about x")
 
 
 def _check_smooth(model: StateSpaceModel, instants: range) -> None:
@@ -208,9 +218,37 @@ def _spreads(x: Array) -> Array:
 
 
 def _noise(kinds: tuple[str, ...], stream: int, index: range, t: int, role: Any) -> Array:
-    """Noise of each component and draw, (k, D)."""
+    """Noise of each component and draw, (k, D); of uniform noise the normal number behind it.
+
+    Uniform noise mostly enters by a quantile function, so its variance says little.
+    """
     found = [w[:, 0] for w in noise_of(kinds, 1, stream, index, t, role)]
-    return np.array(found).reshape(len(kinds), len(index))
+    normal = [_quantile(w) if k == "uniform" else w for k, w in zip(kinds, found, strict=True)]
+    return np.array(normal).reshape(len(kinds), len(index))
+
+
+def _as_drawn(kinds: tuple[str, ...], noise: Array) -> Array:
+    """The noise of formulas."""
+    is_uniform = np.array([kind == "uniform" for kind in kinds], np.bool_)
+    drawn = noise.copy()
+    drawn[is_uniform] = _probability(noise[is_uniform])
+    return drawn
+
+
+def _quantile(probability: Array) -> Array:
+    """Quantiles of the normal distribution."""
+    from scipy.special import ndtri  # noqa: PLC0415  workers, which import this, wait for no SciPy
+
+    found: Array = ndtri(probability)
+    return found
+
+
+def _probability(value: Array) -> Array:
+    """Probabilities of the normal distribution."""
+    from scipy.special import ndtr  # noqa: PLC0415
+
+    found: Array = ndtr(value)
+    return found
 
 
 def _variances(kinds: tuple[str, ...]) -> Array:
@@ -223,12 +261,19 @@ def _components(values: Sequence[Any], shape: tuple[int, ...]) -> Array:
     return np.array(found).reshape(len(found), *shape)
 
 
-def _by_state(model: StateSpaceModel, t: int, w: Array, x: Array) -> Any:
+def _initial(model: StateSpaceModel, noise: Array) -> Any:
+    return model.initial(_as_drawn(model.initial_noise, noise), model.p)
+
+
+def _by_state(model: StateSpaceModel, t: int, noise: Array, x: Array) -> Any:
+    w = _as_drawn(model.process_noise, noise)
     return model.transition(x, t, _wide(w, x), model.p)
 
 
-def _by_noise(model: StateSpaceModel, t: int, x: Array, w: Array) -> Any:
-    return model.transition(_wide(x, w), t, w, model.p)
+def _by_noise(model: StateSpaceModel, t: int, x: Array, noise: Array) -> Any:
+    if len(noise):
+        x = _wide(x, noise)
+    return model.transition(x, t, _as_drawn(model.process_noise, noise), model.p)
 
 
 def _quantity(model: StateSpaceModel, t: int, x: Array) -> Any:
@@ -252,7 +297,9 @@ def _slopes(formula: Callable[[Any], Any], at: Array, spread: Array, count: int)
         return np.empty((columns, count, 0))
     values = _components(formula(moved.reshape(size, -1)), (moved[0].size,))
     high, low = values.reshape(count, 2, size, columns).swapaxes(0, 1)
-    return ((high - low) / (2 * steps[:, None])).transpose(2, 0, 1)
+    made = np.array([moved[c, 0, c] - moved[c, 1, c] for c in range(size)])  # rounded
+    slopes: Array = ((high - low) / made).transpose(2, 0, 1)
+    return slopes
 
 
 def _jumps(model: StateSpaceModel, x: Array, t: int, spread: Array) -> bool:
@@ -274,14 +321,13 @@ def _jumps(model: StateSpaceModel, x: Array, t: int, spread: Array) -> bool:
         for _ in range(_HALVINGS):
             middle = 0.5 * (ends[0] + ends[1])
             value = likely(middle)
-            first, second = (np.abs(value - each) for each in values)
-            is_first = np.where(np.isfinite(first), first, -1) > np.where(
-                np.isfinite(second), second, -1
-            )
+            first, second = (np.nan_to_num(np.abs(value - each), nan=-1.0) for each in values)
+            is_first = first > second
             ends = [np.where(is_first, ends[0], middle), np.where(is_first, middle, ends[1])]
             values = [np.where(is_first, values[0], value), np.where(is_first, value, values[1])]
         change = np.abs(values[1] - values[0])
-        if np.any(np.isfinite(change) & (change > _JUMPED * (1.0 + np.abs(values[0])))):
+        size = 1.0 + np.minimum(*np.abs(values))
+        if np.any(change > _JUMPED * np.where(np.isfinite(size), size, 1.0)):
             return True
     return False
 
@@ -295,8 +341,9 @@ def _information(model: StateSpaceModel, x: Array, t: int, spread: Array) -> Arr
     score = _slopes(lambda x: [model.log_likelihood(_wide(y, x), x, t, p)], states, spread, 1)
     score = score.reshape(draws, len(share), size)
     score = np.where(np.isfinite(score), score * spread, 0.0)
-    information: Array = score.swapaxes(1, 2) @ (share[:, None] * score)
-    return information
+    information = score.swapaxes(1, 2) @ (share[:, None] * score)
+    finite: Array = np.where(np.isfinite(information), information, 0.0)
+    return finite
 
 
 def _rows(information: Array, spread: Array) -> Array:
@@ -314,19 +361,21 @@ def _nodes(kinds: tuple[str, ...]) -> tuple[Array, Array]:
         return nodes[None], weights / weights.sum()
     if not kinds:
         return np.zeros((0, 1)), np.ones(1)
-    # Workers, which import this, wait for no SciPy.
-    from scipy.special import ndtri  # noqa: PLC0415
-    from scipy.stats import qmc  # noqa: PLC0415
+    if len(kinds) == 1:  # in cells, which are smaller towards the ends: for rare counts
+        ends = 4.0 ** -np.arange(3.0, 14.0)
+        edges = np.unique([0.0, *ends, *np.linspace(0.0, 1.0, _NODES + 1), *(1.0 - ends), 1.0])
+        places, share = (edges[:-1] + edges[1:])[:, None] / 2, np.diff(edges)
+    else:
+        from scipy.stats import qmc  # noqa: PLC0415
 
-    many = len(kinds) > 1
-    sobol = qmc.Sobol(len(kinds), scramble=False).random(4 * _NODES) if many else None
-    middle = (np.arange(_NODES)[:, None] + 0.5) / _NODES
-    places = middle if sobol is None else np.clip(sobol + 0.5 / len(sobol), 1e-9, 1 - 1e-9)
+        sobol = qmc.Sobol(len(kinds), scramble=False).random(4 * _NODES)
+        places = np.clip(sobol + 0.5 / len(sobol), 1e-9, 1 - 1e-9)
+        share = np.full(len(places), 1 / len(places))
     nodes = np.empty(places.T.shape)
     for c, kind in enumerate(kinds):
         if kind == "normal":
-            nodes[c] = ndtri(places[:, c])
+            nodes[c] = _quantile(places[:, c])
             nodes[c] = (nodes[c] - nodes[c].mean()) / nodes[c].std()
         else:
             nodes[c] = places[:, c] - 0.5 * (kind == "centred")
-    return nodes, np.full(len(places), 1 / len(places))
+    return nodes, share

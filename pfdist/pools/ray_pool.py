@@ -15,7 +15,7 @@ from typing import Any, Self
 from pfdist.common.stopping import check, sleep
 from pfdist.errors import PoolError, SilenceError
 from pfdist.pools.base import PAUSE_SECONDS, Function, Outcome, Silence, Task, patience, pause
-from pfdist.pools.ray_cluster import connected, load_ray, reason
+from pfdist.pools.ray_cluster import connected, is_own, load_ray, reason
 from pfdist.pools.workers import (
     FUNCTIONS,
     Answer,
@@ -43,6 +43,7 @@ class RayPool:
         self._demanded, self._address = workers, address
         self.workers, self._stack, self._cores = workers, contextlib.ExitStack(), _Cores()
         self._stored = lru_cache(maxsize=FUNCTIONS)(_stored)
+        self._had = 0  # the most cores that the cluster has had
 
     def __enter__(self) -> Self:
         """Raise `PoolError` if there is no cluster, and `SilenceError` if it does not answer."""
@@ -94,7 +95,12 @@ class RayPool:
             self._count_workers()
 
     def _count_workers(self) -> None:
-        self.workers = self._demanded or max(1, self._cores.look())
+        """Look at the cluster, also if so many workers are demanded: it may be lost."""
+        cores = self._cores.look()
+        self._had = max(self._had, cores)
+        if cores == 0 < self._had and is_own(self._address):
+            raise SilenceError("the Ray cluster is lost: its node does not answer")
+        self.workers = self._demanded or max(1, cores)
 
     @property
     def _most_in_flight(self) -> int:

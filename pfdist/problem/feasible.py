@@ -159,8 +159,10 @@ class Feasible(Constraints):
             start, stop = (index if len(required) == left else start), min(stop, index + 1)
         return self.allowed[start:stop]
 
-    def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
-        """The feasible sets in which one time is exchanged for another.
+    def exchanges(
+        self, times: Times, reach: int | None = None, moved: int | None = None
+    ) -> list[Times]:
+        """The feasible sets in which one time, or a given one, is exchanged for another.
 
         `reach` is the largest distance between the two; by default it is not limited. With money, a
         new time may be too expensive or lie too near to others. Then the times nearest to it are
@@ -173,7 +175,7 @@ class Feasible(Constraints):
         exchanged = [
             neighbour
             for out in times
-            if out not in self.required
+            if out not in self.required and moved in (None, out)
             for new in self.near(out, reach)
             if new not in own and (neighbour := self._exchanged(own - {out}, new)) is not None
         ]

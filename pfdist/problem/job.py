@@ -253,7 +253,9 @@ class Job(JobSection):
                 f"comparison.sets must not name a set {EVEN!r}: the best evenly spaced times have "
                 "this name in tables"
             )
-        if isinstance(reference, str) and reference not in (EVENLY_SPACED, REGULAR, *named):
+        if isinstance(reference, str) and reference not in (
+            EVENLY_SPACED, REGULAR, LINEARIZED, *named
+        ):  # fmt: skip
             sets = ", ".join(map(repr, named)) or "which names none"
             raise ValueError(
                 f"comparison.reference must be {EVENLY_SPACED!r}, {REGULAR!r}, a list of times, "
@@ -373,7 +375,7 @@ class Job(JobSection):
         written = {name: (f"comparison.sets.{name}", times) for name, times in named.items()}
         own = written.pop(first, ("comparison.reference", comparison.reference))
         return {
-            name: None if times in (EVENLY_SPACED, REGULAR, (LINEARIZED,))
+            name: None if times in (EVENLY_SPACED, REGULAR, LINEARIZED, (LINEARIZED,))
             else references[times[0]] if len(times) == 1 and times[0] in references
             else self.problem.points.checked(times, key, key)
             for name, (key, times) in {first: own, **written}.items()

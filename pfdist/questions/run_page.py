@@ -156,9 +156,10 @@ def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
 
 
 def _warnings(subject: Subject) -> list[str]:
+    said = subject.by_error[0] if subject.lost else ""  # its loss comes first
     warnings = [
         f"{row.label}: {text}" for row in subject.rows.values() for text in row.warnings
-        if not (subject.lost and TOO_FEW in text)  # said at once
+        if not (row.name == said and TOO_FEW in text)
     ]  # fmt: skip
     # The last line in a terminal is the warning that nothing is proved.
     few_lines = provenance_of(subject.run).get("few_lines", "")
@@ -192,7 +193,8 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     yield Text(f"Measure {at}", prominent=True)
     sentences = [
         (_beating if row.beats_search else _gain)(subject, row),
-        _as_good(subject, row), _proof(subject, row), online_sentence(subject),
+        _as_good(subject, row), _proof(subject, row),
+        "" if row.beats_search else online_sentence(subject),  # a rule of another set
         provenance_of(subject.run).get("on_the_way", ""),
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)
@@ -234,10 +236,12 @@ def _beating(subject: Subject, row: Row) -> str:
     found = min(subject.found_rows.values(), key=lambda each: float(each.expected_mse))
     label, mse = subject.criterion.label, COLUMNS["expected_mse"]
     listed = problem_of(subject.run).clock.listed(found.measurement_times)
+    are = "These are" if row.name in (EVEN, REGULAR) else "This is"
+    several = len(subject.found_rows) > 1
+    searches, own = ("searches", "their best set") if several else ("search", "its set")
     return (
-        f"These are {phrase_of(row.label)}: the search found nothing better. The {label} is "
-        f"{mse.cell(row).text}; with the set of the search (t = {listed}) it is "
-        f"{mse.cell(found).text}."
+        f"{are} {phrase_of(row.label)}: the {searches} found nothing better. The {label} is "
+        f"{mse.cell(row).text}; with {own} (t = {listed}) it is {mse.cell(found).text}."
     )
 
 

@@ -224,7 +224,7 @@ def _beating(run: StoredRun, rows: Sequence[Row]) -> list[str]:
     """Names of the given sets and opponents that clearly beat every found set, by common draws."""
     judged = [row for row in rows if row.expected_mse is not None and not row.broken_constraints]
     found = [row for row in judged if row.kind == FOUND]
-    if not found or "budget" in run.job or any(row.criterion_value for row in rows):
+    if not found or "budget" in run.job or not criterion_of(run).is_mean:
         return []
     best = min(found, key=lambda row: row.expected_mse)
     others = [row for row in judged if row.kind != FOUND and row.expected_mse < best.expected_mse]
@@ -235,7 +235,8 @@ def _beating(run: StoredRun, rows: Sequence[Row]) -> list[str]:
             moments.add(difference[~np.isnan(difference)])
     return [
         row.name for row in others
-        if row.standard_error == best.standard_error == 0.0
+        if (row.standard_error == best.standard_error == 0.0
+            and best.expected_mse - row.expected_mse > _ROUNDING * best.expected_mse)
         or differences[row.name].estimate.is_positive(_BEATEN)
     ]  # fmt: skip
 
@@ -408,8 +409,8 @@ def _add_particle_losses(
         row.add(loss.columns() | {"unmeasured_mse": unmeasured})
         hardly = hardly_measured(row.expected_mse, unmeasured)
         is_heavy = row.largest_share is not None and row.largest_share > HEAVY  # said already
-        said = loss.large if is_heavy else loss.warning
-        warnings = [said, hardly if name in statistics.gains else ""]
+        said = [loss.large, loss.rare * (not is_heavy)]
+        warnings = [*said, hardly if name in statistics.gains else ""]
         row.warnings += [text for text in warnings if text and worst in ("", name)]
 
 

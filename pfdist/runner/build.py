@@ -139,13 +139,14 @@ def build(job: Job, *runs: Path, asked: float | None = None, follows: bool = Fal
     moves = proposal == MOVING.name
     if is_automatic and not moves:
         particles = _enough_particles(built, proposal)
+    why = PROPOSALS[proposal].why * is_open
+    taken = f"filter.proposal: {proposal}, {why}" * bool(why)
     if (proposal, particles) == (first.filter.proposal, first.filter.particles) and not moves:
-        return built
+        return replace(built, taken=taken)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", EngineWarning)  # it came with the first filter
         found = _built(_with_filter(job, proposal, particles, built), built.evaluator)
-    why = PROPOSALS[proposal].why * is_open
-    return replace(found, taken=f"filter.proposal: {proposal}, {why}" * bool(why))
+    return replace(found, taken=taken)
 
 
 def with_design(job: Job) -> Job:
@@ -153,13 +154,16 @@ def with_design(job: Job) -> Job:
 
     Raises `ModelError` as `design_of_job`.
     """
-    named = job.comparison.named
+    named, reference = job.comparison.named, job.comparison.reference
     names = [name for name, times in named.items() if times == (LINEARIZED,)]
-    if not names:
+    is_reference = reference in (LINEARIZED, (LINEARIZED,)) and reference not in named
+    if not (names or is_reference):
         return job
     written = job.problem.points.written_of(design_of_job(job))
-    sets = {**named, **dict.fromkeys(names, written)}
-    return job.with_changes(settings={"comparison": {"sets": sets}})
+    changes: dict[str, Any] = {"reference": written} if is_reference else {}
+    if names:
+        changes["sets"] = {**named, **dict.fromkeys(names, written)}
+    return job.with_changes(settings={"comparison": changes})
 
 
 def design_of_job(job: Job) -> Times:

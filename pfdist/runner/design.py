@@ -1,4 +1,4 @@
-"""The linearized design of a job's problem: an opponent of every plan, and a finalist."""
+"""The linearized design of a job's problem: a finalist of plans, a search, and a name for times."""
 
 import math
 from collections.abc import Iterable
@@ -31,7 +31,7 @@ def linearized_of(job: Job, evaluator: Evaluator) -> Linearized:
     }  # fmt: skip
     for what, is_so in why.items():
         if is_so:
-            raise ModelError(f"the linearized design does not know {what}")
+            raise ModelError(f"there is no linearized design for {what}")
     stream = stream_of("search", job.seed, "linearized")
     model, own = evaluator.model, (evaluator.horizon, stream, evaluator.lag)
     weights = evaluator.instant_weights

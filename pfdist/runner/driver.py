@@ -34,7 +34,7 @@ from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover
 from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.ruling import look_work
-from pfdist.runner.search_phase import run_search, search_steps
+from pfdist.runner.search_phase import is_too_long, run_search, search_steps
 from pfdist.runner.searches import planning_of
 from pfdist.runner.smoothed_budget import budget_of_smoothed, budget_steps, is_smoothed_budget
 from pfdist.store import Store, schema
@@ -128,8 +128,9 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
         {"name": name, "measurement_times": times, "tried": tried.get(name)}
         for name, times in given.items()
     ]
+    rivals = _rivals(built, given)
     for search in built.searches:
-        winners = better or (yield from run_search(session, search, _rivals(built, given)))
+        winners = better or (yield from run_search(session, search, rivals))
         rows += [
             {
                 "name": name,
@@ -167,10 +168,11 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
 def _rivals(built: Built, given: Mapping[str, Times]) -> list[Times]:
     """The sets that race with a plan: the best opponent, and the linearized design if there is one.
 
-    That takes a twentieth of the plan's work at most.
+    That takes about a twentieth of the plan's work at most.
     """
     opponent, rivals = next(iter(given.values())), list[Times]()
-    if built.job.budget is None and not built.evaluator.exact:
+    polishes = any(each.is_polished and not is_too_long(built, each) for each in built.searches)
+    if polishes and built.job.budget is None and not built.evaluator.exact:
         with suppress(ModelError):
             most = SHARE * core_steps(built)
             rivals.append(design_of(built.job, built.evaluator, [opponent], most))

@@ -56,7 +56,7 @@ def _found(
 ) -> Generator[WorkBatch, None, _Found]:
     """The finalists of a search, of which the best are polished, or of others that are better."""
     finalists = yield from _finalists(session, _searching(session.built, search))
-    polishes = search.is_polished and not _is_too_long(session.built, search)
+    polishes = search.is_polished and not is_too_long(session.built, search)
     race = _race_of_all(session.built, search) if finalists else None
     if race is not None:  # nothing is left to exchange
         every = yield from _finalists(session, race)
@@ -156,7 +156,7 @@ def search_steps(built: Built, search: NamedSearch, usual: bool = False) -> floa
     if search.is_polished:
         if race is not None:
             phases.append(race)
-        elif not _is_too_long(built, search):
+        elif not is_too_long(built, search):
             phases += [polishing(built, search, start, name) for name in search.polishes]
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED + 1)))
     return sum(phase.steps(usual) for phase in phases)
@@ -167,9 +167,8 @@ def _race_of_all(built: Built, search: NamedSearch) -> Phase | None:
 
     It takes as much work as the search, at most. Criteria of draws need more.
     """
-    size = built.feasible.size
     may = search.is_polished and search.criterion.additive and built.job.budget is None
-    if not may or built.evaluator.exact or not 1 < size <= _FEW_SETS:
+    if not may or built.evaluator.exact or not 1 < built.feasible.size <= _FEW_SETS:
         return None
     own = search.settings.estimation
     if own.estimator == FILTER_VARIANCE.name:  # it does not see that a cloud collapses
@@ -221,7 +220,7 @@ def polishing(
     return Phase(name, exchange, "search", settings, built, criterion)
 
 
-def _is_too_long(built: Built, search: NamedSearch) -> bool:
+def is_too_long(built: Built, search: NamedSearch) -> bool:
     """Whether the exchanges that polish would take too long; a criterion may need them."""
     phase = polishing(built, search, built.job.problem.feasible.regular(), search.polish)
     return search.criterion.additive and phase.steps() > MOST_STEPS

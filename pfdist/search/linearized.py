@@ -19,7 +19,6 @@ from pfdist.search.base import FINALISTS, Candidate, best_of
 
 LinearizedErrors = Callable[[Sequence[Times]], NDArray[np.float64]]
 """The linearized errors of sets, (S,)."""
-_LOWER = 1.0 - 1e-9  # of an error, so that no rounding decides
 
 
 def designs(
@@ -32,21 +31,26 @@ def designs(
     """
     ends, left = dict[Times, float](), most
     for start in dict.fromkeys(starts):
-        best, error, since = start, float(errors([start])[0]), 0
+        best, error, since = start, float(_rounded(errors([start]))[0]), 0
         while since < len(best) and left > 0:
-            moved, others = best[since], feasible.exchanges(best)
-            if feasible.counted:
-                others, since = [each for each in others if moved not in each], since + 1
-            else:  # what is bought with the rest differs: all exchanges at once
-                since = len(best)
+            # With money, what the rest buys differs: then all exchanges at once.
+            moved = best[since] if feasible.counted else None
+            others = feasible.exchanges(best, moved=moved)
+            since = since + 1 if feasible.counted else len(best)
             left -= len(others)
-            found = errors(others) if others else np.empty(0)
-            if found.size and found.min() < _LOWER * error:
+            found = _rounded(errors(others)) if others else np.empty(0)
+            if found.size and found.min() < error:
                 best, error, since = others[int(found.argmin())], float(found.min()), 0
-        ends[best] = error
+        ends[feasible.canonical(best)] = error
         if left <= 0:
             break
     return sorted(ends, key=lambda times: ends[times])
+
+
+def _rounded(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The errors with seven digits, so that no rounding of a processor decides."""
+    scale = 10.0 ** np.floor(np.log10(np.maximum(np.abs(errors), 1e-300)))
+    return np.where(np.isfinite(errors), np.round(errors / scale, 6) * scale, np.inf)
 
 
 @dataclass(frozen=True)

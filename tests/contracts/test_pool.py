@@ -463,6 +463,15 @@ def test_so_many_tasks_are_in_flight(
         assert pool._most_in_flight == most
 
 
+@pytest.mark.parametrize("demanded", [0, 2])
+def test_an_own_cluster_whose_node_is_lost_says_so(
+    demanded: int, cores: Callable[..., None]
+) -> None:
+    cores(2, 2, 0)
+    with RayPool(demanded) as pool, pytest.raises(SilenceError, match="its node does not answer"):
+        list(pool.run(few(20)))
+
+
 def test_a_pool_begins_when_the_cluster_has_told_its_cores(cores: Callable[..., None]) -> None:
     cores(-1, -1, 2)
     with RayPool() as pool:

@@ -60,18 +60,19 @@ def test_a_reading_whose_error_depends_on_x_counts_in_full() -> None:
     )
 
 
-def test_counts_have_the_information_of_their_mean() -> None:
-    # Closed form of a Poisson variable with the mean exp(a + .1 x): .01 times the mean.
+@pytest.mark.parametrize(("a", "b"), [(3.0, 0.1), (0.0, 0.5), (-4.0, 0.5)])
+def test_counts_have_the_information_of_their_mean(a: float, b: float) -> None:
+    # Closed form of a Poisson variable with the mean exp(a + b x): b^2 times the mean.
     model = reading(
-        lambda x, v: densities.poisson_draw(v, np.exp(3.0 + 0.1 * x)),
-        lambda y, x: densities.poisson_logpmf(y, np.exp(3.0 + 0.1 * x)),
+        lambda x, v: densities.poisson_draw(v, np.exp(a + b * x)),
+        lambda y, x: densities.poisson_logpmf(y, np.exp(a + b * x)),
         "uniform",
     )
-    of_draws = linearized(model, 1, 3, draws=40)
-    exact = np.mean(
-        1 / (1 + 0.01 * np.exp(3.0 + 0.1 * np.random.default_rng(0).normal(size=10**5)))
-    )
-    assert of_draws([(0,)])[0] == pytest.approx(exact, rel=0.03)
+    of_draws = linearized(model, 1, 3, draws=400)
+    mean = np.exp(a + b * np.random.default_rng(0).normal(size=10**5))
+    exact = np.mean(1 / (1 + b**2 * mean))
+    lost = 1.0 - of_draws([(0,)])[0]
+    assert lost == pytest.approx(1.0 - exact, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -94,6 +95,23 @@ def test_a_likelihood_that_jumps_is_refused() -> None:
         "uniform",
     )
     with pytest.raises(ModelError, match="log_likelihood jumps where x changes"):
+        linearized(model, 4, 3)
+
+
+def test_a_reading_with_bounds_that_depend_on_x_is_refused() -> None:
+    model = reading(
+        lambda x, v: x + v, lambda y, x: np.where(abs(y - x) < 0.5, 0.0, -np.inf), "centred"
+    )
+    with pytest.raises(ModelError, match="log_likelihood jumps where x changes"):
+        linearized(model, 4, 3)
+
+
+def test_a_reading_without_noise_is_refused() -> None:
+    model = replace(
+        reading(lambda x, v: x, lambda y, x: -0.5 * (y - x) ** 2, "normal"),
+        measurement=lambda x, t, v, p: (x[0],), measurement_noise=(),
+    )  # fmt: skip
+    with pytest.raises(ModelError, match="no smooth information"):
         linearized(model, 4, 3)
 
 

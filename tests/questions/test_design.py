@@ -39,6 +39,10 @@ def test_linearized_times_of_a_linear_model_are_the_best(tmp_path: Path) -> None
     run = pfdist.compare(of_job, results=tmp_path / "run", pool="serial", figures=False)
     assert run.sets["design"] == BEST
     assert run.job["comparison"]["sets"]["design"] == [*BEST]
+    search = [{"method": "random", "evaluations": 2}]
+    of_job = problem(engine="kalman").job(comparison={"reference": "linearized"}, search=search)
+    run = pfdist.run(of_job, tmp_path / "reference", pool="serial", figures=False)
+    assert run.sets["reference"] == BEST
 
 
 def test_a_search_by_linearized_errors_finds_the_best_set(tmp_path: Path) -> None:
@@ -50,7 +54,7 @@ def test_a_search_by_linearized_errors_finds_the_best_set(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("keys", "why"),
     [
-        ({"criterion": "worst_instant"}, "does not know a criterion other than the expected MSE"),
+        ({"criterion": "worst_instant"}, "there is no linearized design for a criterion"),
         ({"model": ROUNDED, "horizon": 20}, "quantity_of_interest has 'rint'"),
     ],
 )
@@ -97,8 +101,8 @@ def test_a_set_that_clearly_beats_the_search_is_named_without_a_gain(tmp_path: P
     assert sets["beats_search"].tolist() == [None, True, None]
     assert run.best.name == "mine"
     answer = str(run)
-    assert "the set mine: the search found nothing better" in answer
-    assert "lower" not in answer.partition("with the set of the search")[0]
+    assert "This is the set mine: the search found nothing better" in answer
+    assert "lower" not in answer.partition("with its set")[0]
 
 
 def test_a_set_that_breaks_a_constraint_is_never_named(tmp_path: Path) -> None:
@@ -121,7 +125,7 @@ def test_a_loss_of_more_than_a_fifth_comes_before_the_times(tmp_path: Path) -> N
     html = run._repr_html_()
     alarm = html.index("particles lose at most")
     assert alarm < html.index("Measure at")
-    assert "particles may be too few" not in html
+    assert html.count("particles may be too few") == 1  # of the other set
 
 
 # --- small systems, of which all sets are known ---------------------------------------------------
@@ -153,6 +157,6 @@ def test_a_plan_of_constants_is_the_best_of_all_sets(name: str, tmp_path: Path) 
     chosen = evaluator(evaluator.work(sets, 3, 5, (0, 400), moving(100, estimator=TWO_CLOUDS.name)))
     best = sets[int(chosen.mse.mean(axis=0).argmin())]
     rivals = [run.sets["relaxation"], best]
-    mse = evaluator(evaluator.work(rivals, 7, 11, (0, 4000), moving(100))).mse
+    mse = evaluator(evaluator.work(rivals, 7, 11, (0, 8000), moving(100))).mse
     regret = mse[:, 0] - mse[:, 1]
     assert regret.mean() <= 0.01 * mse[:, 0].mean() + 2 * regret.std() / len(mse) ** 0.5
