@@ -179,7 +179,7 @@ def _planned_set(run: Run, name: str) -> str:
     ----------
     run : Run
     name : str
-        Name of a compared set; if it is empty, the found set with the lowest expected MSE.
+        Name of a compared set; if it is empty, that of the answer, see `best_first`.
 
     Raises
     ------

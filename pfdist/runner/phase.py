@@ -151,8 +151,8 @@ class Phase:
     def steps(self, usual: bool = False) -> float:
         """Approximate number of particle-steps of the phase.
 
-        Forecasts that are shown are the usual number, where a search knows it. Results depend on
-        the other number, of which further answers have shares.
+        Forecasts that are shown are the usual number, where a search knows it, and so is the limit
+        of a race between all sets. Further answers have shares of the other number.
         """
         settings, instants = self.settings, self.built.job.problem.feasible.horizon + 1
         a_draw = settings.estimation.steps_an_instant * instants
