@@ -236,11 +236,13 @@ def _beating(subject: Subject, row: Row) -> str:
     found = min(subject.found_rows.values(), key=lambda each: float(each.expected_mse))
     label, mse = subject.criterion.label, COLUMNS["expected_mse"]
     listed = problem_of(subject.run).clock.listed(found.measurement_times)
-    are = "These are" if row.name in (EVEN, REGULAR) else "This is"
+    are, who = "This is", phrase_of(row.label)
+    if row.name in (EVEN, REGULAR):
+        are, who = "These are", subject.reference.partition(" (t = ")[0]
     several = len(subject.found_rows) > 1
     searches, own = ("searches", "their best set") if several else ("search", "its set")
     return (
-        f"{are} {phrase_of(row.label)}: the {searches} found nothing better. The {label} is "
+        f"{are} {who}: the {searches} found nothing better. The {label} is "
         f"{mse.cell(row).text}; with {own} (t = {listed}) it is {mse.cell(found).text}."
     )
 

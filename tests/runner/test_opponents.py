@@ -343,7 +343,7 @@ def test_no_plan_is_clearly_worse_than_its_opponent(
     errors = exact.evaluator.expected_mse(sets)
     poor = sets[int(np.argmax(errors))]
 
-    def found(session: Any, search: Any) -> Any:
+    def found(session: Any, search: Any, others: Any) -> Any:
         ended = yield from search_phase._finalists(
             session, search_phase._racing(session.built, search, (poor,))
         )
