@@ -198,11 +198,16 @@ def _check_smooth(model: StateSpaceModel, instants: range) -> None:
 
 def _jump(program: Program) -> str:
     """The name of an operation of x or noise that has a jump; empty if there is none."""
-    depends = list[bool]()
-    for name, arguments, _ in program.operations:
-        depends.append(name in ("x", "w") or any(depends[each] for each in arguments))
-        if depends[-1] and name in _JUMPS:
-            return name
+    fed = set[int]()  # loops whose values depend on x or noise from the second step on
+    for _ in range(2):
+        depends = list[bool]()
+        for name, arguments, _ in program.operations:
+            is_fed = name == "state" and arguments[0] in fed
+            depends.append(is_fed or name in ("x", "w") or any(depends[each] for each in arguments))
+            if depends[-1] and name in _JUMPS:
+                return name
+            if depends[-1] and name == "again":
+                fed.add(arguments[0])
     return ""
 
 

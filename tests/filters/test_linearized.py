@@ -14,6 +14,7 @@ from pfdist.common.measurement_times import Lag
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.linearized import linearized
+from pfdist.models.repeating import repeated_steps
 
 SETS = [(), (0,), (3, 4), (1, 5, 9, 12), (12,), tuple(range(13))]
 LAGS = 0, 12, 3, (2,) * 4 + (0,) * 9
@@ -73,6 +74,22 @@ def test_counts_have_the_information_of_their_mean(a: float, b: float) -> None:
     exact = np.mean(1 / (1 + b**2 * mean))
     lost = 1.0 - of_draws([(0,)])[0]
     assert lost == pytest.approx(1.0 - exact, rel=0.2)
+
+
+def test_a_step_in_a_loop_is_refused_and_a_smooth_loop_is_not() -> None:
+    def transition(jumps: bool) -> Any:
+        def step(x: Any, k: Any, entries: Any, of: Any) -> Any:
+            grown = x[0] + 0.3 * of
+            return (np.where(x[0] > 1.5, 0.0, grown) if jumps else grown,)
+
+        return lambda x, t, w, p: repeated_steps(
+            lambda values, k, entries: step(values, k, entries, x[0]), (0.0,), 3
+        )
+
+    smooth, broken = (replace(constants(1, 0.1), transition=transition(each)) for each in (0, 1))
+    assert np.isfinite(linearized(smooth, 4, 3)([(1,)])).all()
+    with pytest.raises(ModelError, match="transition has 'greater' of x"):
+        linearized(broken, 4, 3)
 
 
 @pytest.mark.parametrize(
