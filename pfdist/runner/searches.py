@@ -6,6 +6,7 @@ from typing import Any
 
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion
+from pfdist.filters.proposals import MOVING
 from pfdist.filters.work import BLOCK, Estimation
 from pfdist.kernels.estimators import (
     ESTIMATORS,
@@ -154,7 +155,8 @@ def named_search(
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
     estimator = ESTIMATORS[settings.estimation.estimator]
     if estimator is FILTER_VARIANCE:  # it does not see that a cloud collapses
-        estimator = SQUARED_ERROR
+        moves = settings.estimation.proposal == MOVING.name
+        estimator = TWO_CLOUDS if moves else SQUARED_ERROR
     polishing = replace(
         counting,
         draws=_POLISH_DRAWS // estimator.filters,

@@ -78,15 +78,18 @@ def test_counts_have_the_information_of_their_mean(a: float, b: float) -> None:
 
 def test_a_step_in_a_loop_is_refused_and_a_smooth_loop_is_not() -> None:
     def transition(jumps: bool) -> Any:
-        def step(x: Any, k: Any, entries: Any, of: Any) -> Any:
-            grown = x[0] + 0.3 * of
-            return (np.where(x[0] > 1.5, 0.0, grown) if jumps else grown,)
+        def moved(x: Any, t: Any, w: Any, p: Any) -> Any:
+            def step(values: Any, k: Any, entries: Any) -> Any:
+                grown = values[0] + 0.3 * x[0]
+                return (np.where(values[0] > 1.5, 0.0, grown) if jumps else grown,)
 
-        return lambda x, t, w, p: repeated_steps(
-            lambda values, k, entries: step(values, k, entries, x[0]), (0.0,), 3
-        )
+            return repeated_steps(step, (0.0,), 3)
 
-    smooth, broken = (replace(constants(1, 0.1), transition=transition(each)) for each in (0, 1))
+        return moved
+
+    smooth, broken = (
+        replace(constants(1, 0.1), transition=transition(each)) for each in (False, True)
+    )
     assert np.isfinite(linearized(smooth, 4, 3)([(1,)])).all()
     with pytest.raises(ModelError, match="transition has 'greater' of x"):
         linearized(broken, 4, 3)
