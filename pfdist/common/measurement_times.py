@@ -16,7 +16,7 @@ Times = tuple[int, ...]
 Lag = int | tuple[int, ...]
 """Instants after t whose measurements the estimate of z(t) uses: of all t, or (T+1,) of each."""
 REGULAR: Final = "regular"  # name of the regular times in jobs and tables
-LINEARIZED: Final = "linearized"  # in the place of times: the linearized design
+LINEARIZED: Final = "linearized"  # written instead of times: the linearized design
 EVEN: Final = "evenly_spaced"  # name of the best evenly spaced times in tables
 MOST_REGULAR: Final = 2  # so few times are always evenly spaced: their opponent is regular times
 CLOCK: Final = ("time", "dt")

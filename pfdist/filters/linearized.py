@@ -4,8 +4,8 @@ Around the states of a draw, formulas are replaced by their derivatives, and a m
 information that it has about x there: the expected outer product of the score, the derivative of
 its log-likelihood, over simulated y. So readings whose error depends on x, counts and limits count
 in full. The error of z then follows as in `pfdist.filters.kalman`. Its mean over draws is that of
-the *inverse* information (Bayesian A-optimality); for constants alone it is what users of PopED and
-PFIM compute. It may mislead where a posterior has several modes.
+the *inverse* information (Bayesian A-optimality for z); for constants alone this is the kind of
+design that PopED and PFIM compute. It may mislead where a posterior has several modes.
 
 Sources: Tichavsky, Muravchik, Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear
 filtering", IEEE Transactions on Signal Processing 46, 1998 (with process noise; the form with

@@ -258,8 +258,8 @@ class Job(JobSection):
         ):  # fmt: skip
             sets = ", ".join(map(repr, named)) or "which names none"
             raise ValueError(
-                f"comparison.reference must be {EVENLY_SPACED!r}, {REGULAR!r}, a list of times, "
-                "for instance [0, 3, 6], or the name of a set of comparison.sets "
+                f"comparison.reference must be {EVENLY_SPACED!r}, {REGULAR!r}, {LINEARIZED!r}, a "
+                "list of times, for instance [0, 3, 6], or the name of a set of comparison.sets "
                 f"({sets}), got {reference!r}"
             )
         _needs("a job", (bool(names or named), "a search, or comparison.sets with sets to compare"))

@@ -254,8 +254,8 @@ class Comparison(JobSection):
     The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
     "evenly spaced", the best of all evenly spaced sets and of the feasible given sets, chosen on
     separate draws; "regular", the feasible set nearest to the paper's regular times, from the first
-    instant to the last; a set of times in 0..T or on the clock; or the name of a given set. A given
-    set may break constraints.
+    instant to the last; "linearized", the set of least linearized error; a set of times in 0..T or
+    on the clock; or the name of a given set. A given set may break constraints.
 
     Parameters
     ----------
