@@ -1,52 +1,48 @@
 """The formulas of simulations and filters, traced and compiled for given instants."""
 
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from pfdist.errors import ModelError
-from pfdist.filters.guiding import Guide, guide_of
-from pfdist.filters.proposals import GUIDED
 from pfdist.filters.work import Estimation
 from pfdist.kernels import batch as rows
-from pfdist.kernels import guided as guided_rows
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
 from pfdist.kernels.callbacks import Callback
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error, squared_error
 from pfdist.models.parameters import check_lengths
-from pfdist.models.program import Array, groups_of
+from pfdist.models.program import Array
 from pfdist.models.programs import Declared
-from pfdist.models.symbols import RefusedError
-from pfdist.models.tracing import MODES, Formula, Traced, trace
+from pfdist.models.tracing import Formula, trace
 from pfdist.models.twin import formula_of, traced
 
 _OF_NOISE = 25  # operations of a normal random number, about
-_MOST_DERIVED = 5_000  # operations of a program: a larger one takes minutes to compile
-# Linearisations: with sharp ranges and bearings, errors were 3 times too large after one, 1 % after
-# two, and as after six after three.
-_ROUNDS = 3
 
 
 def filter_blocks(
-    model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation, instants: range
-) -> tuple[Compiled, tuple[int, ...], "Guiding"]:
+    model: StateSpaceModel,
+    truth: StateSpaceModel,
+    settings: Estimation,
+    instants: range,
+    further: Mapping[int, Source],
+) -> tuple[Compiled, tuple[int, ...]]:
     """The blocks of a filter, whose error is that of the true model; see `pfdist.kernels.batch`.
+
+    Those of a proposal are `further`: they come after those of all sensors.
 
     The second result has the components of x that are equal to those of z; it is empty if z is
     computed, or an angle. Raises `TraceError` if a formula cannot be traced.
     """
-    is_guided = settings.proposal == GUIDED.name
+    name = settings.proposal if further else ""
     by_error = ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error
-    result: tuple[Compiled, tuple[int, ...], Guiding]
+    result: tuple[Compiled, tuple[int, ...]]
     result, _ = model.kept(  # it holds the truth, so that no other one gets its id
-        ("filter", instants, is_guided, by_error, id(truth)),
-        lambda: (_filter_blocks(model, truth, is_guided, by_error, instants), truth),
+        ("filter", instants, name, by_error, id(truth)),
+        lambda: (_filter_blocks(model, truth, by_error, instants, further), truth),
     )
     return result
 
@@ -54,10 +50,10 @@ def filter_blocks(
 def _filter_blocks(
     model: StateSpaceModel,
     truth: StateSpaceModel,
-    is_guided: bool,
     by_error: bool,
     instants: range,
-) -> tuple[Compiled, tuple[int, ...], "Guiding"]:
+    further: Mapping[int, Source],
+) -> tuple[Compiled, tuple[int, ...]]:
     """The blocks; `by_error` says whether DEVIATIONS are the truth's own error."""
     check_lengths(model.parameters, instants.stop)
     check_lengths(truth.parameters, instants.stop)
@@ -86,98 +82,10 @@ def _filter_blocks(
     )
     for number, part in enumerate(model.parts):
         sources[rows.SENSORS + number] = _own(part.model, "log_likelihood", instants)
-    guiding = guiding_of(model, instants) if is_guided else Guiding()
-    for number, blocks_of_sensor in enumerate(guiding.sources):
-        first = rows.SENSORS + len(model.parts) + int(guided_rows.BLOCKS) * number
-        sources |= {first + row: each for row, each in blocks_of_sensor.items()}
+    behind = rows.SENSORS + len(model.parts)
+    sources |= {behind + place: each for place, each in further.items()}
     blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
-    return blocks, _components_of_state(sources[rows.QUANTITY]), guiding
-
-
-@dataclass(frozen=True)
-class Guiding:
-    """The guides of a filter's sensors; empty for a filter that is not guided."""
-
-    rows: tuple[int, ...] = ()  # of each sensor's guide; 0 for a sensor that has none
-    sources: tuple[dict[int, Source], ...] = ()  # the blocks of each, see `pfdist.kernels.guided`
-    rounds: int = 1  # of linearisations
-
-
-def guiding_of(model: StateSpaceModel, instants: range) -> Guiding:
-    """The guides of a model's sensors; raises `ModelError` if no sensor has one."""
-    rows_of, sources, refused = list[int](), list[dict[int, Source]](), list[Exception]()
-    rounds = 1
-    for part in model.parts:
-        try:
-            guide = guide_of(part.model, instants)
-            sources.append({} if guide is None else _sources_of_guide(guide, instants))
-            rows_of.append(0 if guide is None else guide.rows)
-            if guide is not None and not _is_linear(guide, sources[-1]):
-                rounds = _ROUNDS
-        except (ModelError, RefusedError) as error:
-            sources.append({})
-            rows_of.append(0)
-            refused.append(error)
-    if len(refused) == len(rows_of):
-        raise ModelError(f"filter.proposal = {GUIDED.name!r} is not possible: {refused[0]}")
-    return Guiding(tuple(rows_of), tuple(sources), rounds)
-
-
-def _is_linear(guide: Guide, sources: dict[int, Source]) -> bool:
-    """Whether all derivatives are the same for all particles."""
-    slopes, behind = range(guide.rows * guide.model.components[0]), guide.sums
-    for row in guided_rows.SWEPT, guided_rows.SWEPT_INITIAL, guided_rows.SEEN:
-        source = sources.get(int(row))
-        for program in source.traced.programs if source else ():
-            last = range(len(slopes) + behind, len(program.outputs))
-            derivatives = [*slopes] if row == guided_rows.SEEN else [*slopes, *last]
-            if groups_of(program, derivatives) & {"x", "w", "v"}:
-                return False
-    return True
-
-
-def _sources_of_guide(guide: Guide, instants: range) -> dict[int, Source]:
-    """The blocks of a guide; see `pfdist.kernels.guided`."""
-    model, (n, m, _), k = guide.model, guide.model.components, guide.rows
-    x, z = {"x": n}, {"x": n, "z": k * n, "estimate": guide.sums}
-    w, w0 = (
-        {"w": len(each), "v": len(each)} for each in (model.process_noise, model.initial_noise)
-    )
-    normals, normals0 = (
-        each.count("normal") for each in (model.process_noise, model.initial_noise)
-    )
-    behind, once, steps, t = k * n + guide.sums, instants[:1], instants[:-1], {"t": 0}
-
-    def source(name: str, results: int, given: dict[str, int], at: range) -> Source | None:
-        if not at:
-            return None
-        arguments = {**given, "p": 0}
-        formula = Formula(
-            getattr(guide, name), name, arguments, model.parameters, model.name, results
-        )
-        traced: Traced = model.kept(
-            ("guide", guide.angles, guide.components, name), lambda: trace(formula, at)
-        )
-        if traced.mode != MODES[0] and traced.instants != at:
-            traced = trace(formula, at)
-        if max(len(each.operations) for each in traced.programs) > _MOST_DERIVED:
-            raise ModelError(
-                f"derivatives of {model.name} have more than {_MOST_DERIVED:,} operations"
-            )
-        return Source(traced.at(at), _layout(formula), model.parameters, results)
-
-    sources = {
-        guided_rows.MEAN: source("mean", n, {**x, **t, **w}, steps),
-        guided_rows.MEAN_INITIAL: source("mean_initial", n, w0, once),
-        guided_rows.SWEPT: source("swept", behind + k * normals, {**z, **t, **w}, steps),
-        guided_rows.SWEPT_INITIAL: source(
-            "swept_initial", behind + k * normals0, {**z, **w0}, once
-        ),
-        guided_rows.SEEN: source("seen", behind + k, {**x, "y": m, **t}, instants),
-        guided_rows.AIMED: source("aimed", k, {"x": k + guide.sums}, once),
-        guided_rows.DRAWN: source("drawn", k + 1, {"x": k + guide.sums, "u": k + 1}, once),
-    }
-    return {int(row): each for row, each in sources.items() if each is not None}
+    return blocks, _components_of_state(sources[rows.QUANTITY])
 
 
 def _components_of_state(quantity: Source | Callback | None) -> tuple[int, ...]:
@@ -228,7 +136,7 @@ def _own(model: StateSpaceModel, name: str, instants: range) -> Source | Callbac
     formula = formula_of(model, name)
     if isinstance(model.formulas[name], Declared):
         return _called(model, formula)
-    layout = _layout(formula)
+    layout = layout_of(formula)
     return Source(traced(model, name, instants), layout, model.parameters, formula.results)
 
 
@@ -251,7 +159,7 @@ def _source(
     needed = ("quantity_of_interest", "error") if name == "errors" else (name,)
     if any(isinstance(model.formulas.get(each), Declared) for each in needed):
         return _called(model, formula)
-    return Source(trace(formula, instants), _layout(formula), model.parameters, results)
+    return Source(trace(formula, instants), layout_of(formula), model.parameters, results)
 
 
 def _called(model: StateSpaceModel, formula: Formula) -> Callback:
@@ -265,14 +173,14 @@ def _called(model: StateSpaceModel, formula: Formula) -> Callback:
 
     rows = {
         name: (*place, formula.arguments[name])
-        for name, place in _layout(formula).items()
+        for name, place in layout_of(formula).items()
         if name not in "tp"
     }
     declared = (each for each in model.formulas.values() if isinstance(each, Declared))
     return Callback(function, rows, formula.results, max(each.together for each in declared))
 
 
-def _layout(formula: Formula) -> dict[str, tuple[str, int]]:
+def layout_of(formula: Formula) -> dict[str, tuple[str, int]]:
     """Array and first row of each argument; those that are rows of slots follow one another."""
     layout, rows_of = dict[str, tuple[str, int]](), Counter[str]()
     for group, count in formula.arguments.items():

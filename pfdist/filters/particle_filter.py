@@ -31,10 +31,9 @@ from pfdist.kernels.batch import FilterArrays, FilterRequest
 from pfdist.kernels.deciding import with_points
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
-from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan_prefixes
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
+from pfdist.kernels.variates import codes_of
 from pfdist.models import StateSpaceModel
 
 KERNEL_VERSION = 8
@@ -156,7 +155,9 @@ def _filter(
     written = {"work": np.zeros(1), **others, **filled}
     results = FilterArrays(mse, np.zeros(mse.shape, np.uint8), **written)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
-    blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)
+    extension = PROPOSALS[settings.proposal].extension(model, draws, settings)
+    further = extension.blocks if extension else {}
+    blocks, components = filter_blocks(model, truth, settings, draws.instants, further)
     streams = np.array(filter_streams(stream, settings.estimator), np.uint64)
     kinds = codes_of(model.initial_noise, model.process_noise)
     request = FilterRequest(
@@ -188,10 +189,7 @@ def _filter(
         particles=settings.particles,
         log_particles=math.log(settings.particles),
         holds_truth=scheme.holds_truth,
-        rows=np.array(guiding.rows, np.int64),
-        rounds=guiding.rounds,
-        record_rows=record_rows(model.components[0], kinds.shape[1], max(guiding.rows, default=0)),
-        truth_noise=_truth_noise(draws, bool(guiding.rows) and scheme.holds_truth),
+        redrawn=np.array(extension.redrawn if extension else (), np.uint8),
         threshold=float(settings.threshold),
         weights=ESTIMATORS[settings.estimator].weights,
         instant_weights=_array(draws.instant_weights),
@@ -200,7 +198,6 @@ def _filter(
         lag=int(np.max(settings.lag)),
         first_smoothed=first_smoothed(settings.lag, draws.instants),
     )
-    extension = PROPOSALS[settings.proposal].extension(model, draws.instants, settings.prior)
     filter_all(blocks, request, planned, results, scheme.name, ruling, extension)
     callbacks.raise_callback_error()
     if ESTIMATORS[settings.estimator].weights.distance:  # of an estimate that may be infinite
@@ -235,23 +232,6 @@ def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any
         return states, _array(as_it_is, np.int64), _array(weight)
     chosen = [prior.chosen_for_filters(particles, draws.index, key) for key in keys]
     return states, _array(np.stack(chosen), np.int64), np.empty(0)
-
-
-def _truth_noise(draws: Draws, is_wanted: bool) -> NDArray[np.float64]:
-    """The noise of the truth's step to each instant, (D, T+1, components), if it is wanted."""
-    if not is_wanted:
-        return np.empty((0, 0, 0))
-    model, index = draws.model, np.array(draws.index)
-    count = max(len(model.initial_noise), len(model.process_noise))
-    noise = np.zeros((len(index), len(draws.instants), count))
-    for k, t in enumerate(draws.instants):
-        kinds, role = (
-            (model.process_noise, TRUTH_PROCESS) if k else (model.initial_noise, TRUTH_INITIAL)
-        )
-        for c, kind in enumerate(kinds):
-            values = variates(kind, 1, draws.stream, index, t - 1 if k else 0, role, c)
-            noise[:, k, c] = values[:, 0]
-    return noise
 
 
 def _array(values: NDArray[Any], kind: Any = np.float64) -> NDArray[Any]:

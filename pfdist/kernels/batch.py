@@ -38,7 +38,7 @@ DISTANCE   mean, variance, mean of another     squared distance of the means (of
 LOGARITHM  weight                              its logarithm
 ========== =================================== ====================================================
 
-After the sensors come the blocks of guided sensors, see `pfdist.kernels.guided`.
+After the sensors come the blocks of a proposal; see `pfdist.kernels.filter.Extension`.
 """
 
 
@@ -79,13 +79,9 @@ class FilterRequest(NamedTuple):
     particles: int
     log_particles: float
     holds_truth: bool  # whether particle 0 is the truth
-    # (sensors,): rows of the linear measurement of a guided sensor, see `pfdist.filters.guiding`; 0
-    # for a sensor that is not guided. Empty if no sensor is guided.
-    rows: NDArray[np.int64]
-    rounds: int  # of linearisations
-    record_rows: int  # of a guided filter, see `pfdist.kernels.guided`
-    # (D, T+1, components): of the step to each instant; read only by guided filters with the truth
-    truth_noise: NDArray[np.float64]
+    # (sensors,): whether a measurement of each sensor redraws the noise since the last one; empty
+    # if the proposal redraws none
+    redrawn: NDArray[np.uint8]
     threshold: float  # see `pfdist.kernels.schemes.threshold_of`
     weights: ErrorWeights  # the terms of the estimator
     instant_weights: NDArray[np.float64]  # (T+1,): of each instant's error, mean 1
@@ -176,13 +172,8 @@ class CloudBatch(NamedTuple):
     spacious: int  # of rows of noise
     row: int  # of rows of draws
     half: NDArray[np.int64]  # (1,): which half of the cloud counts
-    # of particles: two halves with n states, and a row each for the logarithms of a proposal; a
-    # step reads one half and writes the other
+    # of particles: two halves with n states; a step reads one half and writes the other
     cloud: NDArray[np.float64]
-    origin: NDArray[np.float64]  # n rows, for guided filters: x at the last measurement
-    records: NDArray[np.float64]  # for guided filters, see `pfdist.kernels.guided`
-    noises: NDArray[np.float32]  # for guided filters: noise of each step, as in `noise`
-    drawn: NDArray[np.float64]  # rows of the block DRAWN
     quantity: NDArray[np.float64]  # z, with cosines and sines of angles; squared deviations
     log_weight: NDArray[np.float64]
     log_carried: NDArray[np.float64]
@@ -207,7 +198,6 @@ class SavedBatches(NamedTuple):
     """Batches from which later sets resume, one for each slot of the plan."""
 
     cloud: NDArray[np.float64]  # (slots, n * stride)
-    origin: NDArray[np.float64]  # the same, for guided filters
     weight: NDArray[np.float32]  # (slots, stride)
     numbers: NDArray[np.float64]  # (slots, 2, row): `total` and `error`
     flags: NDArray[np.uint8]  # (slots, 2, row): `weighted` and `degenerate`
@@ -227,9 +217,6 @@ class Steps(NamedTuple):
     forget: int
     weigh: int
     tell: int
-    leave_out: int
-    set_out: int
-    guide: int
     resample: int
     scheme: int  # one of `pfdist.kernels.ancestors.ENTRIES`
     estimate: int
@@ -237,6 +224,12 @@ class Steps(NamedTuple):
     rank: int
     finish: int
     keep: int
+    # of a proposal that redraws noise since the last measurement: where paths begin, the redrawing,
+    # the logarithms of the old density over the new one, and what undoes it
+    set_out: int = 0
+    redraw: int = 0
+    add_ratio: int = 0
+    leave_out: int = 0
 
 
 class Lines(NamedTuple):
@@ -245,7 +238,7 @@ class Lines(NamedTuple):
     Arrays begin with the instant. All are empty if the filter keeps no lines.
     """
 
-    # of particles; a second half for guided filters: on the paths that are redrawn
+    # of particles; a second half where noise is redrawn: on the paths that result
     quantity: NDArray[np.float64]  # (T+1, means, stride): results of the block QUANTITY
     weight: NDArray[np.float32]  # (T+1, stride): at measured instants, before resampling
     # (T+1, sensors + 1, stride): ancestors by each resampling before a sensor, and by the last
@@ -264,7 +257,6 @@ class Lines(NamedTuple):
     rows: int  # of means, and of variances if they are needed
     # addresses of the filter's own steps
     resample: int = 0
-    leave_out: int = 0
     finish: int = 0
 
 
@@ -316,14 +308,14 @@ class Slot(NamedTuple):
 def present(at):
     """The half of the cloud with the current particles."""
     request, batch = at.work.request, at.work.batch
-    return ahead(batch.cloud, batch.half[0] * (request.states + 1) * batch.stride)
+    return ahead(batch.cloud, batch.half[0] * request.states * batch.stride)
 
 
 @compiled
 def other(at):
     """The half of the cloud to which a step writes."""
     request, batch = at.work.request, at.work.batch
-    return ahead(batch.cloud, (1 - batch.half[0]) * (request.states + 1) * batch.stride)
+    return ahead(batch.cloud, (1 - batch.half[0]) * request.states * batch.stride)
 
 
 @compiled
@@ -413,7 +405,7 @@ def sensors_at(at, t, component):
 def is_drawn_again(instant):
     """Whether noise is redrawn before a measurement: only for the first sensor of an instant."""
     request = instant.at.work.request
-    if instant.at.work.steps.guide == 0 or request.rows[instant.sensor] == 0:
+    if instant.at.work.steps.redraw == 0 or request.redrawn[instant.sensor] == 0:
         return False
     is_first = instant.sensors & ((1 << instant.sensor) - 1) == 0
     return is_first and (instant.t > 0 or not request.has_prior)

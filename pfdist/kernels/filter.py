@@ -1,17 +1,18 @@
 """The intermittent particle filter (paper, section 2.1) for any model, compiled once per machine.
 
 A model is a set of blocks: machine code that is called by its address, see
-`pfdist.kernels.blocks`. All else is here and in `pfdist.kernels.guided`. Several draws go through
-an instant in lockstep, as a *batch*, so that a step has enough particles; see
+`pfdist.kernels.blocks`. All else is here, and in the extension of a proposal. Several draws go
+through an instant in lockstep, as a *batch*, so that a step has enough particles; see
 `pfdist.kernels.batch`. No result depends on the size of a batch.
 """
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.kernels import guided, lines
+from pfdist.kernels import lines
 from pfdist.kernels.ancestors import (
     ENTRIES,
     Drawn,
@@ -55,7 +56,7 @@ from pfdist.kernels.batch import (
     record_sizes,
     sensors_at,
 )
-from pfdist.kernels.blocks import Compiled, call_block
+from pfdist.kernels.blocks import Compiled, Source, call_block
 from pfdist.kernels.cached import Entry, compiled, entry
 from pfdist.kernels.deciding import is_measured, with_measured
 from pfdist.kernels.log_evidence import add_log_evidence
@@ -153,7 +154,7 @@ def _measure(measurement):
     if measurement.at.work.rule.replicates.penalise != 0:
         call(measurement.at.work.rule.replicates.penalise, measurement)
     if is_drawn_again(measurement):
-        call(steps.guide, measurement)
+        call(steps.redraw, measurement)
     call(steps.weigh, measurement)
     if steps.leave_out != 0:
         call(steps.leave_out, measurement)
@@ -170,8 +171,6 @@ def _resume(place):
     count, row = request.states * batch.stride, batch.row
     batch.half[0] = 0
     copy_numbers(ahead(saved.cloud, slot * count), batch.cloud, count)
-    if at.work.steps.set_out != 0:
-        copy_numbers(ahead(saved.origin, slot * count), batch.origin, count)
     copy_numbers(ahead(saved.weight, slot * batch.stride), batch.weight, batch.stride)
     copy_numbers(ahead(saved.numbers, 2 * slot * row), batch.total, row)
     copy_numbers(ahead(saved.numbers, (2 * slot + 1) * row), batch.error, row)
@@ -186,8 +185,6 @@ def _save(place):
     request, saved, batch = at.work.request, at.work.saved, at.work.batch
     count, row = request.states * batch.stride, batch.row
     copy_numbers(present(at), ahead(saved.cloud, slot * count), count)
-    if at.work.steps.set_out != 0:
-        copy_numbers(batch.origin, ahead(saved.origin, slot * count), count)
     copy_numbers(batch.weight, ahead(saved.weight, slot * batch.stride), batch.stride)
     copy_numbers(batch.total, ahead(saved.numbers, 2 * slot * row), row)
     copy_numbers(batch.error, ahead(saved.numbers, (2 * slot + 1) * row), row)
@@ -236,14 +233,6 @@ def _take_prior(instant):
                 batch.weight[origin + i] = request.prior_weight[i] if is_particle else 0.0
             batch.weighted[d] = 1
             batch.total[d] = sum_of_weights(batch.weight, origin, width)
-
-
-@entry(Instant)
-def _set_out(instant):
-    """Keep the states from which noise may be drawn again."""
-    at = read(instant).at
-    request, batch = at.work.request, at.work.batch
-    copy_numbers(present(at), batch.origin, request.states * batch.stride)
 
 
 @entry(Instant)
@@ -314,9 +303,7 @@ def _fill_log_weights(instant):
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
     with_measured(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
     if is_drawn_again(instant):
-        guide = ahead(cloud, request.states * batch.stride)
-        for i in range(used):
-            batch.log_weight[i] += guide[i]
+        call(at.work.steps.add_ratio, instant)
     if request.threshold < np.inf:
         which = LOGARITHM * request.instants
         call_block(
@@ -478,8 +465,16 @@ _MOST_SAVED = 2**22  # numbers of all saved batches and of the noise of paths, a
 class Extension(Protocol):
     """The steps that a proposal adds to a filter, and what they need."""
 
-    together: int
-    """The most draws of a batch."""
+    @property
+    def redrawn(self) -> tuple[bool, ...]:
+        """Whether a measurement of each sensor redraws the noise since the last one; or empty."""
+
+    @property
+    def blocks(self) -> Mapping[int, Source]:
+        """Blocks beyond those of all sensors, by their place."""
+
+    def together(self, request: FilterRequest, plan: Plan, width: int) -> int:
+        """The most draws of a batch, for rows of so many particles."""
 
     def planned(self, request: FilterRequest, plan: Plan) -> Plan:
         """The plan of the filter, whose saved batches fit into memory."""
@@ -508,16 +503,16 @@ def filter_all(
     if extension is not None:
         plan = extension.planned(request, plan)
     width = -(-request.particles // LANES) * LANES
-    numbers = (request.states + 1) * width * max(1, plan.clouds)
-    if request.rows.size:
-        numbers += 2 * (guided.longest_gap(plan) + 1) * request.components * width
+    numbers = request.states * width * max(1, plan.clouds)
     if request.lag:
         numbers += request.instants * (request.means + request.sensors + 1) * width
     draws = max(1, min(request.draws, _TOGETHER // width, _MOST_SAVED // numbers))
     if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    draws = min(draws, rule.together, extension.together if extension else draws)
+    if extension is not None:
+        draws = min(draws, extension.together(request, plan, width))
+    draws = min(draws, rule.together)
     batch, saved, kept, _memory = _arrays(
         request, plan, width, draws, _has_variance(request, results)
     )
@@ -541,7 +536,7 @@ def _has_variance(request: FilterRequest, results: FilterArrays) -> bool:
 
 
 def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: str) -> Steps:
-    saves, draws_again = bool((plan.slots >= 0).any()), request.rows.size > 0
+    saves = bool((plan.slots >= 0).any())
 
     def address(function: Entry, is_needed: bool = True) -> int:
         return function.address if is_needed else 0
@@ -555,9 +550,6 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         forget=address(_forget),
         weigh=address(_weigh),
         tell=address(add_log_evidence, request.weights.evidence != 0.0),
-        leave_out=address(guided.leave_out, draws_again),
-        set_out=address(_set_out, draws_again),
-        guide=address(guided.guide, draws_again),
         resample=address(resample_cloud),
         scheme=ENTRIES[scheme].address,
         estimate=address(_estimate),
@@ -572,7 +564,6 @@ def _needed(request: FilterRequest, plan: Plan, results: FilterArrays, scheme: s
         estimate=lines.estimate.address,
         estimate_variance=0,
         resample=lines.resample.address,
-        leave_out=address(lines.restore, draws_again),
         finish=lines.finish.address,
     )
 
@@ -584,22 +575,15 @@ def _arrays(
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
     states, quantities, spacious = request.states, request.quantities, stride + SPARE
     sets = request.sets if request.filters > 1 else 0
-    steps, most = 0, int(request.rows.max(initial=0))
-    if request.rows.size:
-        steps = guided.longest_gap(plan) + 1
     memory, arrays = zeros(
         CloudBatch,
         half=1,
-        cloud=2 * (states + 1) * stride,
-        origin=states * stride if steps else 0,
-        records=(steps + 1) * request.record_rows * int(guided.CHUNK) if steps else 0,
-        noises=2 * steps * request.components * spacious if steps else 0,
-        drawn=(most + 1) * int(guided.CHUNK) if steps else 0,
+        cloud=2 * states * stride,
         quantity=request.means * stride,
         log_weight=stride,
         log_carried=stride,
         cumulative=stride,
-        noise=max(request.components, most + 1) * spacious,
+        noise=request.components * spacious,
         weight=stride,
         words=number_of_words(draws, width),
         means=request.means * row,
@@ -616,7 +600,6 @@ def _arrays(
     kept, places = zeros(
         SavedBatches,
         cloud=slots * states * stride,
-        origin=slots * states * stride if request.rows.size else 0,
         weight=slots * stride,
         numbers=slots * 2 * row,
         flags=slots * 2 * row,
@@ -625,7 +608,7 @@ def _arrays(
     moments = request.means + quantities * has_variance
     of_lines, rows = zeros(
         Lines,
-        quantity=instants * request.means * stride * (2 if steps else 1),
+        quantity=instants * request.means * stride * (2 if request.redrawn.size else 1),
         weight=instants * stride,
         ancestor=instants * events * stride,
         moved=instants * events * row,
@@ -639,6 +622,5 @@ def _arrays(
     )
     batch = CloudBatch(draws, width, stride, spacious, row, **arrays)
     own = {"resample": resample_cloud, "finish": _finish} if instants else {}
-    own |= {"leave_out": guided.leave_out} if instants and steps else {}
     rows |= {"rows": moments} | {name: step.address for name, step in own.items()}
     return batch, SavedBatches(**places), Lines(**rows), [memory, kept, of_lines]

@@ -34,7 +34,6 @@ from pfdist.kernels.batch import (
     record_sizes,
 )
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.guided import last_measured
 from pfdist.kernels.memory import ahead, call, read
 
 _FEW = np.int64(4)  # fewer lines than one in so many particles are added up one by one
@@ -64,7 +63,7 @@ def estimate(instant):
 def keep_means(at, t, cloud):
     """Keep z of particles at an instant, and its mean."""
     batch, lines = at.work.batch, at.work.lines
-    z, means = _quantity(at, t), ahead(lines.means, t * lines.rows * batch.row)
+    z, means = quantity_at(at, t), ahead(lines.means, t * lines.rows * batch.row)
     of_particles(at, QUANTITY, t, cloud, z)
     for r in range(lines.rows):
         values = _values(at, z, means, r)
@@ -83,24 +82,6 @@ def resample(instant):
         if batch.resamples[d]:
             ancestors = ahead(lines.ancestor, event * batch.stride + d * batch.width)
             copy_numbers(ahead(scratch.ancestor, d * scratch.span), ancestors, batch.width)
-
-
-@entry(Instant)
-def restore(instant):
-    """Restore particles that were redrawn for a measurement that is left out, with their paths."""
-    instant = read(instant)
-    at = instant.at
-    request, batch = at.work.request, at.work.batch
-    call(at.work.lines.leave_out, instant)
-    if not is_drawn_again(instant):
-        return
-    for t in range(last_measured(instant) + 1, instant.t):
-        for d in range(at.draws):
-            if not batch.weighs[d]:
-                for r in range(request.means):
-                    place = r * batch.stride + d * batch.width
-                    z = ahead(_quantity(at, t), place)
-                    copy_numbers(z, ahead(_quantity(at, request.instants + t), place), batch.width)
 
 
 @entry(Instant)
@@ -172,7 +153,7 @@ def _event(at, t, number):
 
 
 @compiled
-def _quantity(at, row):
+def quantity_at(at, row):
     """The rows of z at an instant; those of redrawn paths come after those of all instants."""
     stride = at.work.batch.stride
     return ahead(at.work.lines.quantity, row * at.work.request.means * stride)
@@ -192,7 +173,7 @@ def _trace(at, s, m, first, behind):
         if sensors != 0 and t < m:
             _back(at, weight, _event(at, t, request.sensors))
         if t < behind:
-            z = _quantity(at, request.instants + t if redrawn and sensors == 0 else t)
+            z = quantity_at(at, request.instants + t if redrawn and sensors == 0 else t)
             means = ahead(lines.smoothed, t * lines.rows * batch.row)
             for r in range(lines.rows):
                 values = _values(at, z, means, r)

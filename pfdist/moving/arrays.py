@@ -1,14 +1,17 @@
 """The arrays and steps of a moving filter."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from pfdist.filters.cloud import CarriedLines, Cloud, Prior
+from pfdist.filters.cloud import CarriedLines, Cloud
+from pfdist.filters.draws import Draws
+from pfdist.filters.work import Estimation
 from pfdist.kernels import filter as plain
 from pfdist.kernels.batch import CloudBatch, FilterArrays, FilterRequest, Lines, Steps
+from pfdist.kernels.blocks import Source
 from pfdist.kernels.memory import in_memory, zeros
 from pfdist.kernels.prefixes import Plan
 from pfdist.models import StateSpaceModel
@@ -29,7 +32,16 @@ class Moved:
     gains: Gains | None
     carried: CarriedLines | None = None  # that the filter continues
     begins: bool = True  # whether lines begin with the initial noise
-    together: int = 1
+    redrawn: tuple[bool, ...] = ()
+
+    @property
+    def blocks(self) -> Mapping[int, Source]:
+        """None but those of the model."""
+        return {}
+
+    def together(self, request: FilterRequest, plan: Plan, width: int) -> int:
+        """One draw at a time: each needs another number of steps."""
+        return 1
 
     def planned(self, request: FilterRequest, plan: Plan) -> Plan:
         """The plan; without saved lines if these would take too much memory.
@@ -133,8 +145,9 @@ class Moved:
         return steps._replace(**addresses), *_placed(own, memory)
 
 
-def extension(model: StateSpaceModel, instants: range, prior: Prior | None) -> Moved:
-    """The extension of the filter of a model that begins with a prior."""
+def extension(model: StateSpaceModel, draws: Draws, settings: Estimation) -> Moved:
+    """The extension of the filter of a model."""
+    instants, prior = draws.instants, settings.prior
     found: Moved = model.kept(("moved", instants), lambda: _moved(model, instants))
     if not isinstance(prior, Cloud):
         return found

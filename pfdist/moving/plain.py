@@ -97,7 +97,7 @@ def filter_block(
     log_likelihoods = np.zeros((2, count, instants))
     line_weight, line_z = np.ones((count, instants, kept)), np.empty((*draws.z.shape, kept))
     fails, share = np.zeros((count, instants), np.bool_), np.full(cloud, 1 / particles)
-    lines = _Lines(model, draws, settings, extension(model, draws.instants, settings.prior))
+    lines = _Lines(model, draws, settings, extension(model, draws, settings))
     first, until = first_smoothed(settings.lag, draws.instants), _continue(lines, stream)
     for k, t in enumerate(draws.instants):
         if k > until:

@@ -1,6 +1,6 @@
 """Guided filters: noise since the last measurement is redrawn when the next one is known.
 
-`pfdist.filters.guiding` has the formulas. A path of g steps leads from the last measurement to the
+`pfdist.guided.formulas` has the formulas. A path of g steps leads from the last measurement to the
 present one; step 0 draws x(0) if there is no measurement before. It has a record for each of its
 g + 1 states, and one more, with rows of particles:
 
@@ -19,6 +19,7 @@ So a step back reads the first parts of a record, and writes the last parts of t
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.kernels.batch import (
     INITIAL,
@@ -29,6 +30,7 @@ from pfdist.kernels.batch import (
     TRANSITION,
     At,
     Instant,
+    Slot,
     copy_numbers,
     fill_rows,
     is_drawn_again,
@@ -39,7 +41,8 @@ from pfdist.kernels.batch import (
 )
 from pfdist.kernels.blocks import call_block
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.memory import ahead, call, read
+from pfdist.kernels.lines import quantity_at
+from pfdist.kernels.memory import ahead, call, placing, read
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.variates import (
     FILTER_INITIAL,
@@ -52,7 +55,7 @@ from pfdist.kernels.variates import (
 )
 
 MEAN, MEAN_INITIAL, SWEPT, SWEPT_INITIAL, SEEN, AIMED, DRAWN = np.arange(7)
-"""Blocks of each sensor, after those of all sensors; see `pfdist.filters.guiding.Guide`."""
+"""Blocks of each sensor, after those of all sensors; see `pfdist.guided.formulas.Guide`."""
 
 BLOCKS = np.int64(7)
 CHUNK = np.int64(128)
@@ -73,6 +76,29 @@ def record_rows(states: int, components: int, rows: int) -> int:
     return states * (1 + rows) + rows * (rows + 5) // 2 + rows * max(1, components)
 
 
+class Guiding(NamedTuple):
+    """The paths of a batch's particles."""
+
+    # addresses of the steps that these here extend
+    save: int
+    resume: int
+    rows: NDArray[np.int64]  # (sensors,): of the linear measurement; 0 for a sensor without a guide
+    rounds: int  # of linearisations
+    record_rows: int
+    # (D, T+1, components): noise of the truth's step to each instant; read only with the truth
+    truth_noise: NDArray[np.float64]
+    origin: NDArray[np.float64]  # (n, stride): x at the last measurement
+    saved_origin: NDArray[np.float64]  # the same, for each slot
+    records: NDArray[np.float64]
+    noises: NDArray[np.float32]  # noise of each step of a path, and its centres
+    noise: NDArray[np.float32]  # (k + 1, spacious): of the block DRAWN
+    drawn: NDArray[np.float64]  # rows of the block DRAWN
+    ratio: NDArray[np.float64]  # (stride,): log p(w) / q(w)
+
+
+_own = placing(Guiding)
+
+
 class _Path(NamedTuple):
     """The way from the last measurement to the present one, for a chunk of particles."""
 
@@ -87,12 +113,51 @@ class _Path(NamedTuple):
     particles: int | np.int64
 
 
+@entry(Slot)
+def resume_paths(place):
+    """Resume a set, with the states from which its paths begin."""
+    slot = read(place)
+    own, count = _own(slot.at.work.own), _numbers(slot.at)
+    call(own.resume, slot)
+    copy_numbers(ahead(own.saved_origin, slot.slot * count), own.origin, count)
+
+
+@entry(Slot)
+def save_paths(place):
+    """Save the batch, with the states from which paths begin."""
+    slot = read(place)
+    own, count = _own(slot.at.work.own), _numbers(slot.at)
+    call(own.save, slot)
+    copy_numbers(own.origin, ahead(own.saved_origin, slot.slot * count), count)
+
+
 @entry(Instant)
-def guide(instant):
+def set_out(instant):
+    """Keep the states from which noise may be drawn again."""
+    at = read(instant).at
+    copy_numbers(present(at), _own(at.work.own).origin, _numbers(at))
+
+
+@compiled
+def _numbers(at):
+    return at.work.request.states * at.work.batch.stride
+
+
+@entry(Instant)
+def add_ratio(instant):
+    """Add the logarithms of the model's density of the noise, over that of the proposal."""
+    at = read(instant).at
+    batch, ratio = at.work.batch, _own(at.work.own).ratio
+    for i in range(at.draws * batch.width):
+        batch.log_weight[i] += ratio[i]
+
+
+@entry(Instant)
+def redraw(instant):
     """Redraw the noise since the last measurement, and move the particles accordingly."""
     instant = read(instant)
     at, request, batch = instant.at, instant.at.work.request, instant.at.work.batch
-    first, k = last_measured(instant), request.rows[instant.sensor]
+    first, k = _last_measured(instant), _own(at.work.own).rows[instant.sensor]
     block = SENSORS + request.sensors + BLOCKS * instant.sensor
     steps, sums = instant.t - first, k * (k + 5) // 2
     _fill_noises(instant, first, k)
@@ -105,7 +170,7 @@ def guide(instant):
 
 
 @compiled
-def last_measured(instant):
+def _last_measured(instant):
     """The instant of the last measurement, or that of the prior; -1 if there is neither."""
     request, first = instant.at.work.request, instant.t - 1
     while first >= 0 and measuring(instant.at, instant.s, first) == 0:
@@ -119,10 +184,10 @@ def _go(instant, path):
     source, target = ahead(present(path.at), path.place), ahead(other(path.at), path.place)
     if path.first >= 0:
         for c in range(request.states):
-            x = ahead(batch.origin, c * batch.stride + path.place)
+            x = ahead(_own(path.at.work.own).origin, c * batch.stride + path.place)
             copy_numbers(x, ahead(_record(path, np.int64(1)), c * CHUNK), path.particles)
-    for number in range(request.rounds):
-        is_last = number + 1 == request.rounds
+    for number in range(_own(path.at.work.own).rounds):
+        is_last = number + 1 == _own(path.at.work.own).rounds
         for step in range(path.steps):
             _step(path, MEAN, step)
         _look(instant, path)
@@ -141,21 +206,22 @@ def _go(instant, path):
         copy_numbers(ahead(last, c * CHUNK), ahead(target, row), path.particles)
         if is_truth:
             target[row] = source[row]
-    ratio = ahead(target, request.states * batch.stride)
-    copy_numbers(ahead(batch.drawn, path.k * CHUNK), ratio, path.particles)
+    own = _own(path.at.work.own)
+    copy_numbers(ahead(own.drawn, path.k * CHUNK), ahead(own.ratio, path.place), path.particles)
 
 
 @compiled
 def _record(path, number):
-    request, batch = path.at.work.request, path.at.work.batch
-    return ahead(batch.records, number * request.record_rows * CHUNK)
+    own = _own(path.at.work.own)
+    return ahead(own.records, number * own.record_rows * CHUNK)
 
 
 @compiled
 def _noise(path, step):
     """The rows of noise of a step: as it was drawn, and then the centre of its normal noise."""
     request, batch = path.at.work.request, path.at.work.batch
-    return ahead(batch.noises, 2 * step * request.components * batch.spacious + path.place)
+    noises = _own(path.at.work.own).noises
+    return ahead(noises, 2 * step * request.components * batch.spacious + path.place)
 
 
 @compiled
@@ -182,10 +248,10 @@ def _call(path, block, t, source, target, noise):
 def _fill_noises(instant, first, k):
     """Fill in the noise of each step, with a centre of 0, and the noise of the block DRAWN."""
     at = instant.at
-    request, batch = at.work.request, at.work.batch
+    request, batch, own = at.work.request, at.work.batch, _own(at.work.own)
     for step in range(instant.t - first):
         t = first + step
-        noise = ahead(batch.noises, 2 * step * request.components * batch.spacious)
+        noise = ahead(own.noises, 2 * step * request.components * batch.spacious)
         if t < 0:
             fill_rows(at, INITIAL_NOISE, np.int64(0), FILTER_INITIAL, noise)
         else:
@@ -198,7 +264,7 @@ def _fill_noises(instant, first, k):
             centre[i] = np.float32(0.0)
     for c in range(k + 1):
         row = VariateRow(
-            batch.words, ahead(batch.noise, c * batch.spacious), batch.width,
+            batch.words, ahead(own.noise, c * batch.spacious), batch.width,
             NORMAL if c < k else UNIFORM,
             Key(at.stream, request.start + instant.t, FILTER_PROPOSAL, c),
             request.first_draw + at.first, at.draws,
@@ -206,7 +272,7 @@ def _fill_noises(instant, first, k):
         call(at.work.scratch.fill, row)
     if request.holds_truth:  # the truth's noise is not drawn again
         for d in range(at.draws):
-            batch.noise[k * batch.spacious + d * batch.width] = 1.0
+            own.noise[k * batch.spacious + d * batch.width] = 1.0
 
 
 @compiled
@@ -221,11 +287,11 @@ def _components(at, t):
 @compiled
 def _put_truth(at, t, noise):
     """Give the particle 0 of each draw the noise of the truth's step to t."""
-    request, batch = at.work.request, at.work.batch
+    request, batch, own = at.work.request, at.work.batch, _own(at.work.own)
     for d in range(at.draws):
         first = ((at.first + d) * request.instants + t) * request.components
         for c in range(request.components):
-            noise[c * batch.spacious + d * batch.width] = request.truth_noise[first + c]
+            noise[c * batch.spacious + d * batch.width] = own.truth_noise[first + c]
 
 
 @compiled
@@ -249,11 +315,11 @@ def _keep_quantities(path):
     )
     for step in range(path.steps - 1 if request.lag > 0 else 0):
         t = path.first + step + 1
-        row = (request.instants + t) * request.means * batch.stride + path.place
+        z = ahead(quantity_at(path.at, request.instants + t), path.place)
         call_block(
             blocks,
             QUANTITY * request.instants + t,
-            (ahead(path.at.work.lines.quantity, row), batch.stride),
+            (z, batch.stride),
             (_record(path, step + 2), CHUNK),
             (batch.noise, batch.spacious),
             (batch.means, 0, 0),
@@ -291,13 +357,13 @@ def _step_back(path, step):
 @compiled
 def _draw(path, is_last):
     """Find the coefficients of the mean; last, draw those of a change, and log p(w) / q(w)."""
-    request, batch = path.at.work.request, path.at.work.batch
+    request, own = path.at.work.request, _own(path.at.work.own)
     behind = request.states * (1 + path.k)
     rho = ahead(_record(path, path.steps), (behind + path.sums) * CHUNK)
     given = ahead(_record(path, np.int64(0)), (behind - path.k) * CHUNK)  # rho, and then the sums
     copy_numbers(rho, given, path.k * CHUNK)
     block = path.block + (DRAWN if is_last else AIMED)
-    _call(path, block, np.int64(0), given, batch.drawn, ahead(batch.noise, path.place))
+    _call(path, block, np.int64(0), given, own.drawn, ahead(own.noise, path.place))
 
 
 @compiled
@@ -320,7 +386,7 @@ def _steer(path, step, is_last):
                     values[i] = np.float32(0.0)
             for j in range(path.k):
                 slope = ahead(slopes, (j * normals + row) * CHUNK)
-                coefficient = ahead(batch.drawn, j * CHUNK)
+                coefficient = ahead(_own(path.at.work.own).drawn, j * CHUNK)
                 for i in range(path.particles):  # a slope that is not finite has the coefficient 0
                     change = coefficient[i] * slope[i]
                     values[i] += np.float32(change if coefficient[i] != 0.0 else 0.0)
@@ -329,7 +395,7 @@ def _steer(path, step, is_last):
 
 @entry(Instant)
 def leave_out(instant):
-    """Restore the particles that were redrawn for a measurement that is then left out."""
+    """Restore particles, and their paths, that were redrawn for a measurement that is left out."""
     instant = read(instant)
     if not is_drawn_again(instant):
         return
@@ -340,3 +406,9 @@ def leave_out(instant):
             for c in range(request.states):
                 place = c * batch.stride + d * batch.width
                 copy_numbers(ahead(source, place), ahead(cloud, place), batch.width)
+            for t in range(_last_measured(instant) + 1, instant.t if request.lag > 0 else 0):
+                for r in range(request.means):
+                    place = r * batch.stride + d * batch.width
+                    z = ahead(quantity_at(at, t), place)
+                    redrawn = ahead(quantity_at(at, request.instants + t), place)
+                    copy_numbers(z, redrawn, batch.width)

@@ -22,13 +22,13 @@ from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.guiding import guide_of
 from pfdist.filters.interface import SUMS
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
 from pfdist.filters.proposals import GUIDED, PLAIN
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
+from pfdist.guided.formulas import guide_of
 
 Array = NDArray[np.float64]
 HORIZON, TIMES = 10, (0, 3, 4, 9)
