@@ -1,7 +1,7 @@
 """The proposals that a job can name by ``filter.proposal``: how particles get their noise."""
 
 from dataclasses import dataclass
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pfdist.errors import ModelError
@@ -25,10 +25,10 @@ class Proposal:
     beside_truth: str = "plain"
     times_beside_truth: int = 1
     takes_weights: bool = True  # whether particles may carry weights between measurements
-    # the module whose `extension` gives that of the compiled filter, see
+    # the function that gives the extension of the compiled filter, see
     # `pfdist.kernels.filter.Extension`; none if there is none
     extended_by: str = ""
-    # the module whose `filter_block` is the plain twin; none if it is `pfdist.filters.plain`
+    # the function that is the plain twin; none if it is that of `pfdist.filters.plain`
     twin_by: str = ""
 
     def check(self, engine: str, model: "StateSpaceModel", *, carries: bool = False) -> None:
@@ -55,25 +55,26 @@ class Proposal:
         """The extension of the filter of some draws; None for none."""
         if not self.extended_by:
             return None
-        return import_module(self.extended_by).extension(model, draws, settings)
+        return resolve_name(self.extended_by)(model, draws, settings)
 
     @property
     def twin(self) -> Any:
         """The plain twin of the filter of some draws; None for the usual one."""
-        return import_module(self.twin_by).filter_block if self.twin_by else None
+        return resolve_name(self.twin_by) if self.twin_by else None
 
 
 PLAIN = Proposal("plain")  # noise is drawn from the model
 GUIDED = Proposal(
     "guided",  # noise since the last measurement is drawn again when the next one is known
     engines=(COMPILED.name,), cost=8, beside_truth="guided",
-    extended_by="pfdist.guided.arrays",
+    extended_by="pfdist.guided.arrays:guided_extension",
     why="which loses less in the same time; a step takes about 8 times as long",
 )  # fmt: skip
 MOVING = Proposal(
     "moving",  # whole lines of particles take Metropolis steps at each measurement
     engines=(COMPILED.name, NUMPY.name), cost=100, times_beside_truth=5, takes_weights=False,
-    extended_by="pfdist.moving.arrays", twin_by="pfdist.moving.plain",
+    extended_by="pfdist.moving.arrays:moved_extension",
+    twin_by="pfdist.moving.plain:filter_block",
     why="because a plain filter loses the constants among the components of x",
 )  # fmt: skip
 FEW_VALUES: Final = 20

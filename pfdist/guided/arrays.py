@@ -105,7 +105,7 @@ class Guided:
         return steps._replace(**addresses), numbers.ctypes.data, (numbers, own, memory)
 
 
-def extension(model: StateSpaceModel, draws: Draws, settings: Estimation) -> Guided:
+def guided_extension(model: StateSpaceModel, draws: Draws, settings: Estimation) -> Guided:
     """The extension of the filter of a model; raises `ModelError` if no sensor has a guide."""
     instants = draws.instants
     found: Guided = model.kept(("guided", instants), lambda: _guided(model, instants))

@@ -145,7 +145,7 @@ class Moved:
         return steps._replace(**addresses), *_placed(own, memory)
 
 
-def extension(model: StateSpaceModel, draws: Draws, settings: Estimation) -> Moved:
+def moved_extension(model: StateSpaceModel, draws: Draws, settings: Estimation) -> Moved:
     """The extension of the filter of a model."""
     instants, prior = draws.instants, settings.prior
     found: Moved = model.kept(("moved", instants), lambda: _moved(model, instants))

@@ -20,7 +20,7 @@ from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.moving import kernel
-from pfdist.moving.arrays import Moved, extension
+from pfdist.moving.arrays import Moved, moved_extension
 from pfdist.moving.gains import Gains
 from pfdist.moving.moves import GAP, INDEPENDENT, SUM, WALK, Move, derived
 
@@ -97,7 +97,7 @@ def filter_block(
     log_likelihoods = np.zeros((2, count, instants))
     line_weight, line_z = np.ones((count, instants, kept)), np.empty((*draws.z.shape, kept))
     fails, share = np.zeros((count, instants), np.bool_), np.full(cloud, 1 / particles)
-    lines = _Lines(model, draws, settings, extension(model, draws, settings))
+    lines = _Lines(model, draws, settings, moved_extension(model, draws, settings))
     first, until = first_smoothed(settings.lag, draws.instants), _continue(lines, stream)
     for k, t in enumerate(draws.instants):
         if k > until:
