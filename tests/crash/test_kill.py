@@ -254,7 +254,8 @@ def _committed(run: Path) -> int:
 
 def _blocks(run: Path) -> int:
     """Committed blocks of the ranking of evenly spaced sets."""
-    return sum(len(pd.read_parquet(file)) for file in run.glob("*/error_sums/[!.]*.parquet"))
+    rows = [pd.read_parquet(file) for file in run.glob("*/error_sums/[!.]*.parquet")]
+    return len(pd.concat(rows).drop_duplicates(["evaluation", "block"])) if rows else 0
 
 
 def _tables(run: Path) -> dict[str, str]:
