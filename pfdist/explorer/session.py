@@ -25,6 +25,7 @@ from pfdist.common.parsing import parse_json
 from pfdist.common.percent import percent
 from pfdist.common.rounding import unrounded, with_error
 from pfdist.common.streams import stream_of
+from pfdist.constraints.apart import Apart
 from pfdist.errors import JobError, StoreError, reason_of
 from pfdist.explorer.filtered import Change, FilteredSets
 from pfdist.filters.aspects import ErrorBeside
@@ -134,7 +135,9 @@ class ExplorerSession:
             "forbidden": sets.forbidden,
             "required": sets.required,
             "after": None if sets.spacing.is_free else sets.spacing.successors,
-            "sensors_after": sets.step_limits.own_apart,
+            "sensors_after": {
+                step.sensor: step.after for step in sets.steps if isinstance(step, Apart)
+            },
             "prices": sets.price and [*map(float, sets.price)],
             "budget": budget,
             "components": [

@@ -242,15 +242,16 @@ _IMPORTS_THIS = re.compile(rb"pfdist\.kernels(\.| import .*\b)cached\b")
 def _hash_of_sources(folder: Path) -> str:
     """Hash of the sources of compiled code, and of all else on which machine code depends.
 
-    These are all files of each folder of the package in which one imports this module, and those of
-    the given folder. Compiled code reads no constant of any other. Some versions of Numba compare
-    the time of the file that has the function.
+    These are all files of each folder of the package in which one imports this module, of
+    `pfdist.constraints`, whose steps are compiled, and of the given folder. Compiled code reads no
+    constant of any other. Some versions of Numba compare the time of the file that has the
+    function.
     """
     package = Path(__file__).parents[1]
     files = [*package.rglob("*.py"), *folder.glob("*.py")]
     texts = {file: file.read_bytes() for file in files}
     folders = {file.parent for file, text in texts.items() if _IMPORTS_THIS.search(text)}
-    folders |= {folder, Path(__file__).parent}
+    folders |= {folder, Path(__file__).parent, package / "constraints"}
     content = hashlib.blake2b(digest_size=8)
     for file in sorted(file for file in texts if file.parent in folders):
         content.update(f"{file}:{file.stat().st_mtime_ns}:".encode() + texts[file])

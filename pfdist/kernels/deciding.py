@@ -15,17 +15,16 @@ from pfdist.kernels.batch import (
     At,
     FilterArrays,
     Instant,
-    copy_numbers,
     fill_mean_of_z,
     fill_variances,
     present,
     with_given,
 )
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.left import ROUNDING
 from pfdist.kernels.memory import ahead, read
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.rules import Applied, Ruling
+from pfdist.kernels.stepping import add_measurement, addresses_of, copy_record
 
 
 def ruling_of(
@@ -41,7 +40,7 @@ def ruling_of(
     if applied is None:
         return planned, Ruling(), {}
     rule, limits, flipped = applied
-    follows = limits.arrays(sensors, instants)
+    follows = limits.arrays(sensors, instants, addresses_of(limits.steps))
     own = np.unpackbits(planned.measured[0], axis=1, count=sensors, bitorder="little")
     follows = follows._replace(prices=follows.prices * own.ravel())
     points = np.arange(instants.start * sensors, instants.stop * sensors)
@@ -54,18 +53,19 @@ def ruling_of(
     filled = {"measured": np.zeros((len(draws), *measured.shape[1:]), np.uint8)}
     if flipped is not None:
         filled["deviation"] = np.full(len(draws), np.nan)
-    size = 2 + sensors + 2 * follows.setups
+    size, together = follows.start.size, 1 if sensors > 1 or is_alone else max(1, len(draws))
     ruling = Ruling(
         decide.address,
-        1 if sensors > 1 or is_alone else Ruling().together,
+        together,
         rule.exponent,
         float(rule.limit),
         thresholds,
         turns,
         -1 if flipped is None else flipped - instants.start * sensors,
         follows,
-        np.empty((len(draws), size)),
-        np.empty(size),
+        size,
+        np.zeros((together + 1, 2)),
+        np.zeros((together + 1, size), np.int64),
     )
     return planned._replace(measured=measured), ruling, filled
 
@@ -95,7 +95,7 @@ def decide(instant):
         some[place] = 0
     has_variance = False
     for d in range(at.draws):
-        left = _with_arrived(at, t, d)
+        left = _at_instant(at, t, d)
         if not left > 0.0:
             continue
         total = 0.0
@@ -124,11 +124,8 @@ def _choose(at, t, d, deviation):
     request, rule = at.work.request, at.work.rule
     follows, factor = rule.follows, 1.0
     if rule.limit > 0.0:
-        spent = rule.left[d * (2 + request.sensors + 2 * follows.setups)]
-        if follows.longest_delay > 0:
-            _may_follow(at, t, d, -1, False)
-            spent = rule.trial[0]
-        factor = ((request.instants - t) / (rule.limit - spent)) ** rule.exponent
+        left = rule.limit - rule.spent[2 * d]
+        factor = ((request.instants - t) / left) ** rule.exponent
     for turn in range(request.sensors):
         sensor = rule.turns[t * request.sensors + turn]
         arrives = t + follows.delays[sensor]
@@ -137,7 +134,7 @@ def _choose(at, t, d, deviation):
             continue
         exceeds = deviation > rule.thresholds[point] * factor or follows.required[point] != 0
         is_flipped = point == rule.flipped
-        if not (exceeds or is_flipped) or not _may_follow(at, t, d, point, True):
+        if not (exceeds or is_flipped) or not _may_follow(at, t, d, point):
             continue
         if is_flipped:
             at.work.results.deviation[at.first + d] = deviation / factor
@@ -147,85 +144,62 @@ def _choose(at, t, d, deviation):
 
 
 # The constraints on the measurements that may follow in a draw; `pfdist.kernels.left.Left` is the
-# twin. A record has what is spent, and the first instant that may be measured; then, for each
-# sensor, its last instant; then, for each setup, its end and its number.
+# twin. A record has what was spent before this instant, and the states of all steps.
 
 
 @compiled
-def _with_arrived(at, t, d):
+def _at_instant(at, t, d):
     """Bring the record of a draw to an instant; what is left to spend, 0 if nothing may follow."""
     request, rule = at.work.request, at.work.rule
-    setups = rule.follows.setups
-    record = ahead(rule.left, d * (2 + request.sensors + 2 * setups))
+    follows, size = rule.follows, rule.size
+    spent, state = ahead(rule.spent, 2 * d), ahead(rule.states, d * size)
     if t == 0:
-        record[0], record[1] = 0.0, 0.0
-        for sensor in range(request.sensors):
-            record[2 + sensor] = -1.0
-        for setup in range(setups):
-            record[2 + request.sensors + setup] = rule.follows.open_until[setup]
-            record[2 + request.sensors + setups + setup] = 0.0
+        spent[0], spent[1] = 0.0, 0.0
+        for number in range(size):
+            state[number] = follows.start[number]
     else:
         for sensor in range(request.sensors):
-            if _has(at, t - 1, d, sensor):
-                _add(at, record, t - 1, sensor)
-    if t + rule.follows.longest_delay < record[1]:
+            if _has(at, t - 1 + follows.delays[sensor], d, sensor):
+                _add(at, t - 1, sensor, spent, state)
+    if t < spent[1]:
         return 0.0
-    return rule.limit - record[0] if rule.limit > 0.0 else np.inf
+    return rule.limit - spent[0] if rule.limit > 0.0 else np.inf
 
 
 @compiled
-def _may_follow(at, t, d, added, requires):
-    """Whether a point may be added to what a draw has measured, with the required ones or not.
-
-    The trial record then has all that was measured, so that it tells what is spent.
-    """
+def _may_follow(at, t, d, added):
+    """Whether a point may be added to what a draw has measured, with all required ones to come."""
     request, rule = at.work.request, at.work.rule
-    follows, count = rule.follows, 2 + request.sensors + 2 * rule.follows.setups
-    copy_numbers(ahead(rule.left, d * count), rule.trial, count)
-    last = max(t + follows.longest_delay, follows.last_required if requires else t)
-    for at_instant in range(t, min(last + 1, request.instants)):
+    follows, size = rule.follows, rule.size
+    trial = ahead(rule.states, rule.together * size)
+    trial_spent = ahead(rule.spent, 2 * rule.together)
+    copy_record(ahead(rule.spent, 2 * d), ahead(rule.states, d * size), trial_spent, trial, size)
+    for made_at in range(t, max(t, follows.last_required) + 1):
         for sensor in range(request.sensors):
-            point = at_instant * request.sensors + sensor
-            is_wanted = point == added or (requires and follows.required[point] != 0)
-            is_wanted |= _has(at, at_instant, d, sensor)
-            if is_wanted and not _add(at, rule.trial, at_instant, sensor):
+            arrives = made_at + follows.delays[sensor]
+            if arrives >= request.instants:
+                continue
+            point = arrives * request.sensors + sensor
+            is_wanted = point == added or follows.required[point] != 0
+            is_wanted |= _has(at, arrives, d, sensor)
+            if is_wanted and not _add(at, made_at, sensor, trial_spent, trial):
                 return False
     return True
 
 
 @compiled
-def _add(at, record, t, sensor):
+def _add(at, made_at, sensor, spent, state):
     """Add a measurement, the latest so far, to a record; whether it breaks no constraint."""
-    request, rule = at.work.request, at.work.rule
-    follows, sensors = rule.follows, request.sensors
-    point, latest, setups = t * sensors + sensor, ahead(record, 2), follows.setups
-    fits = t >= record[1]
-    if latest[sensor] >= 0.0:
-        fits &= t >= follows.own_apart[sensor * request.instants + np.int64(latest[sensor])]
-    price, group = follows.prices[point], follows.group[sensor]
-    for way in range(sensors):
-        is_excluded = group > 0 and follows.group[way] == group
-        if is_excluded and follows.alike[way] != follows.alike[sensor]:
-            fits &= latest[way] != t
-    ends, number = ahead(record, 2 + sensors), ahead(record, 2 + sensors + setups)
-    for setup in range(setups):
-        end = follows.ends[setup * request.instants * sensors + point]
-        if end > 0 and point >= ends[setup]:
-            fits &= number[setup] < follows.most[setup]
-            price += follows.fees[setup]
-            ends[setup] = end
-            number[setup] += 1.0
-    if rule.limit > 0.0:
-        fits &= price <= rule.limit - record[0] + ROUNDING * rule.limit
-    record[0] += price
-    record[1] = follows.apart[t]
-    latest[sensor] = t
-    return fits
+    sensors, rule = at.work.request.sensors, at.work.rule
+    point = (made_at + rule.follows.delays[sensor]) * sensors + sensor
+    return add_measurement(rule.follows, rule.limit, sensors, point, spent, state)
 
 
 @compiled
 def _has(at, t, d, sensor):
     """Whether a sensor measures a draw, so that its value arrives at an instant."""
+    if t >= at.work.request.instants:
+        return False
     own = ahead(at.work.results.measured, _set_of(at, t, d))
     return ((own[sensor // 8] >> sensor % 8) & 1) != 0
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.kernels.left import ROUNDING, UNLIMITED, Left, StepArrays, StepLimits
+from pfdist.kernels.left import ROUNDING, UNLIMITED, Follows, Left, StepLimits
 
 ALWAYS, NEVER = -1.0, float("inf")
 """Thresholds with which each draw is measured, even if its particles agree; and none."""
@@ -60,8 +60,10 @@ class Thresholds(NamedTuple):
 
         Examples
         --------
+        >>> from pfdist.constraints.kinds import PlainStep
         >>> from pfdist.kernels.left import StepLimits
-        >>> rule, cheap_and_sharp = Thresholds((2.0, 5.0)), StepLimits(apart=(1, 2))
+        >>> alone = PlainStep("apart", (-1, 1, 2), (0,))
+        >>> rule, cheap_and_sharp = Thresholds((2.0, 5.0)), StepLimits(steps=(alone,))
         >>> [rule.chosen(d, 1, Left(cheap_and_sharp, 2, range(4), 2)) for d in (1, 3, 6)]
         [[], [2], [3]]
         """
@@ -127,7 +129,9 @@ class Ruling(NamedTuple):
     # (T+1, sensors): the sensors, from the highest threshold at an instant to the lowest
     turns: NDArray[np.int64] = np.empty(0, np.int64)
     flipped: int = -1  # the point at which it decides the opposite; -1: none
-    follows: StepArrays = UNLIMITED.arrays(1, range(1))
-    left: NDArray[np.float64] = np.empty(0)  # (D, n): records of the draws of a batch
-    trial: NDArray[np.float64] = np.empty(0)  # (n,): another one
+    follows: Follows = UNLIMITED.arrays(1, range(1))
+    size: int = 0  # numbers of the states of a draw
+    # of the draws of a batch, and of a trial: what is spent and when something may follow, (D+1, 2)
+    spent: NDArray[np.float64] = np.empty(0)
+    states: NDArray[np.int64] = np.empty(0, np.int64)  # (D+1, size)
     replicates: Replicates = Replicates()

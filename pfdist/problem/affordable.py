@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
+from pfdist.constraints.spacing import Spacing
 from pfdist.errors import MeasurementTimesError
-from pfdist.problem.spacing import Spacing
 
 _IMPOSSIBLE = -(2**62)
 

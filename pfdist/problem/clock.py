@@ -543,6 +543,20 @@ class Clock:
         successors = np.searchsorted(self.times, after).tolist()
         return tuple(max(t + 1, later) for t, later in enumerate(successors))
 
+    def ends_of(self, period: str, key: str) -> tuple[int, ...]:
+        """For each instant, the first one after its day, or after its week from Monday.
+
+        Raises `MeasurementTimesError` without dates; `key` asks for the period.
+        """
+        if not self.has_dates:
+            raise MeasurementTimesError(
+                f"{key} = {shown(period)} needs dates (problem.clock.start)"
+            )
+        days = [date.date() for date in self.dates]
+        keys = [day.isocalendar()[:2] if period == "week" else day for day in days]
+        last = {key: t for t, key in enumerate(keys)}
+        return tuple(last[key] + 1 for key in keys)
+
     def regular_times(self, number: int) -> Times:
         """N instants whose times are as evenly spaced as the clock allows; N is 1 to T+1.
 

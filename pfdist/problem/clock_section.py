@@ -13,7 +13,7 @@ from pfdist.problem.clock import Clock
 
 _STEP = re.compile(rf"(\d{{1,9}}(?:\.\d{{1,9}})?) ?({'|'.join(SECONDS)})")
 _DURATION = re.compile(r"(\d{1,9}(?:\.\d{1,9})?) ?(\S.*)")
-_DURATIONS = ("lag", "minimum_spacing", "delay", "within")
+_DURATIONS = ("lag", "minimum_spacing", "delay", "within", "time")
 _YEARS = (1000, 9000)  # of a clock with dates
 
 

@@ -15,11 +15,15 @@ from math import gcd, lcm
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import unrounded
+from pfdist.constraints.kinds import PlainStep
+from pfdist.constraints.setup import Setup
+from pfdist.constraints.spacing import Spacing
+from pfdist.constraints.step import Money, Step, Walk
 from pfdist.errors import MeasurementTimesError
+from pfdist.kernels.left import StepLimits
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
-from pfdist.problem.shared import Money, Setup, Shared
-from pfdist.problem.spacing import Spacing
+from pfdist.problem.shared import Shared
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,7 @@ class Constraints:
     points: Points = None  # type: ignore[assignment]  # by default instants are counted
     cheapest: int = 0  # number of the sensor that measures at regular times
     shared: tuple[Shared, ...] = ()  # prices and limits of several measurements together
+    made: Times = ()  # required ones that were made before: their steps were taken
     # Whether N or the money is only the most that may be spent, even nothing. One more measurement
     # does no harm, in expectation, to a filter that knows the truth, so a best set spends what it
     # can. To a filter that is wrong it may do harm; and under limits nothing may be left to buy.
@@ -71,14 +76,23 @@ class Constraints:
         return Spacing(self.points.successors(self.minimum_spacing))
 
     @cached_property
+    def steps(self) -> tuple[Step, ...]:
+        """All constraints but allowed times, number, price, and the spacing of all."""
+        return tuple(chain.from_iterable(each.steps for each in self.shared))
+
+    @cached_property
     def setups(self) -> tuple[Setup, ...]:
-        """All that has a price beside those of measurements, or a largest number."""
-        return tuple(chain.from_iterable(each.setups for each in self.shared))
+        """All that has a price beside those of measurements, or a largest number.
+
+        If measurements are not made in the order of points, without those whose order matters.
+        """
+        every = chain.from_iterable(each.setups for each in self.shared)
+        return tuple(each for each in every if self.points.is_in_order or not each.in_order)
 
     @cached_property
     def most(self) -> dict[int, int]:
         """The largest numbers, by the place in `setups`."""
-        return {k: each.most for k, each in enumerate(self.setups) if each.most is not None}
+        return {k: each.left for k, each in enumerate(self.setups) if each.left is not None}
 
     @property
     def spaced(self) -> str:
@@ -133,14 +147,31 @@ class Constraints:
 
     def spent(self, times: Iterable[int]) -> int:
         """The price of some sorted times, and of what they share, in units."""
-        chosen = tuple(times)
-        fees = sum(fee * each.number(chosen) for each, fee in self._fees)
+        return self._spent(chosen := tuple(times), self._walk(chosen))
+
+    def _spent(self, chosen: Times, walks: Sequence[Walk]) -> int:
+        fees = sum(fee * walks[place].pays for place, fee in self._fees)
         return sum(self.units[time] for time in chosen) + fees
 
     @cached_property
-    def _fees(self) -> list[tuple[Setup, int]]:
-        """All that has a price beside those of measurements, and this price in units."""
-        return [(each, self.in_units(each.price)) for each in self.setups if each.price]
+    def _fees(self) -> list[tuple[int, int]]:
+        """Places in `steps` that have a price, and this price in units."""
+        fees = enumerate(each.fee for each in self.steps)
+        return [(place, self.in_units(fee)) for place, fee in fees if fee]
+
+    def _walk(self, times: Times) -> list[Walk]:
+        """Go through sorted times by each step."""
+        if not self.steps:
+            return []
+        if self.made:
+            times = tuple(time for time in times if time not in self.made)
+        made = self.points.made_in_order(times)
+        return [step.walk(made) for step in self.steps]
+
+    def steps_since(self, shared: Shared, first: int, made: Iterable[int]) -> tuple[Step, ...]:
+        """The steps of a limit from a point on, after measurements; points count from there."""
+        new = self.points.made_in_order(tuple(sorted({*made} - {*self.made})))
+        return tuple(step.since(first, new) for step in shared.steps)
 
     def with_required(self, times: Iterable[int]) -> Times:
         """These times and the required times, sorted."""
@@ -148,31 +179,41 @@ class Constraints:
 
     def compatible(self, times: Times) -> bool:
         """Whether these sorted times are allowed and far enough apart."""
-        are_allowed = self.spacing.allows(times) and self._allowed.issuperset(times)
-        return are_allowed and self.is_within_limits(times)
+        return self._are_allowed(times) and self.is_within_limits(times)
+
+    def _are_allowed(self, times: Times) -> bool:
+        return self.spacing.allows(times) and self._allowed.issuperset(times)
 
     def is_within_limits(self, times: Iterable[int]) -> bool:
-        """Whether these sorted times satisfy the constraints on each sensor."""
-        return not any(self._beyond_limits(times))
+        """Whether these sorted times satisfy the steps of all constraints."""
+        return all(walk.broken is None for walk in self._walk(tuple(times)))
 
     def _beyond_limits(self, times: Iterable[int]) -> Iterator[str]:
         """Yield a sentence for each limit that these sorted times break."""
-        chosen = tuple(times)
-        for each in self.shared:
-            yield from each.broken(self.points, chosen)
+        for step, walk in zip(self.steps, self._walk(tuple(times)), strict=True):
+            if walk.broken is not None:
+                when, sensor = self.formatted(walk.broken), self.points.sensor(walk.broken)
+                yield step.sentence(walk, when, sensor)
 
-    def beyond_limits(self, times: Times) -> list[int]:
-        """The points that break a limit if they follow these times."""
-        return [point for each in self.shared for point in each.beyond(self.points, times)]
+    def beyond_limits(self, sets: Iterable[Times]) -> Iterator[Times]:
+        """For each of some sets, sorted, the points that break a limit if they follow its times."""
+        from pfdist.kernels.stepping import Following  # noqa: PLC0415  it loads Numba
+
+        limits = StepLimits(delays=self.points.delays, steps=tuple(map(PlainStep.of, self.steps)))
+        following = Following(limits, self.points.moments, self.points.ways)
+        for times in sets:
+            yield following.breaking(self.points.made_in_order(times).points)
 
     def allows(self, times: Iterable[int]) -> bool:
         """Whether these and the required times are compatible and can be paid for."""
         complete = self.with_required(times)
-        return self.spent(complete) <= self.total and self.compatible(complete)
+        return self._are_allowed(complete) and self._fits(complete)
 
-    def _fits(self, times: Sequence[int]) -> bool:
+    def _fits(self, times: Times) -> bool:
         """Whether some sorted times satisfy the limits and can be paid for."""
-        return self.spent(times) <= self.total and self.is_within_limits(times)
+        walks = self._walk(times)
+        is_kept = all(walk.broken is None for walk in walks)
+        return is_kept and self._spent(times, walks) <= self.total
 
     def moved(self, times: Times, t: int, to: int) -> Times | None:
         """The set with the measurement at t moved to another instant; None if that is not allowed.
@@ -230,8 +271,9 @@ class Constraints:
         """The price of a set, in the unit of `price`; its size if times are counted."""
         chosen, prices = tuple(sorted({*times})), self.price or self.units
         paid: Money = sum(prices[time] for time in chosen)
-        numbers = ((each.price, each.number(chosen)) for each, _ in self._fees)
-        return paid + sum(price * number for price, number in numbers if number)
+        for step, walk in zip(self.steps, self._walk(chosen), strict=True):
+            paid += step.fee * walk.pays
+        return paid
 
     def affordable(self, times: Iterable[int]) -> list[int]:
         """The optional times that could still be added to these and the required times."""
@@ -242,7 +284,7 @@ class Constraints:
             for time in (self.optional if left > 0 else ())
             if self.units[time] <= left
             and time not in near
-            and (not self.shared or self._fits(sorted({*complete, time})))
+            and (not self.shared or self._fits(tuple(sorted({*complete, time}))))
         ]
 
     def distance(self, time: int, times: Times) -> int:
@@ -281,7 +323,7 @@ class Constraints:
     @cached_property
     def unit(self) -> Fraction:
         """The largest unit of money in which all prices are whole."""
-        fees = (each.price for each in self.setups if each.price)
+        fees = (each.fee for each in self.steps if each.fee)
         prices = [Fraction(price) for price in (*(self.price or (1,)), *fees)]
         parts = lcm(*(price.denominator for price in prices))
         return Fraction(gcd(*(int(price * parts) for price in prices)), parts)
@@ -349,7 +391,14 @@ def _check_limits(constraints: Constraints) -> None:
             f"total_price is given, got {constraints.minimum_spacing}: give each sensor its own"
         )
     if not constraints.is_within_limits(constraints.required):
-        raise MeasurementTimesError("required must keep the limits of sensors and visits")
+        (sentence, *_) = constraints.broken(constraints.required, fewer=True)
+        raise MeasurementTimesError(f"required must keep all limits: {sentence}")
+    if constraints.steps and not any(
+        constraints.is_within_limits(constraints.with_required((time,)))
+        for time in constraints.allowed
+    ):
+        (sentence, *_) = constraints.broken(constraints.allowed[:1], fewer=True)
+        raise MeasurementTimesError(f"no measurement is possible: {sentence}")
 
 
 def _check_budget_or_price(constraints: Constraints) -> None:

@@ -42,6 +42,20 @@ def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
     return read
 
 
+def with_income(section: Any, folder: Path) -> Any:
+    """A section [problem] of a job, with values instead of a column of the income of its store.
+
+    Errors are those of `with_columns`.
+    """
+    store = section.get("store") if isinstance(section, dict) else None
+    if not (isinstance(store, dict) and isinstance(store.get("income"), dict)):
+        return section
+    if not store["income"].keys() & _KEYS:
+        return section
+    income = _column(store["income"], folder, "problem.store.income")
+    return {**section, "store": {**store, "income": income}}
+
+
 def times_of_file(
     text: str, points: Points, folder: Path, note: Callable[[str], Any], key: str
 ) -> list[Any]:

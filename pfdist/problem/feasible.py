@@ -16,6 +16,8 @@ from math import comb
 import numpy as np
 
 from pfdist.common.measurement_times import Times, random, random_below, regular
+from pfdist.constraints.apart import Apart
+from pfdist.constraints.kinds import PlainStep
 from pfdist.errors import MeasurementTimesError
 from pfdist.kernels.left import Left, StepLimits
 from pfdist.problem.affordable import Affordable, Completions, nearest
@@ -222,16 +224,16 @@ class Feasible(Constraints):
     @cached_property
     def step_limits(self) -> StepLimits:
         """The constraints in the order of time."""
-        points, spacing = self.points, self.spacing
-        firsts = range(0, self.possible, points.ways)
-        shared = {name: value for e in self.shared for name, value in e.steps(points).items()}
+        points, spacing, steps = self.points, self.spacing, self.steps
+        if not spacing.is_free:
+            firsts = range(0, self.possible, points.ways)
+            after = tuple(points.instant(spacing.after(t)) for t in firsts)
+            steps = (Apart(after=after), *steps)
         return StepLimits(
-            () if spacing.is_free else tuple(points.instant(spacing.after(t)) for t in firsts),
             tuple(map(float, self.price or (1,) * self.possible)),
             points.delays,
             self.required,
-            alike=points.repeats,
-            **shared,
+            tuple(map(PlainStep.of, steps)),
         )
 
     @property
@@ -249,10 +251,8 @@ class Feasible(Constraints):
         most = self.budget if limit is None else limit
         given = self.step_limits, self.points.ways, self.allowed, self.horizon + 1
         left = Left(*given, most)
-        left.take(taken)
-        left.wait(self.horizon + 1)
+        left.take((*taken, *in_flight))
         left.wait(first)
-        left.take(in_flight)
         return left
 
     def rest(self, taken: Times, first: int, in_flight: Times = ()) -> "Feasible | None":
@@ -278,6 +278,10 @@ class Feasible(Constraints):
         }
         if not usable:
             return None
+        made = (*taken, *in_flight)
+        shared = (
+            each.since(start, taken, self.steps_since(each, start, made)) for each in self.shared
+        )
         make = partial(
             replace,
             self,
@@ -285,11 +289,12 @@ class Feasible(Constraints):
             forbidden=tuple({*range(self.possible - start)} - {time - start for time in usable}),
             required=tuple(sorted(time - start for time in required)),
             points=points.since(first),
-            shared=tuple(filter(None, (each.since(start, taken) for each in self.shared))),
+            shared=tuple(filter(None, shared)),
+            made=tuple(time - start for time in in_flight),
         )
         if self.price is not None and self.total_price is not None:
-            money = max(self.total_price, self.price_of((*taken, *in_flight)))
-            money -= self.price_of(taken)
+            paid = self.price_of(made)
+            money = max(self.total_price, paid) - paid + sum(self.price[t] for t in in_flight)
             return make(price=self.price[start:], total_price=money)
         number = max(len(in_flight), self.total - len(taken))
         if self.smaller:
@@ -430,7 +435,8 @@ class Feasible(Constraints):
             if self.accepts(wanted):
                 return wanted
         affordable = Affordable(self.allowed, self.required, self.spacing, self.units, self.total)
-        return affordable.nearest(self._regular_times)
+        times = affordable.nearest(self._regular_times)
+        return self.repair(times, np.random.default_rng(0)) if self.steps else times
 
     def near(self, time: int, reach: int | None) -> Times:
         """The allowed times within so many instants of one; by default all."""

@@ -138,11 +138,6 @@ SQUARED_NORM = Fact(
     lambda _, evaluator: evaluator is None or evaluator.has_squared_error,
 )  # fmt: skip
 A_SEARCH = Fact("a search", "a search, got search = []", lambda job, _: bool(job.search))
-AT_ONCE = Fact(
-    "sensors without a `delay`, or a smoothed estimate",
-    "sensors without a delay, or problem.estimate = 'smoothed'",
-    lambda job, _: not job.problem.points.delays,
-)
 A_NUMBER = Fact(
     "a number of measurements, not a total price", "problem.measurement_budget, got a total price",
     lambda job, _: job.problem.measurement_budget is not None,
@@ -203,11 +198,6 @@ INFORMATION = Capability(
     },
     lambda job: "the criterion 'information'" * any(e.aspects for e in job.other_criteria.values()),
 )  # fmt: skip
-VISITS = Capability(
-    "`[problem.visits]`",
-    {AT_ONCE: "visits are counted in the order of arrivals"},
-    lambda job: "problem.visits" * (job.problem.visits is not None),
-)
 SMOOTHED = Capability(
     "a smoothed estimate, or a lag", {ADDS_SMOOTHED: "errors of prefixes do not add up"},
     lambda job: job.problem.estimate_written * bool(job.problem.instants_of_lag),
@@ -272,7 +262,7 @@ PLAN_EACH = Capability(
     {A_NUMBER: "without plan_each, the plan of the run is judged", LEARNED: ""},
 )
 CAPABILITIES = (
-    BUDGET, ON_THE_WAY, CRITERION, WORST_SCENARIO, INFORMATION, VISITS, SMOOTHED, CONTROL, EXACT,
+    BUDGET, ON_THE_WAY, CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, EXACT,
     WRONG_FILTER, LEARNING, RULES, WHY, EXPLORE, BOUND, LOSS, REAL_DATA, PLAN_EACH,
 )  # fmt: skip
 

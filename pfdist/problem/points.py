@@ -5,7 +5,7 @@ Everything inside names a possible measurement by its number. This module alone 
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -15,6 +15,7 @@ from pfdist.common.arguments import listed_argument
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parsing import as_text
 from pfdist.common.points import ALONE, PointNumbers
+from pfdist.constraints.step import Made
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.calendar import groups
 from pfdist.problem.clock import Clock, Time, joined_times
@@ -58,6 +59,38 @@ class Points(PointNumbers):
     def made_at(self, point: int) -> int:
         """The instant at which a point is measured; below 0 if its value cannot have arrived."""
         return int(self.instant(point)) - self.delay(self.way(point))
+
+    @cached_property
+    def moments(self) -> list[int]:
+        """The moment of each point; see `pfdist.constraints.step.Turn`."""
+        late, every = max(self.delays, default=0), range(self.number)
+        return [point + self.first(late - self.delay(self.way(point))) for point in every]
+
+    def made_in_order(self, times: Times) -> Made:
+        """Some sorted points, in the order in which they are measured."""
+        order: Sequence[int] = times
+        if not self.is_in_order:
+            order = sorted(times, key=self.moments.__getitem__)
+        moments = order if self.is_in_order else [self.moments[point] for point in order]
+        ways = self.ways
+        if ways == 1:
+            late, sensors = self.delay(0), [0] * len(order)
+            instants = [point - late for point in order] if late else order
+        else:
+            sensors = [point % ways for point in order]
+            instants = [self.made_at(point) for point in order]
+        return Made(order, moments, instants, sensors, ways)
+
+    @property
+    def is_in_order(self) -> bool:
+        """Whether values arrive in the order in which they are measured."""
+        return len({*self.delays}) < 2
+
+    def alone(self, *ways: int) -> Times:
+        """The ends of setups that each measurement, of some ways, begins for itself alone."""
+        return tuple(
+            (moment + 1) * (self.way(point) in ways) for point, moment in enumerate(self.moments)
+        )
 
     @property
     def sensor_ways(self) -> tuple[Times, ...]:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     Field,
     ValidationInfo,
     field_validator,
@@ -23,14 +24,18 @@ from pydantic.config import JsonDict
 from pfdist.common.measurement_times import Lag, Times
 from pfdist.common.section import JobSection, Listed
 from pfdist.common.sensing import Sensing, names_of_repeats
+from pfdist.constraints.spacing import Spacing
+from pfdist.constraints.step import Money, Step, money
+from pfdist.constraints.store import Store
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.filters.aspects import ErrorBeside
 from pfdist.filters.beside import errors_beside
 from pfdist.filters.criterion import MEAN
 from pfdist.problem.calendar import calendar_of
-from pfdist.problem.clock import Clock, Time
+from pfdist.problem.clock import Clock, Time, plain_time
 from pfdist.problem.clock_section import ClockSection, without_units
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.limits_section import MeasurementBudget, MostWithinSection, Prices, StoreSection
 from pfdist.problem.points import Points
 from pfdist.problem.sections import (
     CriterionName,
@@ -40,15 +45,9 @@ from pfdist.problem.sections import (
     Written,
     is_list_of,
 )
-from pfdist.problem.sensing_section import Sensings, SensingSection
-from pfdist.problem.sensor_section import (
-    MeasurementBudget,
-    Prices,
-    SensorSection,
-    priced,
-)
-from pfdist.problem.shared import Limit, Money, OfSensors, Shared, Together, money
-from pfdist.problem.spacing import Spacing
+from pfdist.problem.sensing_section import Finite, Sensings, SensingSection
+from pfdist.problem.sensor_section import SensorSection, priced
+from pfdist.problem.shared import Groups, Limit, OfSensors, Others, Shared
 from pfdist.problem.visits import Installs
 from pfdist.problem.visits_section import VisitsSection
 from pfdist.problem.written import instants_written
@@ -102,8 +101,8 @@ class ProblemSection(JobSection):
         Times that every set contains.
     minimum_spacing : number, clock
         Smallest difference of two measurement times, as 2 or "2 h".
-    price : list or section of ranges
-        Price of a measurement at each instant, or in each range: numbers above 0.
+    price : number or list or section of ranges
+        Price of a measurement, or at each instant, or in each range: numbers above 0.
     total_price : number, that of price
         Largest sum of the prices of a set, instead of ``measurement_budget``.
     sensors : section of sections
@@ -115,6 +114,10 @@ class ProblemSection(JobSection):
         measured tables. Plans have the job's values.
     visits : section
         Measurements that share a visit; see ``[problem.visits]``.
+    store : section
+        What measurements draw from; see ``[problem.store]``.
+    most_within : section
+        The most measurements in any stretch of time; see ``[problem.most_within]``.
     """
 
     # Read as "clock": `clock` is the clock that follows from all keys.
@@ -135,7 +138,7 @@ class ProblemSection(JobSection):
     allowed: MomentsAndRanges | None = None
     required: MomentsAndRanges | None = None
     minimum_spacing: Annotated[Moment, Written] | None = None
-    price: Prices | None = priced("price", "cost")
+    price: Annotated[Finite | Prices, AfterValidator(plain_time)] | None = priced("price", "cost")
     total_price: Annotated[Moment, Field(gt=0, lt=2**63)] | None = priced(
         "total_price", "total_cost"
     )
@@ -145,6 +148,8 @@ class ProblemSection(JobSection):
     sensor: SensingSection | None = None
     given: dict[str, str] | None = None
     visits: VisitsSection | None = None
+    store: StoreSection | None = None
+    most_within: MostWithinSection | None = None
 
     @field_validator("horizon", "times", mode="before")
     @classmethod
@@ -163,7 +168,9 @@ class ProblemSection(JobSection):
             raise ValueError(f"problem.{info.field_name} {error}") from error
         return numbers if isinstance(value, list | tuple) else numbers[0]
 
-    @field_validator("lag", "minimum_spacing", "sensors", "sensor", "visits", mode="before")
+    @field_validator(
+        "lag", "minimum_spacing", "sensors", "sensor", "visits", "most_within", mode="before"
+    )
     @classmethod
     def _may_have_units(cls, value: Any, info: ValidationInfo) -> Any:
         """Numbers in the unit of the clock for durations such as "2 h"."""
@@ -354,7 +361,7 @@ class ProblemSection(JobSection):
             forbidden=self._forbidden,
             required=tuple(sorted({*self.points.read(self.required or (), "required")})),
             minimum_spacing=spacing or 0.0,
-            price=self._prices_of_instants,
+            price=None if self.store and self.total_price is None else self._prices_of_points,
             total_price=None if self.total_price is None else money(self.total_price),
             points=points,
             # To sets within limits, nothing may be left to buy.
@@ -372,7 +379,7 @@ class ProblemSection(JobSection):
             times.update({*range(points.number)} - {*allowed})
         if self.visits:
             possible = self.visits.instants(clock)
-            times.update(t for t in range(points.number) if points.instant(t) not in possible)
+            times.update(t for t in range(points.number) if points.made_at(t) not in possible)
         times.update(point for point in range(points.number) if points.made_at(point) < 0)
         for way, (name, sensor) in enumerate(self.each_sensor.items()):
             barred = {*instants_written(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
@@ -410,7 +417,46 @@ class ProblemSection(JobSection):
             if each.together is not None:
                 groups.setdefault(each.together, []).append(ways)
         if groups:
-            yield Together(tuple(map(tuple, groups.values())))
+            yield Groups.on(points, groups.values())
+        if (others := [*self._others]) and others:
+            yield Others(tuple(dict.fromkeys(name for name, _ in others)), steps=tuple(
+                step for _, step in others
+            ))  # fmt: skip
+
+    @property
+    def _others(self) -> Iterator[tuple[str, Step]]:
+        """Limits that are no more than their step, with the name that a sentence has for each."""
+        points, name = self.points, "most_within"
+        if self.most_within is not None:
+            ends = points.alone(*range(points.ways))
+            yield name, self.most_within.on(name, self.clock, ends)
+        for (sensor, each), ways in zip(
+            (self.sensors or {}).items(), points.sensor_ways, strict=False
+        ):
+            if each.most_within is not None:
+                key = f"sensors.{sensor}.most_within"
+                yield name, each.most_within.on(key, self.clock, points.alone(*ways))
+        if self.visits and self.visits.most_within is not None:
+            ends = self.visits.on(points).setup.ends
+            yield name, self.visits.most_within.on("visits.most_within", self.clock, ends)
+        if self.store is not None:
+            capacity = money(self.store.capacity)
+            start = self.store.start
+            yield (
+                "store",
+                Store(
+                    key="store",
+                    capacity=capacity,
+                    full=capacity if start is None else money(start),
+                    income=self._prices("store.income", self.store.income),
+                    prices=self._drawn,
+                ),
+            )
+
+    @property
+    def _drawn(self) -> tuple[Money, ...]:
+        """What each possible measurement draws from the store."""
+        return self._prices_of_points or (1,) * self.points.number
 
     @property
     def _prices_of_sensors(self) -> list[tuple[Money, ...]]:
@@ -529,7 +575,7 @@ class ProblemSection(JobSection):
         return f"problem.{re.sub('^forbidden', keys, sentence)}"
 
     @property
-    def _prices_of_instants(self) -> tuple[Money, ...] | None:
+    def _prices_of_points(self) -> tuple[Money, ...] | None:
         """The price of each possible measurement; None if measurements are counted."""
         if not self.each_sensor:
             return None if self.price is None else self._late(self._prices("price", self.price), 0)
@@ -538,9 +584,11 @@ class ProblemSection(JobSection):
                 "price must be left out with sensors, because each has its own: "
                 f"sensors.{next(iter(self.sensors))}.price"
             )
-        if self.total_price is None:
+        if self.total_price is None and self.store is None:
             return None
         lacking = [name for name, each in self.each_sensor.items() if each.price is None]
+        if lacking and self.total_price is None:
+            return None
         if lacking:
             raise MeasurementTimesError(
                 f"sensors.{lacking[0]}.price must be given with total_price"

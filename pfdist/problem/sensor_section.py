@@ -4,14 +4,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, AliasChoices, Field
 
-from pfdist.common.section import Listed
 from pfdist.problem.clock import Time, plain_time
+from pfdist.problem.limits_section import MeasurementBudget, MostWithinSection, Price, Prices
 from pfdist.problem.sections import MomentsAndRanges, Written
 from pfdist.problem.sensing_section import Finite, SensingSection
-
-Price = Annotated[Finite, AfterValidator(plain_time)]
-Prices = Listed[Price] | dict[str, Price]
-MeasurementBudget = Annotated[int, Field(ge=1, lt=2**63)]
 
 
 def priced(name: str, former: str) -> Any:
@@ -40,6 +36,8 @@ class SensorSection(SensingSection):
         Largest number of measurements by this sensor.
     minimum_spacing : number, clock
         Smallest difference of two times of this sensor, as 2 or "2 h".
+    most_within : section
+        The most of its measurements in any stretch of time; see ``[problem.most_within]``.
     """
 
     price: Annotated[Finite | Prices, AfterValidator(plain_time)] | None = priced("price", "cost")
@@ -49,3 +47,4 @@ class SensorSection(SensingSection):
     allowed: MomentsAndRanges | None = None
     most: MeasurementBudget | None = None
     minimum_spacing: Annotated[Time, Written] | None = None
+    most_within: MostWithinSection | None = None

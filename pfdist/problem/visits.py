@@ -4,22 +4,23 @@ Someone comes once for all measurements of a visit, which may be limited, too. A
 once.
 """
 
-from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
+from pfdist.constraints.setup import NO_LIMIT, Setup
+from pfdist.constraints.step import Money, Step
 from pfdist.problem.even_sets import Array, EvenFamily, EvenLine, EvenSets, lines_of_family
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
-from pfdist.problem.shared import Money, Setup, Shared
+from pfdist.problem.shared import Shared
 
 _MOST_FAMILIES, _FEWEST_PATTERNS = 20_000, 12  # of visits, and of times in each
 _MOST_LINES = 6000  # whose sets are checked one by one
@@ -34,22 +35,18 @@ class Installs(Shared):
     def on(cls, points: Points, each: Sequence[tuple[Money, Times]]) -> Self:
         """Installations from the price of each and its ways."""
         ways = [points.way(point) for point in range(points.number)]
-        last = points.number
-        ends = (tuple(last * (way in own) for way in ways) for _, own in each)
-        return cls(setups=tuple(Setup(e, price) for e, (price, _) in zip(ends, each, strict=True)))
+        return cls(steps=tuple(
+            Setup(ends=tuple(NO_LIMIT * (way in own) for way in ways), price=price, in_order=False)
+            for price, own in each
+        ))  # fmt: skip
 
-    def steps(self, points: Points) -> dict[str, Any]:
-        """The price of each sensor's first measurement, beside its own."""
-        ways = range(points.ways)
-        each = (float(sum(own.price for own in self.setups if own.ends[way])) for way in ways)
-        return {"install": tuple(each)}
-
-    def since(self, first: int, taken: Times) -> Self | None:
+    def since(self, first: int, taken: Times, steps: tuple[Step, ...]) -> Self | None:
         """The installations that were not paid yet."""
-        unpaid = tuple(e.since(first, taken) for e in self.setups if not e.number(taken))
-        return replace(self, setups=unpaid) if unpaid else None
+        unpaid = tuple(step for step in steps if step.start == step.beginning)
+        return replace(self, steps=unpaid) if unpaid else None
 
 
+@dataclass(frozen=True)
 class Visits(Shared):
     """The rule that divides measurements into visits, their price, and their largest number.
 
@@ -63,10 +60,13 @@ class Visits(Shared):
     priced: ClassVar[str] = "visits.price"
     spaced: ClassVar[str] = "visits"
 
+    late: Times = ()  # (ways,): points from each to its moment, if values are not in order
+
     @classmethod
-    def on(cls, ends: Times, price: Money = 0, most: int | None = None) -> Self:
-        """Visits from the first point after the visit that begins at each point."""
-        return cls(setups=(Setup(ends, price, most, key="visits.most", things="visits"),))
+    def on(cls, ends: Times, price: Money = 0, most: int | None = None, late: Times = ()) -> Self:
+        """Visits from the first moment after the visit that begins at each point."""
+        visits = Setup(ends=ends, price=price, most=most, key="visits.most", things="visits")
+        return cls(late, steps=(visits,))
 
     @property
     def setup(self) -> Setup:
@@ -76,23 +76,19 @@ class Visits(Shared):
     @property
     def relaxed(self) -> tuple[str, ...]:
         """The limit that the bound relaxes."""
+        if self.late:
+            return ("visits with several delays",)
         return ("most of visits",) * (self.setup.most is not None)
-
-    def steps(self, points: Points) -> dict[str, Any]:
-        """The end of the visit that begins at each point, its price, and the largest number."""
-        setup = self.setup
-        return {
-            "visit_ends": setup.ends,
-            "visit_price": float(setup.price),
-            "most_visits": points.number if setup.most is None else setup.most,
-            "open_until": setup.open_until,
-        }
 
     def parts(self, times: Times) -> list[Times]:
         """The measurements of each visit; `times` are sorted."""
-        starts = (bisect_left(times, first) for first in self.setup.firsts(times))
+        order = sorted(times, key=self._moment)
+        starts = map(order.index, self.setup.firsts(order, self._moment))
         bounds = pairwise(sorted({0, *starts, len(times)}))
-        return [times[start:stop] for start, stop in bounds]
+        return [tuple(sorted(order[start:stop])) for start, stop in bounds]
+
+    def _moment(self, time: int) -> int:
+        return time + self.late[time % len(self.late)] if self.late else time
 
     def in_words(self, points: Points, times: Times) -> str:
         """The measurements of each visit in words."""
@@ -161,7 +157,7 @@ class EvenVisits(EvenSets):
     @cached_property
     def blocks(self) -> list[Block]:
         """All visits, in order. If a visit may begin at any time, there is one for each."""
-        feasible, points, ends = self.feasible, self.feasible.points, self.visits.setup.ends
+        feasible, points, ends = self.feasible, self.feasible.points, self.visits.setup.ends_here
         times, together = points.clock.times, defaultdict[int, list[int]](list)
         for point in feasible.allowed:
             together[ends[point]].append(point)
@@ -191,7 +187,7 @@ class EvenVisits(EvenSets):
     @cached_property
     def _may_overlap(self) -> bool:
         """Whether a visit begins with its first measurement, at any time."""
-        ends, ways = self.visits.setup.ends, self.feasible.points.ways
+        ends, ways = self.visits.setup.ends_here, self.feasible.points.ways
         return any(end > t + ways and ends[t + ways] != end for t, end in enumerate(ends[:-ways]))
 
     @property
@@ -199,7 +195,7 @@ class EvenVisits(EvenSets):
         """The numbers of visits of a set that can be paid for."""
         feasible, setup = self.feasible, self.visits.setup
         price = min(feasible.units) + feasible.in_units(setup.price)
-        most = feasible.horizon + 1 if setup.most is None else setup.most
+        most = feasible.horizon + 1 if setup.left is None else setup.left
         return range(1, min(feasible.total // price, most, feasible.horizon + 1) + 1)
 
     def _families(self) -> Iterator[EvenFamily]:
@@ -297,7 +293,7 @@ class EvenVisits(EvenSets):
         if not own.size:
             return None
         when = np.array([points.clock.times[points.instant(t)] for t in own.tolist()])
-        stops = np.searchsorted(own, np.array(setup.ends)[own])
+        stops = np.searchsorted(own, np.array(setup.ends_here)[own])
         slots = dict[int, Times]()  # the times of each visit, by its first
         for target in targets:
             near = int(np.abs(when - target).argmin())

@@ -6,12 +6,12 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from pfdist.common.section import JobSection
+from pfdist.constraints.step import money
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.clock import Clock
+from pfdist.problem.limits_section import MeasurementBudget, MostWithinSection, Price
 from pfdist.problem.points import Points
 from pfdist.problem.sections import Moment, MomentsAndRanges, Written
-from pfdist.problem.sensor_section import MeasurementBudget, Price
-from pfdist.problem.shared import money
 from pfdist.problem.visits import Visits
 from pfdist.problem.written import instants_written
 
@@ -34,6 +34,8 @@ class VisitsSection(JobSection):
         "day" or "week": measurements of a day, or of a week from Monday, share a visit.
     allowed : list of times and ranges, clock
         Each entry is a possible visit; there are no other measurements.
+    most_within : section
+        The most visits in any stretch of time; see ``[problem.most_within]``.
     """
 
     price: Annotated[Price, Field(gt=0)] | None = None
@@ -41,6 +43,7 @@ class VisitsSection(JobSection):
     within: Annotated[Moment, Field(gt=0), Written] | None = None
     per: Literal["day", "week"] | None = None
     allowed: Annotated[MomentsAndRanges, Field(min_length=1)] | None = None
+    most_within: MostWithinSection | None = None
 
     @model_validator(mode="after")
     def _is_one_rule(self) -> Self:
@@ -49,7 +52,7 @@ class VisitsSection(JobSection):
         if len(given) != 1:
             got = " and ".join(given) or "none of them"
             raise ValueError(f"problem.visits needs one of within, per and allowed, got {got}")
-        if self.price is None and self.most is None:
+        if self.price is None and self.most is None and self.most_within is None:
             raise ValueError("problem.visits needs price, most or both, got neither")
         return self
 
@@ -59,18 +62,16 @@ class VisitsSection(JobSection):
         if self.within is not None:
             stops: Sequence[int] = clock.successors(float(self.within))
         elif self.per is not None:
-            if not clock.has_dates:
-                raise MeasurementTimesError(
-                    f"visits.per = {shown(self.per)} needs dates (problem.clock.start)"
-                )
-            days = [date.date() for date in clock.dates]
-            keys = [day.isocalendar()[:2] if self.per == "week" else day for day in days]
-            last = {key: t for t, key in enumerate(keys)}
-            stops = [last[key] + 1 for key in keys]
+            stops = clock.ends_of(self.per, "visits.per")
         else:
             stops = self._stops_of_ranges(clock)
-        ends = tuple(points.first(stop) for stop in stops for _ in range(points.ways))
-        return Visits.on(ends, money(self.price or 0), self.most)
+        late = max(points.delays, default=0)
+        ends = tuple(
+            points.first(stops[max(0, points.made_at(point))] + late)
+            for point in range(points.number)
+        )
+        shifts = tuple(moment - point for point, moment in enumerate(points.moments[: points.ways]))
+        return Visits.on(ends, money(self.price or 0), self.most, shifts if any(shifts) else ())
 
     def instants(self, clock: Clock) -> set[int]:
         """The instants at which a visit is possible."""

@@ -163,13 +163,12 @@ class _Written(JobSection):
 
 def _check_sizes(limits: StepLimits, ways: int, instants: int) -> None:
     """Raise `ValueError` unless arrays of limits have as many numbers as there are sensors."""
-    points, own = ways * instants, limits.own_apart
-    sizes = {"apart": instants, "prices": points, "visit_ends": points, "own_apart": ways}
-    sizes |= dict.fromkeys(("delays", "most", "alike", "group", "install"), ways)
+    points = ways * instants
+    sizes = {"prices": points, "delays": ways}
     is_right = {name: len(getattr(limits, name)) in {0, size} for name, size in sizes.items()}
-    is_right["own_apart"] &= {*map(len, own)} <= {instants}
     is_right["required"] = {*limits.required} <= {*range(points)}
     is_right["delays"] &= min((0, *limits.delays)) == 0
+    is_right["steps"] = all(step.is_of(ways, instants) for step in limits.steps)
     for name in (name for name, right in is_right.items() if not right):
         raise ValueError(f"constraints.{name} is not that of these sensors and instants")
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
+from pfdist.constraints.apart import Apart
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, weighed
@@ -457,7 +458,8 @@ class _Search:
         """
         evaluator, feasible = self._built.evaluator, self._built.feasible
         points, window = feasible.points, evaluator.horizon + 1
-        if not (rule.limit or evaluator.lag or feasible.setups or feasible.step_limits.group):
+        lasts = any(step.kind != Apart.kind for step in feasible.steps)
+        if not (rule.limit or evaluator.lag or lasts):
             window = math.ceil(_GAPS * (window - evaluator.start) / self._number)
         return [min(evaluator.horizon, points.instant(p) + window - 1) for p in self._every]
 

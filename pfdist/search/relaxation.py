@@ -397,9 +397,9 @@ class Relaxation:
     def _within_limits(self) -> tuple[NDArray[np.bool_], Indices]:
         """Which times keep the limits, (M, T+2), and the row of the times after each window."""
         rows, row_of = dict[Times, int](), list[int]()
-        for window in self.windows if self.constraints.shared else ():
-            beyond = self.constraints.beyond_limits(measured_in(self.constraints, window))
-            row_of.append(rows.setdefault(tuple(beyond), len(rows)))
+        windows = (measured_in(self.constraints, window) for window in self.windows)
+        for beyond in self.constraints.beyond_limits(windows) if self.constraints.steps else ():
+            row_of.append(rows.setdefault(beyond, len(rows)))
         within = np.ones((max(1, len(rows)), self.end + 1), np.bool_)
         for times, row in rows.items():
             within[row, [*times]] = False

@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.problem.shared import Setup
+from pfdist.constraints.setup import Setup
 
 _MOST_MOVES = 30_000_000
 
@@ -32,7 +32,7 @@ class Ends(NamedTuple):
     @classmethod
     def all_of(cls, setup: Setup) -> Self:
         """All ends that some measurements lead to."""
-        ends, points = np.array(setup.ends), np.arange(len(setup.ends))
+        ends, points = np.array(setup.ends_here), np.arange(len(setup.ends_here))
         begun = np.where((ends > 0) & (points >= setup.open_until), ends, setup.open_until)
         values = np.unique([0, *begun.tolist(), setup.open_until])
         lasts = np.append(np.maximum.accumulate(begun), setup.open_until)

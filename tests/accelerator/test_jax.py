@@ -16,6 +16,7 @@ from oracles.batched import batched
 from oracles.bytes_of import hashes
 from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR
+from oracles.limits import limits
 from pfdist import StateSpaceModel, load_model
 from pfdist.accelerator import filter as accelerator
 from pfdist.errors import MissingExtraError, ModelError, TraceError
@@ -213,7 +214,7 @@ def test_a_rule_measures_as_often_as_in_the_compiled_engine(rule: Thresholds) ->
 
 OTHERS = [
     Estimation(70, "conditional", "evidence"),
-    Estimation(70, rule=Applied(Thresholds((6.0,)), StepLimits(apart=tuple(range(2, 13))))),
+    Estimation(70, rule=Applied(Thresholds((6.0,)), limits(apart=tuple(range(2, 13))))),
     Estimation(70, rule=Applied(Thresholds((6.0,)), flipped=3)),
     Estimation(70, rule=Applied(Thresholds((6.0,))), lag=3),
 ]

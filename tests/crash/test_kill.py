@@ -22,7 +22,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import FilterWork
+from pfdist.filters.work import BLOCK, FilterWork
 from pfdist.pools.kinds import POOLS
 
 JOB = """
@@ -111,8 +111,8 @@ def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
         lasts = time.monotonic() - start
     assert forks.run(tmp_path / "serial", "serial.log") == 0
     needed, whole = _logged(tmp_path / "serial.log")[0], _tables(tmp_path / "serial")
-    # The ranking of evenly spaced sets keeps sums of blocks of draws, without the number of sets.
-    ranked = (needed - _committed(tmp_path / "serial")) / _blocks(tmp_path / "serial")
+    # The ranking of evenly spaced sets keeps sums of draws, without the number of sets.
+    ranked = (needed - _committed(tmp_path / "serial")) / _summed(tmp_path / "serial")
     while kills < 20:
         run = tmp_path / f"{kills}"
         with running(job, run, "--pool", "ray") as driver:
@@ -122,7 +122,7 @@ def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
         if not killed:
             shutil.rmtree(run)
             continue  # it was faster
-        committed = _committed(run) + ranked * _blocks(run)
+        committed = _committed(run) + ranked * _summed(run)
         assert forks.run(run, f"{kills}.log") == 0
         assert _tables(run) == whole
         assert _logged(tmp_path / f"{kills}.log")[0] == needed - committed
@@ -252,10 +252,12 @@ def _committed(run: Path) -> int:
     return sum(counts)
 
 
-def _blocks(run: Path) -> int:
-    """Committed blocks of the ranking of evenly spaced sets."""
-    rows = [pd.read_parquet(file) for file in run.glob("*/error_sums/[!.]*.parquet")]
-    return len(pd.concat(rows).drop_duplicates(["evaluation", "block"])) if rows else 0
+def _summed(run: Path) -> int:
+    """Draws whose sums the ranking of evenly spaced sets has committed: of blocks, or single."""
+    files = list(run.glob("*/error_sums/[!.]*.parquet"))
+    numbers = {n for file in files for n in pd.read_parquet(file, columns=["block"])["block"]}
+    blocks = (range(n * BLOCK, (n + 1) * BLOCK) if n >= 0 else (-1 - n,) for n in numbers)
+    return len({*itertools.chain.from_iterable(blocks)})
 
 
 def _tables(run: Path) -> dict[str, str]:

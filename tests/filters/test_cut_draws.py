@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR
+from oracles.limits import limits
 from pfdist import Sensor, StateSpaceModel, densities, where
 from pfdist.common.sensing import Sensing
+from pfdist.constraints.setup import Setup
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.proposals import GUIDED, PLAIN
@@ -69,9 +71,11 @@ FOLLOWS = {  # what may follow with so many sensors
         "apart": APART, "required": (2 * ways,), "most": (3,) * ways, "own_apart": (APART,) * ways
     },
     "visits": lambda ways: {
-        "visit_ends": tuple(ways * (t + 3) for t in range(HORIZON + 1) for _ in range(ways)),
-        "visit_price": 1.0, "most_visits": 2, "install": (0.5,) * ways, "group": (1,) * ways,
-        "required": (5 * ways,),
+        "visits": Setup(
+            ends=tuple(ways * (t + 3) for t in range(HORIZON + 1) for _ in range(ways)),
+            price=1, most=2,
+        ),
+        "install": (1,) * ways, "required": (5 * ways,),
     },
 }  # fmt: skip
 LAGS = 0, 3, HORIZON, (0, 3, 2, 1) * 2 + (1, 0)
@@ -140,15 +144,15 @@ def check_settings(sensing: str, **given: Any) -> None:
     model = sensed(WALK if "" in each else TWO, each)
     evaluator = Evaluator(model, HORIZON, lag=given.pop("lag"))
     of_parts = [each for each in each.values() for _ in range(each.repeats)]
-    ways, limits, flipped = len(of_parts), StepLimits(), given.pop("flipped")
+    ways, follows, flipped = len(of_parts), StepLimits(), given.pop("flipped")
     if own_limits := FOLLOWS[given.pop("follows")](ways):
-        alike = tuple(map(of_parts.index, of_parts))
+        numbers = tuple(of_parts.index(part) + 1 for part in of_parts)
         delays = tuple(part.delay for part in of_parts)
-        limits = StepLimits(**own_limits, alike=alike, delays=delays)
+        follows = limits(ways * (HORIZON + 1), **own_limits, numbers=numbers, delays=delays)
     if given["rule"] is not None:
         levels = tuple(np.repeat(given["rule"].thresholds, ways).tolist())
         rule = given["rule"]._replace(thresholds=levels)
-        given["rule"] = Applied(rule, limits, flipped and ways * flipped)
+        given["rule"] = Applied(rule, follows, flipped and ways * flipped)
     settings = Estimation(40, **given)
     try:
         check(evaluator.for_estimation(settings, knows_truth=False), settings)

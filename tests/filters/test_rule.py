@@ -10,16 +10,17 @@ from oracles import beliefs, watched
 from oracles.batched import batched
 from oracles.kalman import SCALAR, THREE, kalman_filter, riccati_cost
 from oracles.learned import SD, WALK
+from oracles.limits import limits
 from oracles.ruled import filter_by_rule
 from oracles.three_sensors import HORIZON, SYSTEMS
 from pfdist import StateSpaceModel, load_model
 from pfdist.common.measurement_times import Lag, Times
+from pfdist.constraints.setup import Setup
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
-from pfdist.kernels.left import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Applied, Thresholds
 from pfdist.models.learned import learned
 
@@ -59,7 +60,7 @@ def test_both_engines_decide_alike_and_as_filters_with_the_sets_that_they_choose
 ) -> None:
     draws, candidates = simulate(ungm, 12, range(5, 9), 17), INSTANTS[1:]
     apart = tuple(t + 2 for t in INSTANTS) if rule.limit == 4 else ()
-    settings = Estimation(70, "systematic", rule=Applied(rule, StepLimits(apart)), lag=lag)
+    settings = Estimation(70, "systematic", rule=Applied(rule, limits(apart=apart)), lag=lag)
     found = check_against_plain(ungm, draws, candidates, settings)
     assert not found.measured[:, 0].any()
     assert found.measured.any(axis=1).all()
@@ -182,7 +183,9 @@ def test_sensors_decide_alike_in_both_engines_and_as_filters_with_their_sets(
     model, prices = SYSTEMS[0].as_model(), (1.0, 0.25, 2.0)
     draws, candidates = simulate(model, HORIZON, range(5, 9), 17), tuple(range(1, 3 * HORIZON))
     apart = () if several else tuple(range(1, HORIZON + 2))
-    settings = Estimation(70, rule=Applied(rule, StepLimits(apart, prices * (HORIZON + 1))))
+    settings = Estimation(
+        70, rule=Applied(rule, limits(apart=apart, prices=prices * (HORIZON + 1)))
+    )
     found = check_against_plain(model, draws, candidates, settings)
     each = found.measured.reshape(4, HORIZON + 1, 3)
     assert each.any(axis=(0, 1)).tolist() == [True, True, rule.thresholds[2] < np.inf]
@@ -193,16 +196,16 @@ def test_sensors_decide_alike_in_both_engines_and_as_filters_with_their_sets(
 
 ENDS = tuple(p for t in range(HORIZON + 1) for p in [3 * (t + 4)] * 3)
 LIMITED = {
-    "most, apart, required": StepLimits(
-        required=(8, 22), most=(3, 99, 2), own_apart=((0,) * (HORIZON + 1), *[
-            tuple(t + 2 for t in range(HORIZON + 1))] * 2),
+    "most, apart, required": limits(
+        3 * (HORIZON + 1), required=(8, 22), most=(3, 99, 2),
+        own_apart=((), *[tuple(t + 2 for t in range(HORIZON + 1))] * 2),
     ),
-    "groups, delays": StepLimits(delays=(0, 2, 1), alike=(0, 1, 1), group=(1, 1, 1)),
-    "paid visits and installations": StepLimits(
-        install=(1.0, 0.5, 0.5), alike=(0, 1, 1), visit_ends=ENDS, visit_price=1.0, most_visits=3,
+    "groups, delays": limits(delays=(0, 2, 1), numbers=(1, 2, 2)),
+    "paid visits and installations": limits(
+        3 * (HORIZON + 1), install=(1, 0, 1), visits=Setup(ends=ENDS, price=1, most=3),
         required=(22,),
     ),
-    "visits": StepLimits(visit_ends=ENDS, most_visits=2, required=(10,)),
+    "visits": limits(visits=Setup(ends=ENDS, most=2), required=(10,)),
 }  # fmt: skip
 
 
@@ -229,7 +232,7 @@ def test_with_two_sensors_a_rule_is_the_fixed_set_of_its_thresholds() -> None:
     apart = tuple(range(1, watched.HORIZON + 2))
     for thresholds in ((1.55, 1.85), (1.6, 1.3), (1.2, np.inf), (np.inf, 1.55)):
         error, price, points, near = watched.of_thresholds(thresholds)
-        settings = Estimation(4000, rule=Applied(Thresholds(thresholds), StepLimits(apart)))
+        settings = Estimation(4000, rule=Applied(Thresholds(thresholds), limits(apart=apart)))
         every = tuple(range(2 * watched.HORIZON + 2))
         found = filter_checked_draws(watched.WALK, draws, every, 2, settings)
         assert near > 0.05, thresholds  # more than 4 standard errors of a deviation

@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pfdist.common.measurement_times import regular
+from pfdist.constraints.spacing import Spacing
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.calendar import Calendar
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.problem.spacing import Spacing
 from pfdist.problem.written import clock_of, instants_written
 
 UNEVEN = Clock((0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0), "h")

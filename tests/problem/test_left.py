@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from pfdist.common.measurement_times import Times
+from pfdist.constraints.spacing import Spacing
 from pfdist.kernels.left import Left
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
-from pfdist.problem.shared import Limit, OfSensors, Together
-from pfdist.problem.spacing import Spacing
+from pfdist.problem.shared import Groups, Limit, OfSensors
 from pfdist.problem.visits import Installs, Visits
 
 LAST = 6
@@ -35,7 +35,8 @@ EACH = {
     ),
     "one sensor at a time": Feasible(3, 3, points=TWO, minimum_spacing=1),
     "together": Feasible(
-        2, 4, points=THREE, minimum_spacing=0, shared=(Together((((0,), (1, 2)),)),), required=(4,)
+        2, 4, points=THREE, minimum_spacing=0, required=(4,),
+        shared=(Groups.on(THREE, [((0,), (1, 2))]),),
     ),
     "install": Feasible(
         2, points=THREE, minimum_spacing=0, price=(1, 2, 1) * 3, total_price=6,

@@ -9,9 +9,9 @@ from scipy import stats
 
 from oracles.in_turn import in_turn
 from pfdist.common.measurement_times import random, regular, validated
+from pfdist.constraints.spacing import Spacing
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.affordable import nearest
-from pfdist.problem.spacing import Spacing
 
 
 @in_turn("horizon", [1, 2, 3, 5, 10, 37, 60, 101])

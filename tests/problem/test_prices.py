@@ -6,10 +6,10 @@ from itertools import combinations
 import pytest
 
 from pfdist import Job
+from pfdist.constraints.step import money
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.shared import money
 from pfdist.results.sets import described
 
 PRICES = (0.1, 0.2, 0.3, 0.7, 0.25, 1.25, 0.1)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from oracles.in_turn import in_turn
+from pfdist.constraints.spacing import Spacing
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.shared import Limit, OfSensors
-from pfdist.problem.spacing import Spacing
 
 POINTS = Points(Clock.counting(4), ("ct", "x-ray"))
 FREE = Feasible(4, 3, minimum_spacing=0, points=POINTS)

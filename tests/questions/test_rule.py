@@ -18,6 +18,7 @@ import pfdist
 from oracles import beliefs, watched
 from oracles.bytes_of import hashes
 from oracles.file_layer import Ended, FileLayer
+from oracles.limits import limits as limits_of
 from oracles.modes import model as two_modes
 from pfdist import Job, Problem, Run, load_job
 from pfdist.cli.main import main
@@ -529,7 +530,7 @@ def test_the_loop_with_two_sensors_filters_as_the_command() -> None:
 
 
 def test_a_rule_in_use_keeps_what_is_spent_and_takes_back_what_was_not_made() -> None:
-    limits = StepLimits(prices=(1.0, 2.0) * 4, delays=(0, 1), apart=(1, 2, 3, 4))
+    limits = limits_of(prices=(1.0, 2.0) * 4, delays=(0, 1))
     used = pfdist.Rule(Thresholds((1.0, 2.0) * 4, 0.0, 5.0), limits, ["cheap", "sharp"])
     assert used.decide(0.5, 0) == []
     assert used.decide(1.5, 1) == ["cheap"]
@@ -543,16 +544,19 @@ def test_a_rule_in_use_keeps_what_is_spent_and_takes_back_what_was_not_made() ->
             used.decide(belief, 3)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match=r"t must lie in 3\.\.3, got 2"):
         used.decide(3.0, 2)
-    assert used.decide(3.0, 3) == []  # one value an instant, and that of the sharp one arrives
+    assert used.decide(3.0, 3) == ["cheap"]  # a value of the sharp one would come too late
 
 
 @pytest.mark.parametrize(
     ("wrong", "what"),
     [
         ({}, "constraints is missing"),
-        ({"constraints": {"apart": [1, 2]}}, "constraints.apart is not that of these sensors"),
+        ({"constraints": {"prices": [1, 2]}}, "constraints.prices is not that of these sensors"),
         ({"constraints": {"prices": ["one"] * 13}}, "prices.0: .*, got 'one'"),
-        ({"constraints": {"own_apart": [[1]]}}, "constraints.own_apart is not"),
+        ({"constraints": {"steps": [["apart", [-1, 1], [0]]]}}, "constraints.steps is not"),
+        ({"constraints": {"steps": [["nothing", [-1], [0]]]}}, "constraints.steps is not"),
+        ({"constraints": {"steps": [["most_within", [3, *[1] * 27], [0, 0]]]}}, "constraints.st"),
+        ({"constraints": {"steps": [["store", [3, 13, *[1] * 26], [0, -9]]]}}, "constraints.steps"),
         ({"constraints": {"delays": [-1]}}, "constraints.delays is not"),
         ({"constraints": {"required": [13]}}, "constraints.required is not"),
         ({"constraints": {"more": 1}}, "more: .*, got 1"),

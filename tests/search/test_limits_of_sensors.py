@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from oracles.windows import counted, counted_errors, longest_end, relaxed_errors
 from pfdist import Sensor, StateSpaceModel
 from pfdist.common.measurement_times import Lag, Times
+from pfdist.constraints.spacing import Spacing
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.clock import Clock
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
 from pfdist.problem.shared import Limit, OfSensors
-from pfdist.problem.spacing import Spacing
 from pfdist.runner.proof import Sums, prove
 from pfdist.search.first_windows import relaxation_with
 from pfdist.search.gaps import gaps_with

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pfdist.problem.shared import Setup
+from pfdist.constraints.setup import Setup
 from pfdist.search.setups import Setups
 
 POINTS = 12
@@ -14,7 +14,8 @@ def _setup(rng: np.random.Generator) -> Setup:
     ends = np.maximum.accumulate(np.arange(POINTS) + rng.integers(1, 6, POINTS))
     needed = rng.random(POINTS) < rng.choice([0.4, 1.0])
     price, until = int(rng.integers(0, 4)), int(rng.choice([0, 0, 3]))
-    return Setup(tuple(np.where(needed, ends, 0).tolist()), price, open_until=until)
+    ends = tuple(np.where(needed, ends, 0).tolist())
+    return Setup(ends=ends, price=price, since_then=(until, 0))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -39,7 +40,7 @@ def test_a_measurement_begins_what_its_set_has_not_begun(seed: int) -> None:
 
 def test_the_highest_prices_are_exact_where_not_all_fit() -> None:
     every = tuple(min(point + 3, POINTS) for point in range(POINTS))
-    setups = [Setup(every, price) for price in (1, 3, 2)]
+    setups = [Setup(ends=every, price=price) for price in (1, 3, 2)]
     few = Setups.within(setups, 9, np.ones(POINTS + 1, np.int64))
     assert [each.size for each in few.ends] == [1, 3, 3]
     assert Setups.within(setups, 9, np.full(POINTS + 1, 10**9)).size == 1

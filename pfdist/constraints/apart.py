@@ -1,0 +1,38 @@
+"""The smallest difference of measurement times: of all, or of one sensor."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+from pfdist.common.measurement_times import Times
+from pfdist.constraints.step import BROKEN, NEXT, Step, Turn
+
+
+def apart_step(turn: Turn) -> None:
+    """The state is the first instant that is far enough; the table begins with the sensor or -1."""
+    table, only, following = turn.table, turn.table[0], turn.state[0]
+    for k in range(turn.size):
+        if only < 0 or only == turn.sensors[k]:
+            if turn.instants[k] < following and turn.said[BROKEN] < 0:
+                turn.said[BROKEN] = k
+            following = table[1 + turn.instants[k]]
+    turn.state[0] = following
+    if only < 0:
+        turn.said[NEXT] = following
+
+
+@dataclass(frozen=True, kw_only=True)
+class Apart(Step):
+    """A smallest difference of instants."""
+
+    after: Times  # (T+1,): the first instant that is far enough after each
+    sensor: int = -1  # -1: all
+
+    kind = "apart"
+    step = apart_step
+    beginning: ClassVar[tuple[int, ...]] = (0,)
+
+    @cached_property
+    def table(self) -> tuple[int, ...]:
+        """The sensor, and the first instants after each."""
+        return (self.sensor, *self.after)

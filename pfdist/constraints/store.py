@@ -1,0 +1,65 @@
+"""A store that measurements draw from, such as a battery that the sun charges."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from math import lcm
+
+from pfdist.constraints.step import BROKEN, Money, Step, Turn, Walk
+
+
+def store_step(turn: Turn) -> None:
+    """The state is the level, and the instant whose income comes next.
+
+    The table has the capacity, the number of instants, and the income and prices. The income of an
+    instant arrives before its measurement, and what does not fit is lost.
+    """
+    table, capacity, prices = turn.table, turn.table[0], 2 + turn.table[1]
+    level, coming = turn.state[0], turn.state[1]
+    for k in range(turn.size):
+        for t in range(coming, turn.instants[k] + 1):
+            level = min(capacity, level + table[2 + t])
+        coming = max(coming, turn.instants[k] + 1)
+        level -= table[prices + turn.points[k]]
+        if level < 0 and turn.said[BROKEN] < 0:
+            turn.said[BROKEN] = k
+    turn.state[0] = level
+    turn.state[1] = coming
+
+
+@dataclass(frozen=True, kw_only=True)
+class Store(Step):
+    """A store."""
+
+    capacity: Money
+    full: Money  # what is in it at first
+    income: Sequence[Money]  # (T+1,)
+    prices: Sequence[Money]  # (points,)
+
+    kind = "store"
+    step = store_step
+
+    def sentence(self, walk: Walk, when: str, sensor: str) -> str:
+        """The first that draws too much."""
+        return f"{self.key} holds too little at {when}"
+
+    @property
+    def beginning(self) -> tuple[int, ...]:
+        """What is in it at first."""
+        return (self._in_units(self.full), 0)
+
+    @cached_property
+    def table(self) -> tuple[int, ...]:
+        """All amounts, in units."""
+        each = (*map(self._in_units, (*self.income, *self.prices)),)
+        return (self._in_units(self.capacity), len(self.income), *each)
+
+    def _in_units(self, amount: Money) -> int:
+        return int(Fraction(amount) * self._parts)
+
+    @cached_property
+    def _parts(self) -> int:
+        """The number of units of an amount of 1: as many as make all amounts whole."""
+        amounts = {self.capacity, self.full, *self.income, *self.prices}
+        return lcm(*(Fraction(amount).denominator for amount in amounts))

@@ -1,0 +1,152 @@
+"""Compiled steps: a measurement is added to a record of those before."""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.constraints.kinds import STEPS, PlainStep
+from pfdist.constraints.step import BROKEN, NEXT, PAYS, Turn
+from pfdist.kernels.cached import Entry, compiled, entry
+from pfdist.kernels.left import ROUNDING, Follows, StepLimits
+from pfdist.kernels.memory import ahead, call, read
+
+
+@cache
+def _entry_of(kind: str) -> Entry:
+    return Entry(STEPS[kind], Turn)
+
+
+def addresses_of(steps: Sequence[PlainStep]) -> list[int]:
+    """The addresses of compiled steps."""
+    return [_entry_of(step.kind).address for step in steps]
+
+
+@compiled
+def add_measurement(follows, limit, sensors, point, spent, state):
+    """Add a measurement, the latest so far, to a record; whether it breaks no constraint.
+
+    The record has what is spent, the first instant that may be measured, and the states.
+    """
+    sensor = point % sensors
+    moment = point + (follows.longest_delay - follows.delays[sensor]) * sensors
+    instant = point // sensors - follows.delays[sensor]
+    price, fits, after = follows.prices[point], True, np.int64(0)
+    at, said = follows.at, follows.said
+    for number in range(follows.steps):
+        first = follows.firsts[number]
+        at[0], at[1] = point + first, moment + first
+        at[2], at[3] = instant + first // sensors, sensor
+        said[BROKEN], said[PAYS], said[NEXT] = -1, 0, 0
+        own = ahead(state, follows.state_at[number])
+        table = ahead(follows.tables, follows.table_at[number])
+        call(
+            follows.addresses[number],
+            Turn(own, table, 1, at, ahead(at, 1), ahead(at, 2), ahead(at, 3), said),
+        )
+        fits &= said[BROKEN] < 0
+        price += said[PAYS] * follows.fees[number]
+        after = max(after, said[NEXT] - first // sensors)
+    if limit > 0.0:
+        fits &= price <= limit - spent[0] + ROUNDING * limit
+    spent[0] += price
+    spent[1] = after
+    return fits
+
+
+class Addition(NamedTuple):
+    """A measurement that is added to the records of draws; see `pfdist.kernels.left.Left`."""
+
+    follows: Follows
+    limit: float
+    sensors: int
+    point: int
+    draws: int
+    spent: NDArray[np.float64]  # (D, 2)
+    states: NDArray[np.int64]  # (D, size)
+    size: int
+    made: NDArray[np.uint8]  # (D,): whether it was made
+    wanted: NDArray[np.uint8]  # (D,): whether it was, or is wanted
+    broken: NDArray[np.uint8]  # (D,): filled: whether it is wanted and breaks a constraint
+    trial_spent: NDArray[np.float64]  # (2,)
+    trial_state: NDArray[np.int64]  # (size,)
+
+
+@entry(Addition)
+def add_to_all(place):
+    """Add a measurement where it was made, or is wanted and breaks no constraint."""
+    work = read(place)
+    for d in range(work.draws):
+        if not work.wanted[d]:
+            continue
+        spent, state = ahead(work.spent, 2 * d), ahead(work.states, d * work.size)
+        copy_record(spent, state, work.trial_spent, work.trial_state, work.size)
+        fits = add_measurement(
+            work.follows, work.limit, work.sensors, work.point, work.trial_spent, work.trial_state
+        )
+        if fits or work.made[d]:
+            copy_record(work.trial_spent, work.trial_state, spent, state, work.size)
+        work.broken[d] = not fits
+
+
+class Prefix(NamedTuple):
+    """Measurements, and what may follow them."""
+
+    follows: Follows
+    sensors: int
+    size: int
+    points: NDArray[np.int64]  # (size,): in the order in which they are made
+    spent: NDArray[np.float64]  # (4,): room
+    numbers: int  # of a state
+    state: NDArray[np.int64]  # (2 numbers,): the start, and room
+    possible: int  # points
+    moments: NDArray[np.int64]  # (possible,)
+    broken: NDArray[np.uint8]  # (possible,): filled: whether each breaks a constraint as the next
+
+
+@entry(Prefix)
+def try_each(place):
+    """Try each point as the next measurement."""
+    work = read(place)
+    trial_spent, trial, last = ahead(work.spent, 2), ahead(work.state, work.numbers), np.int64(-1)
+    for k in range(work.size):
+        point = work.points[k]
+        last = max(last, work.moments[point])
+        add_measurement(work.follows, 0.0, work.sensors, point, work.spent, work.state)
+    for point in range(work.possible):
+        if work.moments[point] > last:
+            copy_record(work.spent, work.state, trial_spent, trial, work.numbers)
+            work.broken[point] = not add_measurement(
+                work.follows, 0.0, work.sensors, point, trial_spent, trial
+            )
+
+
+class Following:
+    """What may follow some measurements, by all steps of limits."""
+
+    def __init__(self, limits: StepLimits, moments: Sequence[int], sensors: int) -> None:
+        self._moments, self._sensors = np.array(moments, np.int64), sensors
+        instants = range(len(moments) // sensors)
+        self._follows = limits.arrays(sensors, instants, addresses_of(limits.steps))
+
+    def breaking(self, points: Sequence[int]) -> tuple[int, ...]:
+        """The points that break a limit if they follow some that come in order."""
+        broken, start = np.zeros(self._moments.size, np.uint8), self._follows.start
+        try_each(
+            Prefix(
+                self._follows, self._sensors, len(points), np.array([*points, 0], np.int64),
+                np.zeros(4), start.size, np.r_[start, start], broken.size, self._moments, broken,
+            )
+        )  # fmt: skip
+        return tuple(np.flatnonzero(broken).tolist())
+
+
+@compiled
+def copy_record(spent, state, to_spent, to_state, size):
+    """Copy a record of what is spent, and of states."""
+    for number in range(np.int64(2)):
+        to_spent[number] = spent[number]
+    for number in range(size):
+        to_state[number] = state[number]
