@@ -69,7 +69,7 @@ def test_the_plan_is_the_best_of_all_sets(keys: dict[str, Any], tmp_path: Path) 
     [
         pytest.param(NODE, (1.2, 1.6), id="store"),
         pytest.param(RATE, (1.2, 1.6), id="rate"),
-        pytest.param(LABORATORY, (1.6, 9.0), id="visits with a delay"),
+        pytest.param(LABORATORY, (1.45, 9.0), id="visits with a delay"),
     ],
 )
 def test_a_rule_keeps_every_limit_in_each_draw(
