@@ -34,6 +34,7 @@ from pfdist.pages.figure import FIGURES
 from pfdist.problem.clock_section import ClockSection
 from pfdist.problem.job import Job
 from pfdist.problem.job_schema import documented
+from pfdist.problem.limits_section import MostWithinSection, StoreSection
 from pfdist.problem.methods import METHODS
 from pfdist.problem.needs import CAPABILITIES
 from pfdist.problem.online_section import Online
@@ -88,6 +89,8 @@ _SECTIONS: Mapping[str, type[JobSection]] = {
     "[problem.clock]": ClockSection,
     "[problem.sensors.NAME]": SensorSection,
     "[problem.visits]": VisitsSection,
+    "[problem.store]": StoreSection,
+    "[problem.most_within]": MostWithinSection,
     "[filter]": FilterSection,
     "[evaluation]": EvaluationSection,
     "[scenarios]": Scenarios,

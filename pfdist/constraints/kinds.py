@@ -7,12 +7,12 @@ from pfdist.constraints.apart import apart_step
 from pfdist.constraints.most_within import most_within_step
 from pfdist.constraints.setup import setup_step
 from pfdist.constraints.step import Step, Turn
-from pfdist.constraints.store import store_step
+from pfdist.constraints.supply import supply_step
 from pfdist.constraints.together import together_step
 
 STEPS: Final[dict[str, Callable[[Turn], None]]] = {
     "apart": apart_step, "setup": setup_step, "together": together_step,
-    "most_within": most_within_step, "store": store_step,
+    "most_within": most_within_step, "store": supply_step,
 }  # fmt: skip
 
 
@@ -39,6 +39,6 @@ class PlainStep(NamedTuple):
         )
 
     @classmethod
-    def of(cls, step: Step) -> "PlainStep":
+    def made_from(cls, step: Step) -> "PlainStep":
         """Those of a constraint."""
         return cls(step.kind, step.table, step.start, float(step.fee), step.first)

@@ -1,5 +1,6 @@
-"""What a measurement begins and later ones share: visits, installations; and largest numbers."""
+"""Visits, installations and largest numbers: a measurement begins what later ones share."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -70,6 +71,11 @@ class Setup(Step):
     def left(self) -> int | None:
         """How often it may still begin."""
         return None if self.most is None else max(0, self.most - self.start[1])
+
+    @property
+    def spare(self) -> float:
+        """As often as it may still begin."""
+        return math.inf if self.left is None else self.left
 
     @cached_property
     def ends_here(self) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""What all constraints have in common: a step, and walks over measurements by it."""
+"""The step that each constraint has, and walks over measurements by it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -40,7 +40,7 @@ class Turn(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """What a constraint says of measurements."""
+    """The answer of a constraint about measurements."""
 
     state: Sequence[int]  # behind them
     broken: int | None  # the point of the first that breaks the constraint
@@ -70,6 +70,11 @@ class Step:
     def beginning(self) -> tuple[int, ...]:
         """The state before all measurements."""
         raise NotImplementedError
+
+    @property
+    def spare(self) -> float:
+        """A number of measurements that cannot break the constraint, however they are made."""
+        return 0
 
     @property
     def start(self) -> tuple[int, ...]:

@@ -36,7 +36,7 @@ from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import codes_of
 from pfdist.models import StateSpaceModel
 
-KERNEL_VERSION = 8
+KERNEL_VERSION = 9
 """Version of the numbers that a key gives; part of a run's identity."""
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.points import PointNumbers
@@ -166,6 +166,18 @@ class Left:
         """Take back measurements of this instant: they were not made."""
         self._made[:, points] = False
 
+    def breaking(self, made: Sequence[int]) -> Times:
+        """The points that break a limit if they are measured after some, which come in order.
+
+        Each draw stands for a point.
+        """
+        spent, states, every = self._spent.copy(), self._states.copy(), np.arange(len(self._spent))
+        for point in made:
+            self._add(spent, states, point, every >= 0)
+        moments = self._made_at * self._points.ways + every % self._points.ways
+        later = moments > max(moments[[*made]], default=-np.inf)
+        return tuple(np.flatnonzero(self._add(spent, states, every, every < 0, later)).tolist())
+
     def made_at(self, instant: int) -> list[int]:
         """The points that are measured at an instant: their values may arrive later."""
         arrives = enumerate((instant + self._follows.delays).tolist())
@@ -210,19 +222,20 @@ class Left:
             yield point, self._add(spent, states, point, made, made | (point in wanted))
 
     def _add(
-        self, spent: NDArray[np.float64], states: NDArray[np.int64], point: int, made: Flags,
+        self, spent: NDArray[np.float64], states: NDArray[np.int64], point: ArrayLike, made: Flags,
         wanted: Flags | None = None,
     ) -> Flags:  # fmt: skip
         """Add a measurement, the latest so far, where it was made, or is wanted and possible.
 
-        Returns the draws in which it breaks a constraint.
+        `point` may differ between draws. Returns the draws in which it breaks a constraint.
         """
         from pfdist.kernels.stepping import Addition, add_to_all  # noqa: PLC0415  as above
 
         broken, size = np.zeros(len(spent), np.uint8), self._follows.start.size
         add_to_all(
             Addition(
-                self._follows, self._limit, self._points.ways, point, len(spent), spent, states,
+                self._follows, self._limit, self._points.ways, len(spent),
+                np.array(np.broadcast_to(point, len(spent)), np.int64), spent, states,
                 size, made.astype(np.uint8), (made if wanted is None else wanted).astype(np.uint8),
                 broken, np.zeros(2), np.zeros(size, np.int64),
             )

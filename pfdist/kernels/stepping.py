@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pfdist.constraints.kinds import STEPS, PlainStep
 from pfdist.constraints.step import BROKEN, NEXT, PAYS, Turn
 from pfdist.kernels.cached import Entry, compiled, entry
-from pfdist.kernels.left import ROUNDING, Follows, StepLimits
+from pfdist.kernels.left import ROUNDING, Follows
 from pfdist.kernels.memory import ahead, call, read
 
 
@@ -57,13 +57,13 @@ def add_measurement(follows, limit, sensors, point, spent, state):
 
 
 class Addition(NamedTuple):
-    """A measurement that is added to the records of draws; see `pfdist.kernels.left.Left`."""
+    """Measurements that are added to the records of draws; see `pfdist.kernels.left.Left`."""
 
     follows: Follows
     limit: float
     sensors: int
-    point: int
     draws: int
+    points: NDArray[np.int64]  # (D,)
     spent: NDArray[np.float64]  # (D, 2)
     states: NDArray[np.int64]  # (D, size)
     size: int
@@ -76,7 +76,7 @@ class Addition(NamedTuple):
 
 @entry(Addition)
 def add_to_all(place):
-    """Add a measurement where it was made, or is wanted and breaks no constraint."""
+    """Add measurements where they were made, or are wanted and break no constraint."""
     work = read(place)
     for d in range(work.draws):
         if not work.wanted[d]:
@@ -84,63 +84,12 @@ def add_to_all(place):
         spent, state = ahead(work.spent, 2 * d), ahead(work.states, d * work.size)
         copy_record(spent, state, work.trial_spent, work.trial_state, work.size)
         fits = add_measurement(
-            work.follows, work.limit, work.sensors, work.point, work.trial_spent, work.trial_state
-        )
+            work.follows, work.limit, work.sensors, work.points[d], work.trial_spent,
+            work.trial_state,
+        )  # fmt: skip
         if fits or work.made[d]:
             copy_record(work.trial_spent, work.trial_state, spent, state, work.size)
         work.broken[d] = not fits
-
-
-class Prefix(NamedTuple):
-    """Measurements, and what may follow them."""
-
-    follows: Follows
-    sensors: int
-    size: int
-    points: NDArray[np.int64]  # (size,): in the order in which they are made
-    spent: NDArray[np.float64]  # (4,): room
-    numbers: int  # of a state
-    state: NDArray[np.int64]  # (2 numbers,): the start, and room
-    possible: int  # points
-    moments: NDArray[np.int64]  # (possible,)
-    broken: NDArray[np.uint8]  # (possible,): filled: whether each breaks a constraint as the next
-
-
-@entry(Prefix)
-def try_each(place):
-    """Try each point as the next measurement."""
-    work = read(place)
-    trial_spent, trial, last = ahead(work.spent, 2), ahead(work.state, work.numbers), np.int64(-1)
-    for k in range(work.size):
-        point = work.points[k]
-        last = max(last, work.moments[point])
-        add_measurement(work.follows, 0.0, work.sensors, point, work.spent, work.state)
-    for point in range(work.possible):
-        if work.moments[point] > last:
-            copy_record(work.spent, work.state, trial_spent, trial, work.numbers)
-            work.broken[point] = not add_measurement(
-                work.follows, 0.0, work.sensors, point, trial_spent, trial
-            )
-
-
-class Following:
-    """What may follow some measurements, by all steps of limits."""
-
-    def __init__(self, limits: StepLimits, moments: Sequence[int], sensors: int) -> None:
-        self._moments, self._sensors = np.array(moments, np.int64), sensors
-        instants = range(len(moments) // sensors)
-        self._follows = limits.arrays(sensors, instants, addresses_of(limits.steps))
-
-    def breaking(self, points: Sequence[int]) -> tuple[int, ...]:
-        """The points that break a limit if they follow some that come in order."""
-        broken, start = np.zeros(self._moments.size, np.uint8), self._follows.start
-        try_each(
-            Prefix(
-                self._follows, self._sensors, len(points), np.array([*points, 0], np.int64),
-                np.zeros(4), start.size, np.r_[start, start], broken.size, self._moments, broken,
-            )
-        )  # fmt: skip
-        return tuple(np.flatnonzero(broken).tolist())
 
 
 @compiled

@@ -20,7 +20,7 @@ from pfdist.constraints.setup import Setup
 from pfdist.constraints.spacing import Spacing
 from pfdist.constraints.step import Money, Step, Walk
 from pfdist.errors import MeasurementTimesError
-from pfdist.kernels.left import StepLimits
+from pfdist.kernels.left import Left, StepLimits
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.problem.shared import Shared
@@ -197,12 +197,12 @@ class Constraints:
 
     def beyond_limits(self, sets: Iterable[Times]) -> Iterator[Times]:
         """For each of some sets, sorted, the points that break a limit if they follow its times."""
-        from pfdist.kernels.stepping import Following  # noqa: PLC0415  it loads Numba
-
-        limits = StepLimits(delays=self.points.delays, steps=tuple(map(PlainStep.of, self.steps)))
-        following = Following(limits, self.points.moments, self.points.ways)
+        points, steps = self.points, tuple(map(PlainStep.made_from, self.steps))
+        limits, spare = StepLimits((), points.delays, (), steps), min(s.spare for s in self.steps)
+        left = Left(limits, points.ways, (), self.horizon + 1, draws=self.possible)
         for times in sets:
-            yield following.breaking(self.points.made_in_order(times).points)
+            may_break = len(times) >= spare
+            yield left.breaking(points.made_in_order(times).points) if may_break else ()
 
     def allows(self, times: Iterable[int]) -> bool:
         """Whether these and the required times are compatible and can be paid for."""

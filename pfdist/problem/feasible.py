@@ -233,7 +233,7 @@ class Feasible(Constraints):
             tuple(map(float, self.price or (1,) * self.possible)),
             points.delays,
             self.required,
-            tuple(map(PlainStep.of, steps)),
+            tuple(map(PlainStep.made_from, steps)),
         )
 
     @property

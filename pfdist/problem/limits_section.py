@@ -28,10 +28,10 @@ class StoreSection(JobSection):
     capacity : number, that of price
         The most that it holds.
     start : number, that of price
-        What it holds at first; by default it is full.
+        The level at first; by default it is full.
     income : number or list or section of ranges
-        What arrives at each instant, or in each range; or a column of a table with a row for each
-        instant, as ``{ file = "sun.csv", column = "income" }``.
+        The amount that arrives at each instant, or in each range; or a column of a table with a row
+        for each instant, as ``{ file = "sun.csv", column = "income" }``.
     """
 
     capacity: Annotated[Price, Field(gt=0)]

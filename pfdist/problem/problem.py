@@ -85,6 +85,10 @@ class Problem(Shown):
         Parameters that come with each reading, and the column of each in measured tables.
     visits : mapping, optional
         Measurements that share a price: ``{"price": 100, "within": 4}``.
+    store : mapping, optional
+        A store that measurements draw from: ``{"capacity": 6, "start": 2, "income": 0.5}``.
+    most_within : mapping, optional
+        The most measurements in any stretch of time: ``{"number": 3, "time": 1}``.
     particles : int or "auto"
         "auto" finds a sufficient number when something is computed.
     resampling, resample, engine, proposal : str

@@ -26,7 +26,7 @@ from pfdist.common.section import JobSection, Listed
 from pfdist.common.sensing import Sensing, names_of_repeats
 from pfdist.constraints.spacing import Spacing
 from pfdist.constraints.step import Money, Step, money
-from pfdist.constraints.store import Store
+from pfdist.constraints.supply import Supply
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.filters.aspects import ErrorBeside
 from pfdist.filters.beside import errors_beside
@@ -115,7 +115,7 @@ class ProblemSection(JobSection):
     visits : section
         Measurements that share a visit; see ``[problem.visits]``.
     store : section
-        What measurements draw from; see ``[problem.store]``.
+        A store that measurements draw from; see ``[problem.store]``.
     most_within : section
         The most measurements in any stretch of time; see ``[problem.most_within]``.
     """
@@ -418,44 +418,34 @@ class ProblemSection(JobSection):
                 groups.setdefault(each.together, []).append(ways)
         if groups:
             yield Groups.on(points, groups.values())
-        if (others := [*self._others]) and others:
-            yield Others(tuple(dict.fromkeys(name for name, _ in others)), steps=tuple(
-                step for _, step in others
-            ))  # fmt: skip
+        if others := tuple(self._others):
+            yield Others(steps=others)
 
     @property
-    def _others(self) -> Iterator[tuple[str, Step]]:
-        """Limits that are no more than their step, with the name that a sentence has for each."""
-        points, name = self.points, "most_within"
-        if self.most_within is not None:
-            ends = points.alone(*range(points.ways))
-            yield name, self.most_within.on(name, self.clock, ends)
-        for (sensor, each), ways in zip(
-            (self.sensors or {}).items(), points.sensor_ways, strict=False
-        ):
-            if each.most_within is not None:
-                key = f"sensors.{sensor}.most_within"
-                yield name, each.most_within.on(key, self.clock, points.alone(*ways))
-        if self.visits and self.visits.most_within is not None:
-            ends = self.visits.on(points).setup.ends
-            yield name, self.visits.most_within.on("visits.most_within", self.clock, ends)
-        if self.store is not None:
-            capacity = money(self.store.capacity)
-            start = self.store.start
-            yield (
-                "store",
-                Store(
-                    key="store",
-                    capacity=capacity,
-                    full=capacity if start is None else money(start),
-                    income=self._prices("store.income", self.store.income),
-                    prices=self._drawn,
-                ),
-            )
+    def _others(self) -> Iterator[Step]:
+        """Limits that are no more than their step."""
+        points, clock, visits, store = self.points, self.clock, self.visits, self.store
+        sensors = zip((self.sensors or {}).items(), points.sensor_ways, strict=False)
+        limited = [
+            ("most_within", self.most_within, points.alone(*range(points.ways))),
+            *((f"sensors.{name}.most_within", each.most_within, points.alone(*ways))
+              for (name, each), ways in sensors),
+            *[("visits.most_within", visits.most_within, visits.on(points).setup.ends)
+              for visits in filter(None, [visits])],
+        ]  # fmt: skip
+        for key, section, ends in limited:
+            if section is not None:
+                yield section.on(key, clock, ends)
+        if store is not None:
+            capacity = money(store.capacity)
+            full = capacity if store.start is None else money(store.start)
+            income = self._prices("store.income", store.income)
+            prices = self._drawn
+            yield Supply(key="store", capacity=capacity, full=full, income=income, prices=prices)
 
     @property
     def _drawn(self) -> tuple[Money, ...]:
-        """What each possible measurement draws from the store."""
+        """The amount that each possible measurement draws from the store."""
         return self._prices_of_points or (1,) * self.points.number
 
     @property

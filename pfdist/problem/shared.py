@@ -145,16 +145,13 @@ class OfSensors(Shared):
         return tuple(sorted(chosen))
 
 
-@dataclass(frozen=True)
 class Others(Shared):
     """Limits that are no more than their step, such as a store."""
 
-    names: tuple[str, ...] = ()  # as a sentence calls them
-
     @property
     def relaxed(self) -> tuple[str, ...]:
-        """All of them."""
-        return self.names
+        """All of them, by their kind."""
+        return tuple(dict.fromkeys(step.kind for step in self.steps))
 
 
 class Groups(Shared):

@@ -55,11 +55,11 @@ class Case:
         return all(t >= 0 for t, _ in made) and all(rule(made) for rule in self.rules)
 
 
-def at_most(most: int, of: Callable[[Measured], Measured], length: int) -> Rule:
+def at_most(most: int, counted: Callable[[Measured], Measured], length: int) -> Rule:
     """At most so many of some in any stretch: in each that begins at an instant."""
 
     def keeps(made: Measured) -> bool:
-        instants = [t for t, _ in of(made)]
+        instants = [t for t, _ in counted(made)]
         return all(sum(u <= t < u + length for t in instants) <= most for u in {*instants})
 
     return keeps

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pfdist
 
-ROOMS = "filters", "questions", "runner"
+ROOMS = "filters", "guided", "moving", "questions", "runner"
 # Functions that make a key, that give it to noise, and that make one from a seed.
 MAKERS = {
     "stream_of", "stream_key", "generator", "variates", "noise_of", "log_evidence",
@@ -30,7 +30,7 @@ UNITS = {
     "filters/one_filter.py Followed.__init__": "system, whose number stays: unmeasured.stream",
     "filters/constants.py _found": "nothing, it only looks for constants:",
     "filters/one_filter.py Followed.again": "cloud: again number",
-    "filters/particle_filter.py _truth_noise": "draw: index",
+    "guided/arrays.py _truth_noise": "draw: index",
     "filters/plain.py simulate": "draw: index t",
     "filters/plain.py first": "draw: draws.index",
     "filters/plain.py step": "draw: draws t",

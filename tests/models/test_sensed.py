@@ -427,13 +427,6 @@ def test_a_refusal_names_its_cause_and_what_works() -> None:
     ]  # fmt: skip
     override(data, "problem.sensors.a.repeats=2")  # names alone are sections, too
     assert data["problem"]["sensors"] == {"a": {"repeats": 2}, "b": {}}
-    with pytest.raises(
-        JobError, match=r"needs sensors without a delay, or problem.estimate = 'smoothed'"
-    ):
-        Problem(
-            walk(), horizon=6, total_price=9, price=[1] * 7, sensor={"delay": 1},
-            visits={"price": 1, "within": 1},
-        )  # fmt: skip
 
 
 @pytest.mark.parametrize("engine", ["compiled", "numpy"])

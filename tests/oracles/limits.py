@@ -37,4 +37,4 @@ def limits(
         steps += [Setup(ends=ends, price=price)] * bool(price)
     steps += [Together(numbers=numbers)] if any(numbers) else []
     steps += [visits] if visits else []
-    return StepLimits(prices, delays, required, tuple(map(PlainStep.of, steps)))
+    return StepLimits(prices, delays, required, tuple(map(PlainStep.made_from, steps)))

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("no_figures")
 KEYS: dict[str, Any] = {
     "limit": 0.5, "limits": [-1.0, 0.5], "fails": 0.2, "repeats": 2, "delay": 1, "price": 2,
     "install": 3, "together": "room", "forbidden": [2], "allowed": [0, 1, 4], "most": 3,
-    "minimum_spacing": 2,
+    "minimum_spacing": 2, "most_within": {"number": 2, "time": 2},
 }  # fmt: skip
 CHANGES_MODEL = ("limit", "limits", "fails", "repeats")  # a delay needs the job's instants
 MODEL = """

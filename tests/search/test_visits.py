@@ -466,7 +466,7 @@ SENSORS = {"near": {"price": 1}, "far": {"price": 2}, "both": {"price": 1}}
         ({"visits": {"most": 2, "allowed": ["3:5", "5:7"]}}, "must list visits one after"),
         ({"visits": {"most": 2, "allowed": []}}, "should have at least 1 item"),
         ({"visits": {"most": 2, "allowed": ["1:5:2"]}}, "all instants from one to another"),
-        ({"visits": {"most": 1, "within": 2}, "required": ["0 5 far"]}, "must keep the limits"),
+        ({"visits": {"most": 1, "within": 2}, "required": ["0 5 far"]}, "must keep all limits"),
         ({"visits": {"most": 1, "within": "2 h"}}, "the clock has no unit"),
         ({"visits": {"most": 0, "within": 2}}, "at least 1, got 0"),
         ({"sensors": SENSORS | {"far": {"install": 3}}}, "install needs total_price"),

@@ -9,7 +9,7 @@ from math import lcm
 from pfdist.constraints.step import BROKEN, Money, Step, Turn, Walk
 
 
-def store_step(turn: Turn) -> None:
+def supply_step(turn: Turn) -> None:
     """The state is the level, and the instant whose income comes next.
 
     The table has the capacity, the number of instants, and the income and prices. The income of an
@@ -29,8 +29,8 @@ def store_step(turn: Turn) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Store(Step):
-    """A store."""
+class Supply(Step):
+    """A store of which measurements take."""
 
     capacity: Money
     full: Money  # what is in it at first
@@ -38,7 +38,7 @@ class Store(Step):
     prices: Sequence[Money]  # (points,)
 
     kind = "store"
-    step = store_step
+    step = supply_step
 
     def sentence(self, walk: Walk, when: str, sensor: str) -> str:
         """The first that draws too much."""
@@ -46,7 +46,7 @@ class Store(Step):
 
     @property
     def beginning(self) -> tuple[int, ...]:
-        """What is in it at first."""
+        """The level at first."""
         return (self._in_units(self.full), 0)
 
     @cached_property
