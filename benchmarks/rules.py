@@ -15,7 +15,7 @@ import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist.common.rounding import rounded, with_error
-from pfdist.kernels.left import StepLimits
+from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import Thresholds
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
 from pfdist.runner import ruling

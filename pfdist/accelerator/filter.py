@@ -28,7 +28,7 @@ from pfdist.filters.interface import SUMS, all_or_none, checking, errors_of_filt
 from pfdist.filters.work import Estimation, filter_streams, sum_of_draws
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.kernels.left import ROUNDING, StepLimits
+from pfdist.kernels.follows import ROUNDING, StepLimits
 from pfdist.kernels.rules import Applied
 from pfdist.kernels.schemes import ALL_SCHEMES, STRATIFIED, SYSTEMATIC
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, RESAMPLING

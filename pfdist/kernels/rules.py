@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.kernels.left import ROUNDING, UNLIMITED, Follows, Left, StepLimits
+from pfdist.kernels.follows import ROUNDING, UNLIMITED, Follows, StepLimits
+from pfdist.kernels.left import Left
 
 ALWAYS, NEVER = -1.0, float("inf")
 """Thresholds with which each draw is measured, even if its particles agree; and none."""
@@ -61,7 +62,7 @@ class Thresholds(NamedTuple):
         Examples
         --------
         >>> from pfdist.constraints.kinds import PlainStep
-        >>> from pfdist.kernels.left import StepLimits
+        >>> from pfdist.kernels.follows import StepLimits
         >>> alone = PlainStep("apart", (-1, 1, 2), (0,))
         >>> rule, cheap_and_sharp = Thresholds((2.0, 5.0)), StepLimits(steps=(alone,))
         >>> [rule.chosen(d, 1, Left(cheap_and_sharp, 2, range(4), 2)) for d in (1, 3, 6)]

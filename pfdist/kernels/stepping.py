@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pfdist.constraints.kinds import STEPS, PlainStep
 from pfdist.constraints.step import BROKEN, NEXT, PAYS, Turn
 from pfdist.kernels.cached import Entry, compiled, entry
-from pfdist.kernels.left import ROUNDING, Follows
+from pfdist.kernels.follows import ROUNDING, Follows
 from pfdist.kernels.memory import ahead, call, read
 
 

@@ -20,7 +20,8 @@ from pfdist.constraints.setup import Setup
 from pfdist.constraints.spacing import Spacing
 from pfdist.constraints.step import Money, Step, Walk
 from pfdist.errors import MeasurementTimesError
-from pfdist.kernels.left import Left, StepLimits
+from pfdist.kernels.follows import StepLimits
+from pfdist.kernels.left import Left
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.problem.shared import Shared

@@ -19,7 +19,8 @@ from pfdist.common.measurement_times import Times, random, random_below, regular
 from pfdist.constraints.apart import Apart
 from pfdist.constraints.kinds import PlainStep
 from pfdist.errors import MeasurementTimesError
-from pfdist.kernels.left import Left, StepLimits
+from pfdist.kernels.follows import StepLimits
+from pfdist.kernels.left import Left
 from pfdist.problem.affordable import Affordable, Completions, nearest
 from pfdist.problem.constraints import Constraints, check_constraints
 

@@ -14,7 +14,8 @@ from pfdist.common.parsing import parse_json
 from pfdist.common.points import ALONE
 from pfdist.common.section import JobSection
 from pfdist.errors import ArgumentError, StoreError, shown
-from pfdist.kernels.left import Left, StepLimits
+from pfdist.kernels.follows import StepLimits
+from pfdist.kernels.left import Left
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.results import finite

@@ -23,7 +23,8 @@ from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, weighed
 from pfdist.filters.work import FilterWork, Result
-from pfdist.kernels.left import ROUNDING, Left
+from pfdist.kernels.follows import ROUNDING
+from pfdist.kernels.left import Left
 from pfdist.kernels.rules import ALWAYS, NEVER, Applied, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES

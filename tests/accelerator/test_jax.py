@@ -27,7 +27,7 @@ from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.proposals import GUIDED
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.kernels.left import StepLimits
+from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import ALWAYS, Applied, Thresholds
 from pfdist.models.loader import installed_models
 from pfdist.models.recorded import recorded

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pfdist
 
-ROOMS = "filters", "guided", "moving", "questions", "runner"
+ROOMS = "filters", "guided", "questions", "runner"
 # Functions that make a key, that give it to noise, and that make one from a seed.
 MAKERS = {
     "stream_of", "stream_key", "generator", "variates", "noise_of", "log_evidence",

@@ -24,7 +24,7 @@ from pfdist.filters.work import BLOCK, Estimation, sum_of_draws
 from pfdist.kernels import rules
 from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.kernels.left import StepLimits
+from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import Applied, Thresholds
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL
 from pfdist.models.sensed import sensed

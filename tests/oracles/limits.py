@@ -8,7 +8,7 @@ from pfdist.constraints.kinds import PlainStep
 from pfdist.constraints.setup import NO_LIMIT, Setup
 from pfdist.constraints.step import Money, Step
 from pfdist.constraints.together import Together
-from pfdist.kernels.left import StepLimits
+from pfdist.kernels.follows import StepLimits
 
 
 def limits(

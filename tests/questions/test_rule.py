@@ -25,7 +25,7 @@ from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, StoreError
 from pfdist.filters.strategy import follow
-from pfdist.kernels.left import StepLimits
+from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.needs import RULES
