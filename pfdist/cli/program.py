@@ -24,13 +24,9 @@ PROGRAM = (
 )
 _BEGIN_WITH = ("plan", "why", "budget")  # commands, in the order in which they are tried
 _BEGIN_WITHOUT_JOBS = ("init", "plan", "why")
-_EXIT_CODES = (
-    "Exit codes: 0 done; 1 error; 2 wrong arguments; 130 interrupted by Ctrl-C; "
-    "75 ended by SIGTERM or SIGUSR1, which batch systems send, or by a closed terminal, because no "
-    "worker answers, or because a library or the model ended the process."
-)
-_RESUMES = "If it is interrupted, the same command resumes where it stopped. "
-_DESCRIBES = "`pfdist COMMAND --help` describes a command. "
+_EXIT_CODES = "Exit codes: 0 done; 1 error; 2 wrong arguments; 75 start it again; 130 Ctrl-C."
+_RESUMES = "If it is interrupted, the same command resumes where it stopped.\n\n"
+_DESCRIBES = "`pfdist COMMAND --help` describes a command.\n\n"
 
 
 def program(command: str = "") -> App:

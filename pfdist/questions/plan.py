@@ -64,7 +64,8 @@ def plan(
         Also write the plan into this file: ``.csv`` for a spreadsheet, ``.ics`` for a diary.
     against : mapping of str to iterable or str, or list of str, optional
         Was last year good? A table of its times, ``@last.csv``, or sets as for `pfdist.compare`,
-        with which the plan is compared. It has as many as the first, if they are counted.
+        with which the plan is compared. Where the job counts measurements, the plan has as many as
+        the first of these sets.
     options
         See `Options`.
 

@@ -273,6 +273,20 @@ def test_no_line_of_the_manual_is_a_comment_that_nobody_sees() -> None:
     assert hidden == {}
 
 
+def test_every_page_that_a_text_names_exists() -> None:
+    """Links are tested on the site; a page is also named in plain text, and in messages."""
+    texts = [page for page in PAGES if page.name != "CHANGELOG.md"]
+    texts += (ROOT / "pfdist").rglob("*.py")
+    missing = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in texts
+        for name in re.findall(r"(?<![\w*])[\w./-]+\.md\b", path.read_text(encoding="utf-8"))
+        if not any((folder / name).is_file() for folder in (path.parent, ROOT, DOCS))
+    ]
+    assert missing == []
+    assert sum(path.suffix == ".py" for path in texts) > 100
+
+
 def test_the_manual_is_short() -> None:
     """Pages of the sidebar, and their words outside of code and made tables."""
     lists = re.findall(
