@@ -374,9 +374,14 @@ class Clock:
             )
             return own
         if nearest in moved:
+            calendar = cast("Calendar", self.calendar)
+            years = calendar.date(times[row]).year - calendar.date(moved[nearest][row]).year
+            first = calendar.start
+            day = min(first.day, 28) if first.month == 2 else first.day
+            start = first.replace(year=first.year + years, day=day)
             raise ValueError(
-                f"{rule}, of another year: write t in {self.unit} since the start, as "
-                f"{unrounded(moved[nearest][row])}"
+                f"{rule}, of another year: give --set problem.clock.start={calendar.shown(start)}, "
+                f"or write t in {self.unit} since the start, as {unrounded(moved[nearest][row])}"
             )
         if nearest != OWN_DATES:
             raise ValueError(f"{rule}; the nearest are {nearest}: {self.text(times[row])}")

@@ -331,9 +331,10 @@ class ProblemSection(JobSection):
             return Clock.counting(self._whole("horizon", self.horizon))
         step = time_step or 1.0
         if not 1 <= round(self.horizon / step) < _MOST_INSTANTS:
+            counts = 1 <= self.horizon < step and float(self.horizon).is_integer()
             raise MeasurementTimesError(
                 f"horizon must be 1 to {_MOST_INSTANTS - 1:,} steps of time_step = {step:g}, got "
-                f"{self.horizon:g}"
+                f"{self.horizon:g}" + f": did you mean {self.horizon * step:g}?" * counts
             )
         return Clock.regular(self.horizon, step, self.time_unit or "")
 

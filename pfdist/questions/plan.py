@@ -11,16 +11,13 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.options import Names, Options, with_options
 from pfdist.questions.run import run
-from pfdist.questions.run_of_job import PLANNED, folder_of, searched_by
+from pfdist.questions.run_of_job import AGAINST, PLANNED, folder_of, searched_by
 from pfdist.results import Run
 from pfdist.results.export import checked_export
 from pfdist.runner.bound_settings import LEAST_DRAWS
 
 if TYPE_CHECKING:
     from pfdist.questions.evaluate import OneSet
-
-AGAINST = "-against"
-"""Ending of the folder of a plan of as many measurements as a user's set."""
 
 
 @with_options

@@ -23,6 +23,8 @@ from pfdist.store import Store, folder_of_run, holds_run
 _AS_DEFAULT: Mapping[str, Any] = MappingProxyType({})
 PLANNED = "-plan"
 """Ending of the folder of a plan, if the job lists searches, whose run has the folder without."""
+AGAINST = "-against"
+"""Ending of the folder of a plan of as many measurements as a user's set."""
 
 
 def folder_of(job: Job, results: str | Path | None, ending: str = "") -> Path:
@@ -121,7 +123,8 @@ def built_for_run(
     execution: Mapping[str, Any] = _AS_DEFAULT,
 ) -> Built:
     """The job of a run with its models; raises a `RunMismatchError` if they are not those."""
-    job = _job_of(run, partial(as_job, source, changes, settings={"execution": execution}))
+    settings = {"execution": execution, **_of_sets(run)}
+    job = _job_of(run, partial(as_job, source, changes, settings=settings))
     check_same_job(run.path, run.job, job)
     say_model_files([job], say)
     built = build(job.with_changes(sections=run.job), run.path)  # with the draws of the run
@@ -130,10 +133,18 @@ def built_for_run(
 
 
 def path_of_run(job: Job, results: str | Path | None = None) -> Path | None:
-    """The folder of a job's run, or else of its plan; None if neither holds a run."""
-    endings = ("", PLANNED) if job.origin.names_searches else ("",)
+    """The folder of a job's run, or else of its plan, or of that against a set; None without."""
+    endings = ("", PLANNED, AGAINST) if job.origin.names_searches else ("", AGAINST)
     folders = (folder_of(job, results, ending) for ending in endings)
     return next(filter(holds_run, folders), None)
+
+
+def _of_sets(run: Run) -> dict[str, Any]:
+    """The sets and the number that `pfdist plan --against` has added to the job of its run."""
+    if not run.path.name.endswith(AGAINST):
+        return {}
+    keys = {"comparison": "sets", "problem": "measurement_budget"}
+    return {section: {key: run.job[section].get(key)} for section, key in keys.items()}
 
 
 def _job_of(run: Run, job_with: Callable[..., Job]) -> Job:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -68,8 +69,8 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
         if not lacks and (run_key(path) or recorded_key(path)) != key:
             if not (path / FILES).exists():
                 raise StoreError(
-                    f"{path} lacks {FILES} and holds a different or changed job; use another "
-                    "results folder",
+                    f"{path} lacks {FILES} and holds a different or changed job: give --results "
+                    f"{_free(path)}",
                     argument="results",
                 )
             _check_same(path, built, identity, 0)
@@ -173,8 +174,7 @@ def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
         if key not in left
     ]
     if changes:
-        own = f"use another results folder, or the run's own job, {path / 'job.toml'}"
-        raise _mismatch(path, changes, own)
+        raise _mismatch(path, changes, f"ask about {path}, or plan this job with")
 
 
 def check_same_models(path: Path, built: Built) -> None:
@@ -265,18 +265,23 @@ def _short(value: Any) -> str:
     return shown_text(str(value))
 
 
-def _mismatch(
-    path: Path, differences: list[str], remedy: str = "use another results folder"
-) -> RunMismatchError:
+def _mismatch(path: Path, differences: list[str], remedy: str = "give") -> RunMismatchError:
     return RunMismatchError(
-        f"{path} holds a different run; {remedy}. In the run -> now", tuple(differences)
+        f"{path} holds a different run: {remedy} --results {_free(path)}. In the run -> now",
+        tuple(differences),
     )
+
+
+def _free(path: Path) -> Path:
+    """The first of the folders NAME-2, NAME-3, ... that does not exist."""
+    named = (path.with_name(f"{path.name}-{number}") for number in count(2))
+    return next(each for each in named if not each.exists())
 
 
 def _too_few(path: Path, job: Job, committed: int) -> StoreError:
     return StoreError(
         f"comparison.draws must be at least the {committed} draws that {path} has compared, got "
-        f"{job.comparison.draws}; for fewer draws, use another results folder"
+        f"{job.comparison.draws}; for fewer draws, give --results {_free(path)}"
     )
 
 

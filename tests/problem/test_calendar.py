@@ -249,6 +249,7 @@ BOTH = r"2026-04-01\.\.2026-05-01, hours of the day, as 08:00\.\.18:00"
         ({"clock": None, "required": ["2026-04-02"]}, "because clock.start is not given"),
         ({"horizon": "soon"}, "problem.horizon must be a date"),
         ({"horizon": "2026-04-01T12:00"}, "must be 1 to 32,000 steps of clock.step"),
+        ({"horizon": 8, "clock": None, "time_step": 30}, "= 30, got 8: did you mean 240?"),
         ({"clock": {"start": "2026-04-01"}}, "problem.clock.step must be given"),
         ({"clock": {"start": "1 April", "step": "1 d"}}, "problem.clock.start must be a date"),
         ({"clock": {"start": "9999-12-20", "step": "1 d"}}, "must lie in the years 1000 to 90"),

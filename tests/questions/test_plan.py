@@ -147,6 +147,7 @@ def test_last_years_times_are_compared_with_the_best_of_as_many(
     lower = 100 * (1 - errors["plan"].expected_mse / errors["last"].expected_mse)
     said = f"Instead of the set last (4 measurements), the expected MSE is {lower:.2f}"
     assert said in " ".join(str(run).split())
+    assert pfdist.why(unnamed, changes=changes, figures=False).run == run.path
 
 
 def test_a_wrong_set_to_plan_against_names_the_option(

@@ -109,6 +109,9 @@ def test_a_named_folder_may_hold_a_plan_of_a_job_that_lists_searches(
     assert why("jobs/small.toml", **of_plan).run == made.path
     found = pfdist.filter_measurements("jobs/small.toml", "y.csv", report=False, **of_plan)
     assert len(found.table) == 13
+    Path(f"{search}-2").mkdir()
+    line = error("plan", "jobs/small.toml", "--results", search, "--set", "seed=99")
+    assert f"{search} holds a different run: give --results {search}-3. In the run" in line
     assert error(
         "why", "jobs/small.toml", "--results", search, "--set", *changes, "filter.particles=7"
     ).endswith("In the run -> now: filter.particles: 40 -> 7")
@@ -121,7 +124,8 @@ def test_another_job_than_that_of_the_run_is_refused(
     words = [command, "jobs/small.toml", *ASK[command], "--set", *QUICK, "filter.particles=7"]
     named = ["--results", "results/small"] if command in ("filter", "next") else []
     line = error(*words, *named)
-    assert "results/small holds a different run; use another results folder, or the run's" in line
+    assert "results/small holds a different run: ask about results/small, or plan this job" in line
+    assert " with --results results/small-2. In" in line
     assert line.endswith(". In the run -> now: filter.particles: 40 -> 7")
 
 
