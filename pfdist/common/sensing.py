@@ -15,8 +15,8 @@ class Sensing:
     ----------
     low, high : float
         Values below and above are read as these.
-    fails : float
-        Probability that a measurement gives nothing.
+    fails : float or tuple of float
+        Probability that a measurement gives nothing, or that of each instant, (T+1,).
     repeats : int
         The largest number of measurements at one instant.
     delay : int
@@ -25,7 +25,7 @@ class Sensing:
 
     low: float = -math.inf
     high: float = math.inf
-    fails: float = 0.0
+    fails: float | tuple[float, ...] = 0.0
     repeats: int = 1
     delay: int = 0
 

@@ -39,6 +39,7 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
     if all(each == PLAIN for each in sensings.values()):
         return model
     remembered = max(each.delay for each in sensings.values())
+    model = _with_failures(model, sensings)
     parts = {
         part.name: _sensed(
             part.model, part.name, sensings.get(part.name, PLAIN), remembers=remembered > 0
@@ -139,6 +140,22 @@ def _price(model: StateSpaceModel, name: str) -> float | None:
     return model.sensors[name].price if name else None
 
 
+def _name_of_fails(sensor: str) -> str:
+    return f"fails_{sensor}".replace("-", "_") if sensor else "fails"
+
+
+def _with_failures(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpaceModel:
+    """The model with a parameter for each sensor whose probability to fail varies with time."""
+    fails = {
+        _name_of_fails(name): each.fails
+        for name, each in sensings.items()
+        if isinstance(each.fails, tuple)
+    }
+    for name in {*fails} & {*model.parameters}:
+        raise ModelError(f"fails of each instant needs the name {name}, which is a parameter's")
+    return dataclasses.replace(model, parameters={**model.parameters, **fails}) if fails else model
+
+
 def _sensed(model: StateSpaceModel, name: str, sensing: Sensing, *, remembers: bool) -> Sensor:
     measurement, log_likelihood = model.measurement, model.log_likelihood
     noise, tails = model.measurement_noise, model.log_tails
@@ -153,7 +170,8 @@ def _sensed(model: StateSpaceModel, name: str, sensing: Sensing, *, remembers: b
             )
         measurement, log_likelihood = _limited(measurement, log_likelihood, tails, sensing)
     if sensing.fails:
-        measurement, log_likelihood = _failing(measurement, log_likelihood, sensing.fails)
+        fails = _name_of_fails(name) if isinstance(sensing.fails, tuple) else sensing.fails
+        measurement, log_likelihood = _failing(measurement, log_likelihood, fails)
         noise = (*noise, "uniform")
     if remembers:
         n = model.components[0]
@@ -179,11 +197,14 @@ def _limited(measurement: Any, log_likelihood: Any, tails: Any, sensing: Sensing
     return limited, likelihood
 
 
-def _failing(measurement: Any, log_likelihood: Any, fails: float) -> Any:
+def _failing(measurement: Any, log_likelihood: Any, fails: float | str) -> Any:
+    """The formulas of a sensor that fails with a probability: a number, or a parameter's name."""
+
     def failing(x: Any, t: Any, v: Any, p: Any) -> Any:
         *own, chance = v
         values = measurement(x, t, tuple(own), p)
-        return tuple(where(chance < fails, math.nan, value) for value in values)
+        fails_now = getattr(p, fails)[t] if isinstance(fails, str) else fails
+        return tuple(where(chance < fails_now, math.nan, value) for value in values)
 
     def likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
         is_made = y[0] == y[0]

@@ -50,7 +50,7 @@ from pfdist.problem.sensor_section import SensorSection, priced
 from pfdist.problem.shared import Groups, Limit, OfSensors, Others, Shared
 from pfdist.problem.visits import Installs
 from pfdist.problem.visits_section import VisitsSection
-from pfdist.problem.written import instants_written
+from pfdist.problem.written import by_instant, instants_written
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
 _SEASON, _YEAR = 2, 12  # months: a plan of a longer season has a count for each
@@ -588,37 +588,7 @@ class ProblemSection(JobSection):
 
     def _prices(self, name: str, given: Time | Prices | None) -> tuple[Money, ...]:
         """The price of each instant; empty if no price is given."""
-        clock, prices = self.clock, dict[int, Money]()
-        if given is None:
-            return ()
-        if isinstance(given, int | float):
-            return (money(given),) * len(clock.times)
-        if not isinstance(given, dict):
-            if len(given) != len(clock.times):
-                raise MeasurementTimesError(
-                    f"{name} needs {len(clock.times)} values, one for each instant, got "
-                    f"{len(given)}"
-                )
-            return tuple(map(money, given))
-        first, last = map(clock.text, (clock.times[0], clock.times[-1]))
-        ends = f"{first}..{last}"
-        for key, price in given.items():
-            for t in instants_written(key, clock, name):
-                is_instant = 0 <= t <= clock.horizon
-                if t in prices or not is_instant:
-                    what = "twice" if t in prices else f"for a horizon of {clock.horizon}"
-                    time = clock.text(clock.times[t]) if is_instant else t
-                    raise MeasurementTimesError(
-                        f"{name} must name every time in {ends} once, got {time} {what}"
-                    )
-                prices[t] = money(price)
-        lacking = [t for t in range(clock.horizon + 1) if t not in prices]
-        if lacking:
-            raise MeasurementTimesError(
-                f"{name} must name every time in {ends} once, got none for "
-                f"{clock.text(clock.times[lacking[0]])}"
-            )
-        return tuple(prices[t] for t in range(clock.horizon + 1))
+        return () if given is None else tuple(map(money, by_instant(name, given, self.clock)))
 
     def _whole(self, name: str, value: Time) -> int:
         """A number of instants; the error about another number names the keys of a clock."""

@@ -13,7 +13,9 @@ from pfdist.common.sensing import PLAIN, REPEATS, Sensing
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.problem.clock import Clock
 from pfdist.problem.sections import Moment, Written
+from pfdist.problem.written import by_instant
 
+_Chance = Annotated[float, Field(ge=0.0, lt=1.0, strict=False)]
 Finite = int | Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -26,8 +28,8 @@ class SensingSection(JobSection):
         Readings below are known to be below: censored. The model needs `log_tails`.
     limits : list of two numbers, that of y
         Readings below the first, and above the second, are known to be so.
-    fails : float
-        Probability that a planned measurement gives nothing.
+    fails : number or list or section of ranges
+        Probability that a planned measurement gives nothing, or at each instant, or in each range.
     repeats : int
         Largest number of measurements at one instant, each with its own noise and price.
     delay : number, clock
@@ -36,7 +38,12 @@ class SensingSection(JobSection):
 
     limit: Finite | None = None
     limits: Annotated[Listed[Finite], Field(min_length=2, max_length=2)] | None = None
-    fails: Annotated[float, Field(gt=0.0, lt=1.0, strict=False)] | None = None
+    fails: (
+        Annotated[float, Field(gt=0.0, lt=1.0, strict=False)]
+        | Listed[_Chance]
+        | dict[str, _Chance]
+        | None
+    ) = None
     repeats: Annotated[int, Field(ge=2, le=len(REPEATS))] | None = None
     delay: Annotated[Moment, Field(gt=0), Written] | None = None
 
@@ -50,12 +57,15 @@ class SensingSection(JobSection):
     def sensing(self, key: str, clock: Clock, *, waits: bool) -> Sensing:
         """The same for a model, with the delay in instants: 0 if the estimate waits for all values.
 
-        Raises `MeasurementTimesError` unless the delay is a number of steps of an even clock.
+        Raises `MeasurementTimesError` unless the delay is a number of steps of an even clock, and
+        failures have a probability at each instant.
         """
         delay = 0 if waits else self.delay_in(key, clock)
         low = -math.inf if self.limit is None else float(self.limit)
         low, high = self.limits or (low, math.inf)
-        return Sensing(float(low), float(high), self.fails or 0.0, self.repeats or 1, delay)
+        fails = tuple(map(float, by_instant(f"{key}.fails", self.fails or 0.0, clock)))
+        chance = fails if len({*fails}) > 1 else fails[0]
+        return Sensing(float(low), float(high), chance, self.repeats or 1, delay)
 
     def delay_in(self, key: str, clock: Clock) -> int:
         """The delay in instants; raises as `sensing`."""

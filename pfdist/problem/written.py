@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,36 @@ def instants_written(written: Any, clock: Clock, name: str = "measurement_times"
             f"{name} must name times, as 20, and ranges, as {RANGES}, got {shown(written)}"
         )
     return [int(written) if clock.counts else clock.instant(float(written), name)]
+
+
+def by_instant(name: str, given: Any, clock: Clock) -> list[Any]:
+    """The value of each instant, from a number, a list, or a mapping of times and ranges.
+
+    Raises `MeasurementTimesError`, which begins with `name`, unless each instant has one value.
+    """
+    instants, values = len(clock.times), dict[int, Any]()
+    if isinstance(given, int | float):
+        return [given] * instants
+    if not isinstance(given, Mapping):
+        if len(given) != instants:
+            raise MeasurementTimesError(
+                f"{name} needs {instants} values, one for each instant, got {len(given)}"
+            )
+        return [*given]
+    first, last = map(clock.text, (clock.times[0], clock.times[-1]))
+    must = f"{name} must name every time in {first}..{last} once, got"
+    for key, value in given.items():
+        for t in instants_written(key, clock, name):
+            is_instant = 0 <= t <= clock.horizon
+            if t in values or not is_instant:
+                what = "twice" if t in values else f"for a horizon of {clock.horizon}"
+                time = clock.text(clock.times[t]) if is_instant else t
+                raise MeasurementTimesError(f"{must} {time} {what}")
+            values[t] = value
+    for t in range(instants):
+        if t not in values:
+            raise MeasurementTimesError(f"{must} none for {clock.text(clock.times[t])}")
+    return [values[t] for t in range(instants)]
 
 
 def clock_of(text: str) -> Clock:

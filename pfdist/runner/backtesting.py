@@ -259,7 +259,7 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     """
     problem = built.job.problem
     clock = replicate.clock if replicate.has_own_clock else None
-    fails = [each.fails > 0.0 for each in problem.sensed.each]
+    fails = [bool(each.fails) for each in problem.sensed.each]
     on = clock or problem.clock
 
     def judged(model: StateSpaceModel) -> StateSpaceModel:

@@ -73,18 +73,27 @@ def test_lognormal_tails_are_normal_tails_of_the_logarithm() -> None:
     assert (below, above) == pytest.approx((log_ndtr(z), log_ndtr(-z)))
 
 
-def of_failures(times: tuple[int, ...], horizon: int, fails: float, sd: float) -> float:
+def of_failures(
+    times: tuple[int, ...],
+    horizon: int,
+    fails: float | list[float],
+    sd: float,
+    delay: int = 0,
+) -> float:
     """The expected MSE by Kalman filters of all patterns of failures."""
-    total = 0.0
+    total, each = 0.0, np.broadcast_to(fails, horizon + 1)
     for made in product((False, True), repeat=len(times)):
-        share = math.prod(1.0 - fails if each else fails for each in made)
-        variance, seen, own = 4.0, dict(zip(times, made, strict=True)), 0.0
+        share = math.prod(
+            1.0 - each[t] if is_made else each[t] for t, is_made in zip(times, made, strict=True)
+        )
+        variance, seen, known = 4.0, dict(zip(times, made, strict=True)), list[float]()
         for t in range(horizon + 1):
             variance += 1.0 * (t > 0)
             if seen.get(t):
                 variance = variance * sd**2 / (variance + sd**2)
-            own += variance
-        total += share * own / (horizon + 1)
+            known.append(variance)
+        late = [4.0 + t for t in range(delay)] + [v + delay for v in known]
+        total += share * sum(late[: horizon + 1]) / (horizon + 1)
     return total
 
 
@@ -102,6 +111,49 @@ def test_failed_measurements_are_those_of_all_patterns(tmp_path: Path) -> None:
     row = run.table("bound").set_index("name").loc["relaxation"]
     assert row["bound"] < 3.3750
     assert not row["reason"]
+
+
+NIGHT: dict[str, Any] = {
+    "list": [0.9, 0.0, 0.9, 0.9, 0.1, 0.9, 0.0, 0.9],
+    "ranges": {"0:2": 0.1, "3 4": 0.95, "5:7": 0.5},
+}
+
+
+@pytest.mark.parametrize("written", [*NIGHT])
+@pytest.mark.parametrize("delay", [0, 2])
+def test_failures_that_vary_with_time_are_those_of_all_patterns(written: str, delay: int) -> None:
+    """Six points, and all 64 patterns."""
+    times, fails = (0, 1, 2, 3, 4, 5), NIGHT[written]
+    keys = {"fails": fails} | ({"delay": delay} if delay else {})
+    problem = Problem(walk(), horizon=7, measurement_budget=6, particles=400, sensor=keys)
+    found = pfdist.evaluate(problem, times, draws=6000)
+    each = fails if written == "list" else [0.1] * 3 + [0.95] * 2 + [0.5] * 3
+    exact = of_failures(times, 7, each, 0.7, delay)
+    assert abs(found.expected_mse - exact) < 3.5 * found.standard_error
+    wrong = [*each[delay:], *each[:delay]] if delay else each[::-1]  # of the time of arrival
+    apart = abs(of_failures(times, 7, wrong, 0.7, delay) - exact)
+    assert apart > 5 * found.standard_error
+
+
+def test_failures_of_equal_probability_are_those_of_one_number() -> None:
+    """Bit for bit; a table at times of its own has the probability of the instant before."""
+    keys = {"horizon": 7, "measurement_budget": 2, "particles": 50}
+    each = [
+        pfdist.evaluate(Problem(walk(), sensor={"fails": fails}, **keys), [1, 5], draws=100)
+        for fails in (0.3, [0.3] * 8, {"0:7": 0.3})
+    ]
+    assert each[0].expected_mse == each[1].expected_mse == each[2].expected_mse
+    for wrong, message in (
+        ([0.3] * 7, "needs 8 values"),
+        ({"0:5": 0.3}, "got none for 6"),
+        ({"0:8": 0.3}, "for a horizon of 7"),
+        ([0.3] * 7 + [1.0], "less than 1"),
+    ):
+        with pytest.raises(JobError, match=rf"sensor\.fails.*{message}"):
+            Problem(walk(), sensor={"fails": wrong}, **keys)
+    taken = replace(walk(), parameters={"fails": 1.0})
+    with pytest.raises(ModelError, match="needs the name fails"):
+        pfdist.evaluate(Problem(taken, sensor={"fails": NIGHT["list"]}, **keys), [1, 5], draws=100)
 
 
 def test_a_failed_measurement_is_spent_and_a_missed_one_is_not(tmp_path: Path) -> None:
