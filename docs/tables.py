@@ -51,6 +51,7 @@ from pfdist.problem.sections import (
     FilterSection,
     Model,
 )
+from pfdist.problem.sensing_section import MeasurementsSection
 from pfdist.problem.sensor_section import SensorSection
 from pfdist.problem.sweep import SweepFile
 from pfdist.problem.visits_section import VisitsSection
@@ -91,6 +92,7 @@ _SECTIONS: Mapping[str, type[JobSection]] = {
     "[problem.visits]": VisitsSection,
     "[problem.store]": StoreSection,
     "[problem.most_within]": MostWithinSection,
+    "[problem.measurements]": MeasurementsSection,
     "[filter]": FilterSection,
     "[evaluation]": EvaluationSection,
     "[scenarios]": Scenarios,
@@ -676,7 +678,7 @@ def _default(key: str, field: FieldInfo) -> str:
     default = field.get_default(call_default_factory=True)
     if isinstance(default, SearchSection):
         return f"method `{default.method}`"
-    return "" if default in (None, "", {}, []) else _value(default)
+    return "" if default in (None, "", {}, [], ()) else _value(default)
 
 
 def _rows_of_columns(columns: pa.Schema) -> list[tuple[str, ...]]:

@@ -435,8 +435,9 @@ class Job(JobSection):
         return self.with_changes(sections={"problem": problem})
 
     def identity(self) -> dict[str, Any]:
-        """Everything that identifies a run of this job: all sections but [execution]."""
-        return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True, by_alias=True)
+        """Everything that identifies a run of this job, without [execution] and codes of tables."""
+        others: Any = {"execution": True, "problem": {"measurements"}}
+        return self.model_dump(mode="json", exclude=others, exclude_none=True, by_alias=True)
 
 
 def load_job(

@@ -1,5 +1,6 @@
 """Measured values of one system, checked one by one or read from a table."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -21,7 +22,7 @@ from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import Parameter
 from pfdist.problem.clock import Clock
-from pfdist.problem.sensing_section import Sensings
+from pfdist.problem.sensing_section import FAILED, LOST, MeasurementsSection, Sensings
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
@@ -31,6 +32,9 @@ _MOST_REPEATS = 8  # rows of a sensor at a time
 _NAMED = 8  # columns that are not read
 COMPONENT = re.compile(r"y\d+")
 RENAME = "columns of other names need --columns y0=NAME,t=NAME"
+
+
+NO_CODES = MeasurementsSection()
 
 
 class Reading(NamedTuple):
@@ -53,6 +57,8 @@ class Reading(NamedTuple):
         Whether a value that arrives after the horizon is an error.
     given : mapping of str to str
         Columns of the parameters that come with each reading.
+    codes : MeasurementsSection
+        Cells that mean that there is no value.
     """
 
     columns: Mapping[str, str] = {}
@@ -62,6 +68,7 @@ class Reading(NamedTuple):
     sensings: Sensings = Sensings()
     all_count: bool = False
     given: Mapping[str, str] = {}
+    codes: MeasurementsSection = NO_CODES
 
     @property
     def renamed(self) -> dict[str, str]:
@@ -70,9 +77,16 @@ class Reading(NamedTuple):
         return {**given, **self.columns}
 
     def readers(self, names: Iterable[str]) -> dict[str, Callable[[str], float]]:
-        """A reader of the cells of each measured column: numbers, and readings beyond a limit."""
-        read = {*names} - {"t", "sensor"} if self.sensings.have_limits else ()
-        return dict.fromkeys(read, self.sensings.read)
+        """A reader of the cells of each measured column: numbers, beyond a limit, and codes."""
+        has_others = self.sensings.have_limits or self.codes != NO_CODES
+        return dict.fromkeys({*names} - {"t", "sensor"} if has_others else (), self._number)
+
+    def _number(self, text: str) -> float:
+        code = self.codes.number(text)
+        number = self.sensings.read(text) if code is None else code
+        if code is None and math.isinf(number):
+            raise MeasurementsError(f"a cell must be a finite number, got {shown(text)}")
+        return number
 
     def named(self, model: StateSpaceModel) -> list[str]:
         """The names in a column sensor: the sensors of the model, and those that repeat."""
@@ -118,7 +132,7 @@ class Measurements:
     missed: tuple[int, ...]  # instants that have a row without any component
     clock: Clock  # of these instants: that of the job, or also with the times of the table
     repeats: int = 1  # R
-    failed: Times = ()  # possible measurements without a value, of sensors that may fail
+    failed: Times = ()  # measurements that were made, and gave no value
     in_flight: Times = ()  # possible measurements whose values arrive after the last row
     # Parameters that came with readings, (T+1,); those of the model at other instants.
     given: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -164,7 +178,7 @@ def read_measurements(
         allowed += [["t", *allowed[0][2:]]] * reading.is_of_one
     try:
         own = clock.without(model.parameters)
-        below = {f"{name}_below": name for name in chain(*allowed)}
+        below = {f"{name}_below" for name in chain(*allowed)}
         known = {*chain(*allowed), *own, *below}
         check = partial(_check_header, allowed, own, reading)
         most = _FURTHER + _MOST_REPEATS * model.points.first(len(clock.times))
@@ -185,11 +199,7 @@ def read_measurements(
             _check_parameter(name, columns.get(name), value, times, clock)
         header = next(names for names in allowed if names[-1] in columns)
         wanted = [each for each in header if each not in ("t", "sensor")]
-        for name in {*below} & {*columns}:  # an empty cell, known to be below
-            censored = np.isnan(columns[below[name]]) & (columns[name] == 1.0)
-            if censored.any():
-                columns[below[name]][censored] = reading.sensings.low
-        table = np.stack([columns[name] for name in wanted], axis=1)
+        table, spent = _cells(columns, wanted, reading)
         own_values = parameters_at(
             {name: own[name] for name in reading.given}, clock, of_rows.times
         )
@@ -218,15 +228,13 @@ def read_measurements(
         y[place[t], number, model.parts[way].y] = each
     now = max(chain(instants, measured), default=0)
     empty = [
-        (t, way, model.points.first(t) + way)
-        for t, way, row in zip(arrivals, ways, table, strict=True)
+        (t, is_spent or reading.sensings.by_way(way).fails, model.points.first(t) + way)
+        for t, way, row, is_spent in zip(arrivals, ways, table, spent, strict=True)
         if t <= of_rows.horizon and np.isnan(row).all()
     ]
     # A value that is not in the table has not arrived until its last time.
     missed = tuple(sorted({min(t, now) for t in arrivals} - {*measured}))
-    failed = tuple(
-        point for t, way, point in empty if reading.sensings.by_way(way).fails and t <= now
-    )
+    failed = tuple(point for t, is_spent, point in empty if is_spent and t <= now)
     return Measurements(
         tuple(measured),
         y.reshape(len(measured), repeats * model.components[1]),
@@ -237,6 +245,24 @@ def read_measurements(
         in_flight=tuple(sorted({point for t, _, point in empty if t > now})),
         given=given_values,
     )
+
+
+def _cells(
+    columns: Mapping[str, Any], wanted: Sequence[str], reading: Reading
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The cells of measured columns, with NaN for codes, and which rows have a code."""
+    for name in wanted:  # an empty cell, known to be below
+        censored = np.isnan(columns[name]) & (columns.get(f"{name}_below", 0.0) == 1.0)
+        if censored.any():
+            columns[name][censored] = reading.sensings.low
+    table = np.stack([columns[name] for name in wanted], axis=1)
+    if reading.codes == NO_CODES:
+        return table, np.zeros(len(table), np.bool_)
+    for number in np.unique(table):
+        if (code := reading.codes.number(float(number))) is not None:
+            table = np.where(table == number, code, table)
+    has_code = np.isin(table, (FAILED, LOST))
+    return np.where(has_code, np.nan, table), np.logical_or.reduce(has_code, axis=1)
 
 
 def _sensors_of_rows(

@@ -89,6 +89,8 @@ class Problem(Shown):
         A store that measurements draw from: ``{"capacity": 6, "start": 2, "income": 0.5}``.
     most_within : mapping, optional
         The most measurements in any stretch of time: ``{"number": 3, "time": 1}``.
+    measurements : mapping, optional
+        Codes in tables: ``{"failed": ["Ice"], "missing": ["Eqp", "***"]}``.
     particles : int or "auto"
         "auto" finds a sufficient number when something is computed.
     resampling, resample, engine, proposal : str

@@ -45,7 +45,7 @@ from pfdist.problem.sections import (
     Written,
     is_list_of,
 )
-from pfdist.problem.sensing_section import Finite, Sensings, SensingSection
+from pfdist.problem.sensing_section import Finite, MeasurementsSection, Sensings, SensingSection
 from pfdist.problem.sensor_section import SensorSection, priced
 from pfdist.problem.shared import Groups, Limit, OfSensors, Others, Shared
 from pfdist.problem.visits import Installs
@@ -118,6 +118,8 @@ class ProblemSection(JobSection):
         A store that measurements draw from; see ``[problem.store]``.
     most_within : section
         The most measurements in any stretch of time; see ``[problem.most_within]``.
+    measurements : section
+        Codes in tables of measurements; see ``[problem.measurements]``.
     """
 
     # Read as "clock": `clock` is the clock that follows from all keys.
@@ -150,6 +152,7 @@ class ProblemSection(JobSection):
     visits: VisitsSection | None = None
     store: StoreSection | None = None
     most_within: MostWithinSection | None = None
+    measurements: MeasurementsSection | None = None
 
     @field_validator("horizon", "times", mode="before")
     @classmethod

@@ -1,9 +1,10 @@
 """How sensors sense: the keys of a job that limits, failures, repeats and delays have in common.
 
-A table of measurements has cells beyond a limit, as ``<2``.
+A table of measurements has cells beyond a limit, as ``<2``, and codes of cells without a value.
 """
 
 import math
+from contextlib import suppress
 from typing import Annotated, NamedTuple, Self
 
 from pydantic import Field, model_validator
@@ -81,6 +82,48 @@ class SensingSection(JobSection):
         return steps
 
 
+class MeasurementsSection(JobSection):
+    """Codes in tables of measurements that stand for no value; a run does not depend on them.
+
+    Parameters
+    ----------
+    failed : list of str
+        Codes of a measurement that failed, as "Ice". With `works`, this says something about x.
+    missing : list of str
+        Codes of a value that was measured and lost, as "Eqp" or "-999". It says nothing.
+    """
+
+    failed: Listed[str] = ()
+    missing: Listed[str] = ()
+
+    @model_validator(mode="after")
+    def _differ(self) -> Self:
+        for code in {*self.failed} & {*self.missing}:
+            raise ValueError(
+                f"problem.measurements must have {code!r} in failed or in missing, got it in both"
+            )
+        return self
+
+    def number(self, cell: str | float) -> float | None:
+        """`FAILED` or `LOST` for a cell with a code; None for any other."""
+        for codes, number in ((self.failed, FAILED), (self.missing, LOST)):
+            if cell in (codes if isinstance(cell, str) else _numbers_of(codes)):
+                return number
+        return None
+
+
+FAILED, LOST = math.inf, -math.inf
+"""The numbers of cells with a code: the measurement failed, or its value was lost."""
+
+
+def _numbers_of(codes: tuple[str, ...]) -> set[float]:
+    numbers = set[float]()
+    for code in codes:
+        with suppress(ValueError):
+            numbers.add(float(code))
+    return numbers
+
+
 class Sensings(NamedTuple):
     """How the sensors of a model sense, of which several may be repeats of one of the job."""
 
@@ -119,8 +162,9 @@ class Sensings(NamedTuple):
             try:
                 return number_of_cell(text)
             except ValueError as error:
-                lows = {each.low for each in self.each}
-                below = f"; a reading below the limit is <{max(lows):g}" * (len(lows) == 1)
+                lows = {each.low for each in self.each} or {-math.inf}
+                is_limited = len(lows) == 1 and math.isfinite(min(lows))
+                below = f"; a reading below the limit is <{min(lows):g}" * is_limited
                 raise MeasurementsError(f"{error}{below}") from error
         ends = {each.low if text[0] == "<" else each.high for each in self.each}
         beyond = number_of_cell(text[1:].strip())

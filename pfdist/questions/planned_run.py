@@ -30,7 +30,7 @@ from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
 from pfdist.problem.calendar import names_dates
 from pfdist.problem.clock import Clock, Time
-from pfdist.problem.measurements import Measurements, Reading
+from pfdist.problem.measurements import NO_CODES, Measurements, Reading
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.run_of_job import built_for_run, path_of_run, run_and_job
 from pfdist.results import Run, open_run
@@ -206,7 +206,10 @@ def reading_of(built: Built, columns: Columns | None, within: float | None, say:
     any_time = cache(partial(follows_clock, built))
     problem, note = built.job.problem, partial(heard, say)
     given = problem.given or {}
-    return Reading(columns_argument(columns), within, any_time, note, problem.sensed, given=given)
+    return Reading(
+        columns_argument(columns), within, any_time, note, problem.sensed, given=given,
+        codes=problem.measurements or NO_CODES,
+    )  # fmt: skip
 
 
 def on_clock_of(plan: PlannedRun, rows: Measurements) -> PlannedRun:

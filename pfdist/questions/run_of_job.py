@@ -127,7 +127,10 @@ def built_for_run(
     job = _job_of(run, partial(as_job, source, changes, settings=settings))
     check_same_job(run.path, run.job, job)
     say_model_files([job], say)
-    built = build(job.with_changes(sections=run.job), run.path)  # with the draws of the run
+    codes = job.problem.measurements  # which are not part of a run
+    read = {"problem": {"measurements": codes and codes.model_dump()}}
+    # With the draws of the run.
+    built = build(job.with_changes(sections=run.job, settings=read), run.path)
     check_same_models(run.path, built)
     return built
 

@@ -48,6 +48,7 @@ SEPARATORS = (
 )
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _BEGINS_A_FORMULA = tuple("=+-@\t")
+_CODES = "problem.measurements.failed (no value came) or problem.measurements.missing (it was lost)"
 _VALUE = re.compile(r"[<>]?\s*[+-]?[.\d][-+.,:/\deETZ ]*")  # a number, or a date
 
 
@@ -300,6 +301,8 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
             place = f"column {shown(name)} in row {row + 1}"
             is_word = re.search(r"\w", texts[row]) and not name.startswith("y")
             hint = "" if is_word else "; an empty cell is a missing number"
+            if name.startswith("y"):
+                hint = f"{hint}, as is one with a code of {_CODES}"
             if texts[row].startswith(("<", ">")):
                 hint = "; problem.sensor.limit reads it"
             elif re.fullmatch(rf"{_GROUPED}.*", texts[row]):
@@ -318,7 +321,7 @@ def number_of_cell(text: str) -> float:
         # as pandas has it, which takes neither 1_0 nor other digits
         return float(text if text.isascii() and "_" not in text else "")
     except ValueError as error:
-        raise ValueError(f"a cell must be a number, got {shown(text)}") from error
+        raise ValueError(f"a cell must be a number, got {shown(text)}; codes: {_CODES}") from error
 
 
 def _as_read(read: Callable[[str], Any], column: "pd.Series[Any]") -> NDArray[Any]:
