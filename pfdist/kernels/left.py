@@ -45,11 +45,14 @@ class Left:
         limit: float = 0.0,
         draws: int = 1,
     ) -> None:
-        from pfdist.kernels.stepping import addresses_of  # noqa: PLC0415  it loads Numba
+        # Imported here, because they load Numba.
+        from pfdist.kernels.memory import in_memory  # noqa: PLC0415
+        from pfdist.kernels.stepping import addresses_of  # noqa: PLC0415
 
         self._points, self._limit, self.instants = PointNumbers(ways), limit, instants
         self._allowed, self._required, self.now = {*allowed}, {*limits.required}, 0
         self._follows = limits.arrays(ways, range(instants), addresses_of(limits.steps))
+        self._packed = in_memory(self._follows)
         # The settled records, of measurements made before `now`: what is spent, and the states.
         self._spent = np.zeros((draws, 2))
         self._states = np.tile(self._follows.start, (draws, 1))
@@ -157,7 +160,7 @@ class Left:
         broken, size = np.zeros(len(spent), np.uint8), self._follows.start.size
         add_to_all(
             Addition(
-                self._follows, self._limit, self._points.ways, len(spent),
+                self._packed.ctypes.data, self._limit, self._points.ways, len(spent),
                 np.array(np.broadcast_to(point, len(spent)), np.int64), spent, states,
                 size, made.astype(np.uint8), (made if wanted is None else wanted).astype(np.uint8),
                 broken, np.zeros(2), np.zeros(size, np.int64),

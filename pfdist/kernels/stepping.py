@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ def add_measurement(follows, limit, sensors, point, spent, state):
 class Addition(NamedTuple):
     """Measurements that are added to the records of draws; see `pfdist.kernels.left.Left`."""
 
-    follows: Follows
+    follows: Annotated[int, Follows]  # address
     limit: float
     sensors: int
     draws: int
