@@ -34,6 +34,8 @@ class PlainStep(NamedTuple):
         }  # fmt: skip
         if (len(self.table), len(self.start)) != sizes.get(self.kind) or self.first:
             return False
+        if self.kind == "most_within" and self.table[0] < 1:
+            return False
         return self.kind not in {"most_within", "store"} or (
             self.table[1] == instants and self.start[1] >= 0
         )

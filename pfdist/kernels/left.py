@@ -102,6 +102,7 @@ class Left:
             self._add(spent, states, point, every >= 0)
         moments = self._made_at * self._points.ways + every % self._points.ways
         later = moments > max(moments[[*made]], default=-np.inf)
+        later &= self._made_at >= 0  # the others are never possible
         return tuple(np.flatnonzero(self._add(spent, states, every, every < 0, later)).tolist())
 
     def made_at(self, instant: int) -> list[int]:
