@@ -2,11 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
 from math import lcm
 
 from pfdist.constraints.step import BROKEN, Money, Step, Turn, Walk
+
+_DIGITS = 16  # of a full store in units
 
 
 def supply_step(turn: Turn) -> None:
@@ -56,10 +59,15 @@ class Supply(Step):
         return (self._in_units(self.capacity), len(self.income), *each)
 
     def _in_units(self, amount: Money) -> int:
-        return int(Fraction(amount) * self._parts)
+        # What is above the capacity is lost, or never in the store, whatever it is.
+        return round(min(Fraction(amount), 2 * Fraction(self.capacity)) * self._parts)
 
     @cached_property
     def _parts(self) -> int:
-        """The number of units of an amount of 1: as many as make all amounts whole."""
+        """The number of units of an amount of 1: as many as make all amounts whole.
+
+        Amounts are rounded if the store held too many units for compiled steps.
+        """
         amounts = {self.capacity, self.full, *self.income, *self.prices}
-        return lcm(*(Fraction(amount).denominator for amount in amounts))
+        whole = lcm(*(Fraction(amount).denominator for amount in amounts))
+        return int(min(whole, 10 ** (_DIGITS - 1 - Decimal(self.capacity).adjusted())))

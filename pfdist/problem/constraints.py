@@ -350,9 +350,9 @@ def check_constraints(constraints: Constraints) -> None:
     The message of the `MeasurementTimesError` begins with the name of the wrong value.
     """
     _check_times(constraints)
-    _check_limits(constraints)
     if not constraints.allowed:
         raise MeasurementTimesError("forbidden must leave a time, got all times")
+    _check_limits(constraints)
     _check_budget_or_price(constraints)
     is_number = constraints.measurement_budget is not None
     (_check_number if is_number else _check_money)(constraints)
@@ -399,7 +399,7 @@ def _check_limits(constraints: Constraints) -> None:
         for time in constraints.allowed
     ):
         (sentence, *_) = constraints.broken(constraints.allowed[:1], fewer=True)
-        raise MeasurementTimesError(f"no measurement is possible: {sentence}")
+        raise MeasurementTimesError(f"{sentence}: no measurement is possible")
 
 
 def _check_budget_or_price(constraints: Constraints) -> None:

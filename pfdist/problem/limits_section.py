@@ -6,6 +6,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pfdist.common.section import JobSection, Listed
 from pfdist.constraints.most_within import MostWithin
+from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock, plain_time
 from pfdist.problem.sections import Moment, Written
 from pfdist.problem.sensing_section import Finite
@@ -34,7 +35,7 @@ class StoreSection(JobSection):
         for each instant, as ``{ file = "sun.csv", column = "income" }``.
     """
 
-    capacity: Annotated[Price, Field(gt=0)]
+    capacity: Annotated[Price, Field(gt=0, le=1e12)]
     start: Amount | None = None
     income: Amount | Prices = 0
 
@@ -67,15 +68,11 @@ class MostWithinSection(JobSection):
     time: Annotated[Moment, Field(gt=0), Written] | None = None
     per: Literal["day", "week"] | None = None
 
-    @model_validator(mode="after")
-    def _is_one_stretch(self) -> Self:
-        if (self.time is None) == (self.per is None):
-            got = "neither" if self.time is None else "both"
-            raise ValueError(f"most_within needs time or per, got {got}")
-        return self
-
     def on(self, key: str, clock: Clock, ends: tuple[int, ...]) -> MostWithin:
         """The constraint on what begins at some points; raises `MeasurementTimesError`."""
+        if (self.time is None) == (self.per is None):
+            got = "neither" if self.time is None else "both"
+            raise MeasurementTimesError(f"{key} needs time or per, got {got}")
         most = min(self.number, len(clock.times))
         if self.time is not None:
             until, what = clock.successors(float(self.time)), f"within {clock.duration(self.time)}"

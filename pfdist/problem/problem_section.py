@@ -445,6 +445,11 @@ class ProblemSection(JobSection):
             full = capacity if store.start is None else money(store.start)
             income = self._prices("store.income", store.income)
             prices = self._drawn
+            for name, amounts in (("store.income", income), ("price", prices)):
+                if min(amounts) < 0:
+                    raise MeasurementTimesError(
+                        f"{name} must be at least 0 with a store, got {min(amounts)}"
+                    )
             yield Supply(key="store", capacity=capacity, full=full, income=income, prices=prices)
 
     @property

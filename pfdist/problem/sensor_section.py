@@ -18,7 +18,7 @@ def priced(name: str, former: str) -> Any:
 class SensorSection(SensingSection):
     """The price of a sensor's measurements, constraints on them, and how it senses.
 
-    The lower bound relaxes `most`, `minimum_spacing` and `together`.
+    The lower bound relaxes `most`, `most_within`, `minimum_spacing` and `together`.
 
     Parameters
     ----------

@@ -20,7 +20,8 @@ class VisitsSection(JobSection):
     """Visits: measurements that share a price, and the largest number of visits.
 
     Exactly one of `within`, `per` and `allowed` says which measurements share a visit. With visits,
-    `measurement_budget` is the largest number of measurements. The lower bound relaxes `most`.
+    `measurement_budget` is the largest number of measurements. The lower bound relaxes `most` and
+    `most_within`.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ class VisitsSection(JobSection):
             got = " and ".join(given) or "none of them"
             raise ValueError(f"problem.visits needs one of within, per and allowed, got {got}")
         if self.price is None and self.most is None and self.most_within is None:
-            raise ValueError("problem.visits needs price, most or both, got neither")
+            raise ValueError("problem.visits needs price, most or most_within, got none of them")
         return self
 
     def on(self, points: Points) -> Visits:
