@@ -96,9 +96,13 @@ def begun(
 
 
 def are_possible(model: StateSpaceModel, name: str, values: Any) -> NDArray[np.bool_]:
-    """Whether values of x, y or z are finite; a measurement that has failed is NaN."""
+    """Whether values of x, y or z are finite; a measurement that has failed is NaN or inf."""
     possible: NDArray[np.bool_] = np.isfinite(values)
-    return possible | np.isnan(values) if name == "y" and model.missing_components else possible
+    if name == "y" and model.missing_components:
+        possible |= np.isnan(values)
+    if name == "y" and any(part.model.works for part in model.parts):
+        possible |= np.isposinf(values)
+    return possible
 
 
 def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:

@@ -133,7 +133,8 @@ def surprise_of_particles(
     circle that is cut opposite to the mean direction of the simulated values. The result is the
     smallest p-value of the components, times the number of components measured (Bonferroni).
     Components that depend on neither x nor noise, as the standard error of a reading, are given and
-    not tested. If they differ from the model's, the ranks follow from the likelihood.
+    not tested. If they differ from the model's, the ranks follow from the likelihood. That a sensor
+    with `works` failed is one of its values, larger than all others.
 
     Parameters
     ----------
@@ -165,13 +166,21 @@ def surprise_of_particles(
     given = [k for k in measured if np.ndim(simulated[k]) == 0]
     measured, is_other = np.setdiff1d(measured, given), any(y[k] != simulated[k] for k in given)
     smallest, angles = 1.0, circular_components(model, cloud, y)
+    may_fail = np.repeat(
+        [bool(part.model.works) for part in model.parts],
+        [part.y.stop - part.y.start for part in model.parts],
+    )
     for component in measured:
         values = np.broadcast_to(np.asarray(simulated[component], np.float64), (number,))
-        values, value = values[np.isfinite(values)], y[component]
+        values, value = (
+            values[np.isfinite(values) | (may_fail[component] & (values > 0))],
+            y[component],
+        )
         if component in angles:
+            values = values[np.isfinite(values)]
             centre = np.angle(np.exp(1j * values).mean())
             values, value = (np.angle(np.exp(1j * (each - centre))) for each in (values, value))
-        if is_other:
+        if is_other and np.isfinite(value):
             rank = _rank_by_likelihood(
                 model, replace(cloud, x=states, weight=None), y, component, values
             )

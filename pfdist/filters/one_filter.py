@@ -140,7 +140,8 @@ class OneFilter:
     def _unexplained(self, t: int, y: Array) -> str:
         """Why no particle explains a measurement, by the log-likelihoods of predicted particles."""
         values = log_likelihood(self.model, cast(Cloud, self.at(t)[0].settings.prior), y)
-        at = f"{shown(y.tolist())} at t = {formatted_instant(self.model, t)}"
+        value = "without a value" if np.isposinf(y).all() else shown(y.tolist())
+        at = f"{value} at t = {formatted_instant(self.model, t)}"
         if not (values < np.inf).all():  # a log-density may be infinite
             got = "NaN" if np.isnan(values).any() else "infinity"
             return f"log_likelihood of {self.model.name} must be a number, got {got} for {at}"
@@ -302,7 +303,7 @@ def checked_measurement(
     A number beyond the limits of its sensor is the censored reading: the limit. `t` and `names` are
     the time and the components in error messages. Raises `MeasurementsError` if the number of
     components is wrong, if one is not a finite number, or if one is missing and the model does not
-    declare `missing_components`.
+    declare `missing_components`. A sensor with `works` may have failed: all its components are inf.
     """
     components = model.components[1]
     try:
@@ -315,7 +316,13 @@ def checked_measurement(
             f"{components}, got {shown(y)} at t = {t}"
         )
     names = names or [f"y[{component}]" for component in range(components)]
-    infinite = np.flatnonzero(np.isinf(values))
+    failed = [
+        part.y for part in model.parts if part.model.works and (values[part.y] == np.inf).all()
+    ]
+    given = values.copy()
+    for part in failed:
+        given[part] = np.nan
+    infinite = np.flatnonzero(np.isinf(given))
     if infinite.size:
         raise MeasurementsError(
             f"a measurement must be finite, or NaN where a component is missing, got "
@@ -333,7 +340,7 @@ def checked_measurement(
             f"t = {t}: the model {model.name} does not declare missing_components=True, that is, "
             "that its log_likelihood takes NaN"
         )
-    return values.clip(*limits)
+    return np.where(np.isinf(values), values, values.clip(*limits))
 
 
 def plain_number(value: Any) -> Any:

@@ -46,6 +46,7 @@ def predicted(
     delays: tuple[int, ...] = (),
     horizon: int = 0,
     circular: tuple[int, ...] | None = None,
+    always: StateSpaceModel | None = None,
 ) -> StateSpaceModel:
     """The model whose quantity of interest is a measurement of its state, with noise.
 
@@ -63,6 +64,8 @@ def predicted(
         The last instant, if there are delays.
     circular : tuple of int, optional
         The components of y that are angles; by default those of `circular_measurements`.
+    always : StateSpaceModel, optional
+        The model whose measurements give a value always, if those of the model may fail.
 
     Returns
     -------
@@ -76,7 +79,7 @@ def predicted(
 
     def quantity_of_interest(x: Any, t: Any, p: Any) -> Any:
         now, z = x[: n // remembered] * remembered, list[Any]()
-        for part, delay in zip(model.parts, delays, strict=True):
+        for part, delay in zip((always or model).parts, delays, strict=True):
             at = np.minimum(t + delay, horizon) if delay else t
             z += part.model.measurement(now, at, x[n:][part.v], p)
         return tuple(z)

@@ -113,8 +113,8 @@ class Guide:
         ]
         m = range(len(rho))
         covariance = [[_dot(by_v[i], by_v[j]) for j in m] for i in m]
-        if self.model.missing_components:
-            missing = [np.isnan(value) for value in y]
+        if self.model.missing_components or self.model.works:
+            missing = [~np.isfinite(value) if self.model.works else np.isnan(value) for value in y]
             rho = [np.where(gone, 0.0, value) for gone, value in zip(missing, rho, strict=True)]
             by_x = [
                 [np.where(gone, 0.0, each) for each in row]

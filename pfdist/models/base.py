@@ -89,7 +89,7 @@ class Sensor:
         Distribution of each component of v.
     price : float, optional
         Price of a measurement, which a `Problem` uses unless it sets a price.
-    log_tails : callable, optional
+    log_tails, works : callable, optional
         As for `StateSpaceModel`.
     """
 
@@ -98,11 +98,13 @@ class Sensor:
     measurement_noise: tuple[str, ...]
     price: float | None = None
     log_tails: Callable[..., Any] | None = None
+    works: Callable[..., Any] | bool = False
 
 
 def _measuring(each: "Sensor | StateSpaceModel") -> dict[str, Any]:
     """The fields by which a sensor, or a model without sensors, measures."""
-    return {name: getattr(each, name) for name in (*MEASURING, "measurement_noise", "log_tails")}
+    names = *MEASURING, "measurement_noise", "log_tails", "works"
+    return {name: getattr(each, name) for name in names}
 
 
 class SensorPart(NamedTuple):
@@ -126,6 +128,7 @@ def repeated(model: "StateSpaceModel", repeats: int) -> "StateSpaceModel":
         measurement=formula_of_each_sensor,
         log_likelihood=formula_of_each_sensor,
         measurement_noise=(),
+        works=False,
         y_names=(),
         sensors=sensors,
     )
@@ -174,6 +177,10 @@ class StateSpaceModel:
         ``(y, x, t, p)``: the logarithms of the probabilities that the measurement is at most y[0],
         and above it, for y of one component. A job whose sensor has limits needs it; see
         `pfdist.densities.normal_log_tails`.
+    works : callable, optional
+        ``(x, t, p)``: the probability that a measurement gives a value in the state x; a comparison
+        is 0 or 1. That it gives none then says something about x. True: the formulas have it
+        already, and y is inf in a measurement that failed.
     circular : tuple of str or int
         Components of z that are angles, in radians, by their names without the unit or by their
         numbers. Such a component is estimated by the mean direction of the particles, in -pi..pi,
@@ -231,6 +238,7 @@ class StateSpaceModel:
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     circular: tuple[str | int, ...] = ()
     log_tails: Callable[..., Any] | None = None
+    works: Callable[..., Any] | bool = False
 
     def __post_init__(self) -> None:
         self._check_fields()

@@ -92,6 +92,8 @@ def checked_fields(model: Any) -> dict[str, Any]:
         _check_sensors(model)
         for name in own_formulas(model):
             _check_signature(getattr(model, name), name, ARGUMENTS[name])
+        if not isinstance(model.works, bool):
+            _check_signature(model.works, "works", ("x", "t", "p"))
     except ModelError as error:
         advice = _advice_on_noise(error.argument, getattr(model, error.argument or "name"))
         raise ModelError(f"model {model.name}: {error}{advice}") from error
@@ -137,6 +139,7 @@ def _check_sensors(model: Any) -> None:
                 f"underscores, got {shown(name)}"
             )
     given = [name for name in MEASURING if getattr(model, name) is not formula_of_each_sensor]
+    given += ["works"] * bool(model.works)
     if names and (given or model.measurement_noise):
         own = (*given, "measurement_noise")[0]
         raise ModelError(f"each sensor must have its own {own}, and the model must have none")

@@ -192,7 +192,7 @@ _CLOSE = 1e-12
 PLAIN = tuple(
     each.name
     for each in dataclasses.fields(StateSpaceModel)
-    if each.name not in (*ARGUMENTS, "parameters", "sensors", "log_tails")
+    if each.name not in (*ARGUMENTS, "parameters", "sensors", "log_tails", "works")
 )
 """The fields of a model that are plain data."""
 

@@ -1,6 +1,8 @@
 """Limits, failures, repeats and delays of sensors, as a transformation of the model.
 
 Everything else sees the result as any other model. A failed measurement is NaN, and tells nothing.
+That of a sensor with `works` is inf in all components, and its likelihood is the probability of no
+value; so NaN always means that nothing is known.
 A sensor with a delay measures, when the value arrives, a state that the model remembers; a point of
 the job then is the instant of arrival.
 """
@@ -8,7 +10,9 @@ the job then is the instant of arrival.
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from itertools import zip_longest
+from types import MappingProxyType
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,23 +26,26 @@ from pfdist.models.checks import MEASURING
 Array = NDArray[np.float64]
 
 
-def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpaceModel:
-    """The model whose sensors have limits, fail, repeat, or are late.
+def sensed(
+    model: StateSpaceModel, sensings: Mapping[str, Sensing] = MappingProxyType({})
+) -> StateSpaceModel:
+    """The model whose sensors have limits, fail, repeat, or are late, and work or not.
 
     Parameters
     ----------
     model : StateSpaceModel
     sensings : mapping of str to Sensing
-        One for each name of a sensor, or for ``""`` if the model has no sensors.
+        One for each name of a sensor, or for ``""`` if the model has no sensors; by default plain.
 
     Raises
     ------
     ModelError
         A sensor with limits has several components, or lacks `log_tails`.
     """
-    if all(each == PLAIN for each in sensings.values()):
+    may_work = any(callable(part.model.works) for part in model.parts)
+    if all(each == PLAIN for each in sensings.values()) and not may_work:
         return model
-    remembered = max(each.delay for each in sensings.values())
+    remembered = max((each.delay for each in sensings.values()), default=0)
     model = _with_failures(model, sensings)
     parts = {
         part.name: _sensed(
@@ -52,13 +59,15 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
         missing = is_one or "together"
     changes: dict[str, Any] = {
         "linear_gaussian": model.linear_gaussian
-        and all(each.is_linear for each in sensings.values()),
+        and all(each.is_linear for each in sensings.values())
+        and not may_work,
         "missing_components": missing,
         "log_tails": None,
         **(_remembering(model, remembered) if remembered else {}),
     }
-    if not model.sensors and sensings[""].repeats == 1:
-        own = {name: getattr(parts[""], name) for name in (*MEASURING, "measurement_noise")}
+    own_fields = *MEASURING, "measurement_noise", "works"
+    if not model.sensors and sensings.get("", PLAIN).repeats == 1:
+        own = {name: getattr(parts[""], name) for name in own_fields}
         return dataclasses.replace(model, **own, **changes)
     sensors = {
         repeat: dataclasses.replace(parts[name], price=_price(model, name))
@@ -66,7 +75,7 @@ def sensed(model: StateSpaceModel, sensings: Mapping[str, Sensing]) -> StateSpac
         for repeat in names_of_repeats(name, sensings.get(name, PLAIN).repeats)
     }
     fields = StateSpaceModel.__dataclass_fields__
-    changes |= {name: fields[name].default for name in (*MEASURING, "measurement_noise")}
+    changes |= {name: fields[name].default for name in own_fields}
     return dataclasses.replace(model, sensors=sensors, y_names=(), **changes)
 
 
@@ -76,22 +85,32 @@ def late(model: StateSpaceModel, delays: Sequence[int]) -> StateSpaceModel:
     return sensed(model, {part.name: Sensing(delay=delay) for part, delay in each})
 
 
-def without_failures(model: StateSpaceModel, fails: Sequence[bool]) -> StateSpaceModel:
-    """The model of `sensed`, some of whose sensors may fail, if no measurement does."""
+def without_failures(
+    model: StateSpaceModel, fails: Sequence[bool], *, none: bool = False
+) -> StateSpaceModel:
+    """The model of `sensed` if no measurement of some sensors, which may fail, does.
 
-    def made(measurement: Any) -> Any:
-        return lambda x, t, v, p: measurement(x, t, (*v[:-1], 1.0), p)  # the last is the chance
+    Those of sensors with `works` still do, unless there are to be `none`.
+    """
 
-    if not any(fails):
-        return model
+    def made(sensor: Any, may_fail: bool) -> Any:
+        if not (none if sensor.works else may_fail):
+            return sensor
+        measurement, never = sensor.measurement, 0.0 if sensor.works else 1.0
+        return dataclasses.replace(  # the last variate is the chance
+            sensor, measurement=lambda x, t, v, p: measurement(x, t, (*v[:-1], never), p)
+        )
+
     if not model.sensors:
-        return dataclasses.replace(model, measurement=made(model.measurement))
-    each = zip(model.sensors.items(), fails, strict=True)
-    sensors = {
-        name: dataclasses.replace(sensor, measurement=made(sensor.measurement)) if may else sensor
-        for (name, sensor), may in each
-    }
+        return cast(StateSpaceModel, made(model, any(fails)))
+    each = zip_longest(model.sensors.items(), fails)
+    sensors = {name: made(sensor, bool(may_fail)) for (name, sensor), may_fail in each}
     return dataclasses.replace(model, sensors=sensors)
+
+
+def values_of(y: Array) -> Array:
+    """Measurements with NaN where a sensor gave no value."""
+    return np.where(np.isposinf(y), np.nan, y)
 
 
 def when_made(y: Array, model: StateSpaceModel, delays: tuple[int, ...]) -> Array:
@@ -169,14 +188,17 @@ def _sensed(model: StateSpaceModel, name: str, sensing: Sensing, *, remembers: b
                 f"has {got}" + "; give the model a sensor for each component" * (tails is not None)
             )
         measurement, log_likelihood = _limited(measurement, log_likelihood, tails, sensing)
-    if sensing.fails:
-        fails = _name_of_fails(name) if isinstance(sensing.fails, tuple) else sensing.fails
+    fails = _name_of_fails(name) if isinstance(sensing.fails, tuple) else sensing.fails
+    if callable(model.works):
+        measurement, log_likelihood = _working(measurement, log_likelihood, model.works, fails)
+        noise = (*noise, "centred")
+    elif fails:
         measurement, log_likelihood = _failing(measurement, log_likelihood, fails)
         noise = (*noise, "uniform")
     if remembers:
         n = model.components[0]
         measurement, log_likelihood = _late(measurement, log_likelihood, n, sensing.delay)
-    return Sensor(measurement, log_likelihood, noise)
+    return Sensor(measurement, log_likelihood, noise, works=bool(model.works))
 
 
 def _limited(measurement: Any, log_likelihood: Any, tails: Any, sensing: Sensing) -> Any:
@@ -203,8 +225,7 @@ def _failing(measurement: Any, log_likelihood: Any, fails: float | str) -> Any:
     def failing(x: Any, t: Any, v: Any, p: Any) -> Any:
         *own, chance = v
         values = measurement(x, t, tuple(own), p)
-        fails_now = getattr(p, fails)[t] if isinstance(fails, str) else fails
-        return tuple(where(chance < fails_now, math.nan, value) for value in values)
+        return tuple(where(chance < _at(fails, t, p), math.nan, value) for value in values)
 
     def likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
         is_made = y[0] == y[0]
@@ -213,3 +234,30 @@ def _failing(measurement: Any, log_likelihood: Any, fails: float | str) -> Any:
         return where(is_made, log_likelihood(y, x, t, p), 0.0)
 
     return failing, likelihood
+
+
+def _working(measurement: Any, log_likelihood: Any, works: Any, fails: float | str) -> Any:
+    """The formulas of a sensor that gives a value with a probability that depends on the state.
+
+    Noise 0 of the chance always gives one: `pfdist.guided` linearises the measurement there.
+    """
+
+    def gives(x: Any, t: Any, p: Any) -> Any:
+        chance = 1.0 * works(x, t, p)  # of a comparison, 0 or 1
+        return np.minimum(np.maximum(chance, 0.0), 1.0) * (1.0 - _at(fails, t, p))
+
+    def working(x: Any, t: Any, v: Any, p: Any) -> Any:
+        *own, chance = v
+        is_made = 2.0 * np.abs(chance) <= gives(x, t, p)
+        return tuple(where(is_made, y, math.inf) for y in measurement(x, t, tuple(own), p))
+
+    def likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
+        chance = gives(x, t, p)
+        value = log_likelihood(y, x, t, p) + np.log(chance)
+        return where(y[0] == math.inf, np.log1p(-chance), value)
+
+    return working, likelihood
+
+
+def _at(fails: float | str, t: Any, p: Any) -> Any:
+    return getattr(p, fails)[t] if isinstance(fails, str) else fails

@@ -50,11 +50,18 @@ def _data_of(model: StateSpaceModel) -> dict[str, Any]:
             part.name: {
                 "measurement_noise": [*part.model.measurement_noise],
                 **{key: _formula(part.model, key) for key in MEASURING},
+                **_works(part.model),
             }
             for part in model.parts
             if model.sensors
         },
+        **_works(model),
     }
+
+
+def _works(model: StateSpaceModel) -> dict[str, Any]:
+    """The key of measurements that may give no value because of x; most models have none."""
+    return {"works": True} if model.works else {}
 
 
 def text_of_models(truth: StateSpaceModel, believed: StateSpaceModel) -> str:
@@ -148,7 +155,7 @@ def _need(is_right: bool, what: str) -> None:
 
 def _model(data: Mapping[str, Any]) -> StateSpaceModel:
     _need(
-        {*data} == {*PLAIN, "proposal_noise", "parameters", "formulas", "sensors"},
+        {*data} - {"works"} == {*PLAIN, "proposal_noise", "parameters", "formulas", "sensors"},
         "unexpected or missing keys of a model",
     )
     _need(data["proposal_noise"] == [], "a model has a proposal, which versions before had")
@@ -167,10 +174,11 @@ def _model(data: Mapping[str, Any]) -> StateSpaceModel:
             _read_formula("measurement", name, sensor["measurement"]),
             _read_formula("log_likelihood", name, sensor["log_likelihood"]),
             measurement_noise=tuple(sensor["measurement_noise"]),
+            works=_read_works(sensor),
         )
         for key, sensor in data["sensors"].items()
     }
-    model = StateSpaceModel(**fields)
+    model = StateSpaceModel(**fields, works=_read_works(data))
     _need({*data["formulas"]} == {*own_formulas(model)}, "a model has other formulas")
     for part in model.parts:
         for key in own_formulas(part.model):
@@ -184,6 +192,11 @@ def _model(data: Mapping[str, Any]) -> StateSpaceModel:
                         _need(len(program.outputs) == results, f"{key} has other results")
                     _need(traced.read.keys() <= model.parameters.keys(), f"{key} reads a number")
     return model
+
+
+def _read_works(data: Mapping[str, Any]) -> bool:
+    _need(data.get("works", True) is True, "works is true, or left out")
+    return "works" in data
 
 
 def _read_number(value: Any) -> float:

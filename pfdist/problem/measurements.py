@@ -5,7 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,8 +21,9 @@ from pfdist.filters.one_filter import checked_instant, checked_measurement, made
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import Parameter
+from pfdist.models.sensed import values_of
 from pfdist.problem.clock import Clock
-from pfdist.problem.sensing_section import FAILED, LOST, MeasurementsSection, Sensings
+from pfdist.problem.sensing_section import LOST, MeasurementsSection, Sensings
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
@@ -138,8 +139,8 @@ class Measurements:
     given: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def made_with(self, model: StateSpaceModel) -> Times:
-        """The possible measurements that were made; without sensors, these are instants."""
-        rows = zip(self.t, self.y[:, : model.components[1]], strict=True)
+        """The possible measurements that gave a value; without sensors, these are instants."""
+        rows = zip(self.t, values_of(self.y[:, : model.components[1]]), strict=True)
         return tuple(chain.from_iterable(made(model, t, y) for t, y in rows))
 
     def arriving(self, model: StateSpaceModel, delays: Sequence[int]) -> "Measurements":
@@ -166,8 +167,9 @@ def read_measurements(
 
     The table is a file in CSV or Parquet, or in memory. If the model names the components of y,
     columns may have the names: y_concentration. `start` is the first instant that can be measured.
-    A row without any component is a time that was not measured. Several rows for a sensor at a time
-    are repeats, which all count. A column of a parameter must have the values of the model; further
+    A row without any component is a time that was not measured; if its sensor has `works`, it was
+    measured and failed, which is inf. Several rows for a sensor at a time are repeats, which all
+    count. A column of a parameter must have the values of the model; further
     columns are not read. Raises `MeasurementsError` if the file cannot be read, if its header does
     not fit, or if a value is wrong.
     """
@@ -199,7 +201,7 @@ def read_measurements(
             _check_parameter(name, columns.get(name), value, times, clock)
         header = next(names for names in allowed if names[-1] in columns)
         wanted = [each for each in header if each not in ("t", "sensor")]
-        table, spent = _cells(columns, wanted, reading)
+        table, code = _cells(columns, wanted, reading)
         own_values = parameters_at(
             {name: own[name] for name in reading.given}, clock, of_rows.times
         )
@@ -212,8 +214,8 @@ def read_measurements(
         arrivals = [
             t + reading.sensings.by_way(way).delay for t, way in zip(instants, ways, strict=True)
         ]
-        rows = zip(instants, arrivals, ways, table, strict=True)
-        values = _placed(rows, model, wanted, of_rows, reading)
+        rows = _Rows(instants, arrivals, ways, table, code, of_rows.horizon)
+        values = _placed(rows.with_failures(model), model, wanted, of_rows, reading)
     except (MeasurementsError, ValueError) as error:
         where = "measurements" if isinstance(path, pd.DataFrame) else path
         raise MeasurementsError(f"{where}: {error}") from error
@@ -226,15 +228,10 @@ def read_measurements(
     y = np.full((len(measured), repeats, model.components[1]), np.nan)
     for (t, way, number), each in values.items():
         y[place[t], number, model.parts[way].y] = each
-    now = max(chain(instants, measured), default=0)
-    empty = [
-        (t, is_spent or reading.sensings.by_way(way).fails, model.points.first(t) + way)
-        for t, way, row, is_spent in zip(arrivals, ways, table, spent, strict=True)
-        if t <= of_rows.horizon and np.isnan(row).all()
-    ]
     # A value that is not in the table has not arrived until its last time.
-    missed = tuple(sorted({min(t, now) for t in arrivals} - {*measured}))
-    failed = tuple(point for t, is_spent, point in empty if is_spent and t <= now)
+    missed = tuple(sorted({min(t, rows.now) for t in arrivals} - {*measured}))
+    failed, in_flight = rows.without_a_value(model, reading.sensings)
+    tell_failures(model, [np.isposinf(y)], reading)
     return Measurements(
         tuple(measured),
         y.reshape(len(measured), repeats * model.components[1]),
@@ -242,27 +239,72 @@ def read_measurements(
         of_rows,
         repeats,
         failed,
-        in_flight=tuple(sorted({point for t, _, point in empty if t > now})),
+        in_flight,
         given=given_values,
     )
 
 
+@dataclass(frozen=True)
+class _Rows:
+    """The rows of a table: instants, those of arrival, sensors, cells, and the codes of rows."""
+
+    instants: Sequence[int]
+    arrivals: Sequence[int]
+    ways: Sequence[int]
+    table: Array
+    codes: Array  # FAILED, LOST or 0
+    horizon: int
+
+    @cached_property
+    def is_empty(self) -> list[bool]:
+        """Whether each row has no value."""
+        return [bool(np.isnan(row).all()) for row in self.table]
+
+    @cached_property
+    def now(self) -> int:
+        """The last instant that has a row or at which a value arrives."""
+        of_values = (t for t, empty in zip(self.arrivals, self.is_empty, strict=True) if not empty)
+        return max(chain(self.instants, (t for t in of_values if t <= self.horizon)), default=0)
+
+    def with_failures(self, model: StateSpaceModel) -> Iterable[tuple[int, int, int, Array]]:
+        """Instant, arrival, sensor and cells of each row; inf if a sensor with `works` failed."""
+        for k, (arrival, way) in enumerate(zip(self.arrivals, self.ways, strict=True)):
+            part, row = model.parts[way], self.table[k]
+            is_known = self.codes[k] != LOST and arrival <= self.now
+            if self.is_empty[k] and part.model.works and is_known:
+                row = np.where(np.arange(row.size) < part.y.stop - part.y.start, np.inf, np.nan)
+            yield self.instants[k], arrival, way, row
+
+    def without_a_value(self, model: StateSpaceModel, sensings: Sensings) -> tuple[Times, Times]:
+        """The possible measurements that were made without a value, and those in flight."""
+        failed, in_flight = list[int](), set[int]()
+        for k, (t, way) in enumerate(zip(self.arrivals, self.ways, strict=True)):
+            point = model.points.first(t) + way
+            may_fail = sensings.by_way(way).fails or model.parts[way].model.works
+            if self.is_empty[k] and self.now < t <= self.horizon:
+                in_flight.add(point)
+            elif self.is_empty[k] and t <= self.now and (may_fail or self.codes[k]):
+                failed.append(point)
+        return tuple(failed), tuple(sorted(in_flight))
+
+
 def _cells(
     columns: Mapping[str, Any], wanted: Sequence[str], reading: Reading
-) -> tuple[Array, NDArray[np.bool_]]:
-    """The cells of measured columns, with NaN for codes, and which rows have a code."""
+) -> tuple[Array, Array]:
+    """The cells of measured columns, with NaN for codes, and the code of each row: 0 for none."""
     for name in wanted:  # an empty cell, known to be below
         censored = np.isnan(columns[name]) & (columns.get(f"{name}_below", 0.0) == 1.0)
         if censored.any():
             columns[name][censored] = reading.sensings.low
     table = np.stack([columns[name] for name in wanted], axis=1)
     if reading.codes == NO_CODES:
-        return table, np.zeros(len(table), np.bool_)
+        return table, np.zeros(len(table))
     for number in np.unique(table):
         if (code := reading.codes.number(float(number))) is not None:
             table = np.where(table == number, code, table)
-    has_code = np.isin(table, (FAILED, LOST))
-    return np.where(has_code, np.nan, table), np.logical_or.reduce(has_code, axis=1)
+    codes = np.where(np.isinf(table), table, 0.0)
+    of_row = np.where((codes == LOST).any(axis=1), LOST, codes.max(axis=1))
+    return np.where(np.isinf(table), np.nan, table), of_row
 
 
 def _sensors_of_rows(
@@ -388,6 +430,23 @@ def _tell_not_given(
         if without := int(np.sum(has_value & with_it & np.isnan(values))):
             rows = f"{without} row{'s' * (without > 1)}"
             reading.note(f"{name} is empty in {rows} with a reading: there the job's value counts")
+
+
+def tell_failures(
+    model: StateSpaceModel, have_failed: Sequence[NDArray[np.bool_]], reading: Reading
+) -> None:
+    """Tell how cells without a value of sensors with `works` were read, (..., m) for each table."""
+    first = [part.y.start for part in model.parts if part.model.works]
+    if failed := sum(int(each[..., first].sum()) for each in have_failed):
+        are = "empty rows are failed measurements, which say" if failed > 1 else (
+            "empty row is a failed measurement, which says"
+        )  # fmt: skip
+        reading.note(f"{failed} {are} something about x (works)")
+    elif first:
+        reading.note(
+            "no row is empty: times without a row are taken as left out without knowledge of x "
+            "(works)"
+        )
 
 
 def series_at(name: str, values: Array, at: Sequence[int], clock: Clock) -> Array:

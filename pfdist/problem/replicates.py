@@ -28,6 +28,7 @@ from pfdist.problem.measurements import (
     parameters_at,
     read_measurements,
     series_at,
+    tell_failures,
 )
 from pfdist.problem.points import Points
 from pfdist.store.user_tables import SEPARATORS, read_user_table
@@ -158,8 +159,9 @@ def read_replicates(
             distances.append(moved)
         reading.moved(max(distances), clock)
         first = [part.y.start for part in model.parts]
-        each_row = (each.y.reshape(len(each.y), -1, model.components[1]) for each in found)
+        each_row = [each.y.reshape(len(each.y), -1, model.components[1]) for each in found]
         reading.repeated(sum(int((~np.isnan(y[:, 1:, first])).sum()) for y in each_row))
+        tell_failures(model, [np.isposinf(y) for y in each_row], reading)
         return found
     except OSError as error:
         raise MeasurementsError(f"cannot read {source}: {error.strerror or error}") from error

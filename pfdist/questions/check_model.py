@@ -14,6 +14,7 @@ from pfdist.errors import ArgumentError, ModelError, shown
 from pfdist.filters.engines import AUTO
 from pfdist.filters.proposals import PLAIN
 from pfdist.models import StateSpaceModel, load_model
+from pfdist.models.sensed import sensed
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, Problem, as_job
 from pfdist.questions.model_checks import EVERY_INSTANT, Check, check_filter_model, check_loaded
@@ -92,9 +93,9 @@ def checks_of(
             )
         return _checks_of_job(job, horizon, particles)
     if isinstance(model, str):
-        return check_loaded(lambda: load_model(model), horizon, particles, times)
+        return check_loaded(lambda: sensed(load_model(model)), horizon, particles, times)
     if isinstance(model, StateSpaceModel):
-        return check_loaded(lambda: model, horizon, particles)
+        return check_loaded(lambda: sensed(model), horizon, particles)
     raise ArgumentError(
         "a model must be a StateSpaceModel, the name of a model, a problem or a job, got "
         f"{shown(model)}",

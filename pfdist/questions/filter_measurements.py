@@ -139,7 +139,7 @@ class FilteredMeasurements(Shown):
     @property
     def most_surprising(self) -> tuple[Time, float] | None:
         """Time and p-value of the most surprising measurement, if there is a measurement."""
-        if not self.measured:
+        if not self.table["surprise"].notna().any():
             return None
         row = int(np.nanargmin(self.table["surprise"]))
         return self.table["t"][row].item(), float(self.table["surprise"][row])
@@ -148,7 +148,12 @@ class FilteredMeasurements(Shown):
     def surprise_of_all(self) -> float | None:
         """P-value of the most surprising among all measurements (Bonferroni), if there is one."""
         most = self.most_surprising
-        return None if most is None else min(1.0, len(self.measured) * most[1])
+        return None if most is None else min(1.0, self.tested * most[1])
+
+    @property
+    def tested(self) -> int:
+        """Number of p-values; failed measurements that say something about x have one, too."""
+        return max(len(self.measured), int(self.table["surprise"].notna().sum()))
 
     @property
     def is_improbable(self) -> bool:
@@ -447,7 +452,7 @@ def _surprise(answer: FilteredMeasurements) -> tuple[str, str, str] | None:
     (t, p), words = answer.most_surprising, ("= ", "")
     if answer.collapsed is not None and p < SUSPICIOUS:  # it may lie beyond all particles
         p, words = max(p, LEAST), ("at most ",) * 2
-    values = p, min(1.0, len(answer.measured) * p)
+    values = p, min(1.0, answer.tested * p)
     alone, among = (
         f"{word}{rounded(each, _P_DIGITS)}" for word, each in zip(words, values, strict=True)
     )

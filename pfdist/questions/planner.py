@@ -223,8 +223,9 @@ class Planner:
         ----------
         y : float or sequence of float, (m,)
             The measurement. NaN marks a missing component, if the model declares that components
-            may be missing. All components of a sensor that did not measure are NaN. If all are NaN,
-            planned measurements of sensors with `fails` have failed, and are spent.
+            may be missing. All components of a sensor that did not measure are NaN, and inf if it
+            has `works` and failed. If all are NaN, planned measurements of sensors with `fails` or
+            `works` have failed, and are spent.
         t : int or float, optional
             The time at which the values arrive, if it is not that of the next planned time. Planned
             times before it count as missed, unless they were `taken`.
@@ -245,8 +246,8 @@ class Planner:
             A formula failed in a simulated system. Make a new planner to continue.
         """
         instant = self._time(t)
-        estimate = self._filter.update(instant, y, **given)
-        here = (each for each in self.rest.plan if self._points.instant(each) == instant)
+        here = [each for each in self.rest.plan if self._points.instant(each) == instant]
+        estimate = self._filter.update(instant, self._with_failures(y, here), **given)
         self._hear(instant, [] if estimate.measured else here)
         return self._on_clock(estimate)
 
@@ -377,16 +378,31 @@ class Planner:
         """
         self._filter, self._times = filtering, rows.clock
         last = rows.clock.instant(self.clock.times[until])
-        seen = dict.fromkeys((*rows.missed, last), _nothing(filtering))
+        seen: dict[int, Any] = dict.fromkeys((*rows.missed, last))
         seen |= dict(zip(rows.t, rows.y, strict=True))
-        estimates = [filtering.update(*each) for each in sorted(seen.items(), key=itemgetter(0))]
+        estimates = [
+            filtering.wait(t) if y is None else filtering.update(t, y)
+            for t, y in sorted(seen.items(), key=itemgetter(0))
+        ]
         self._again(Now(_at(until, filtering.with_truths()), passed), taken)
         return estimates
+
+    def _with_failures(self, y: Any, planned: Sequence[int]) -> Any:
+        """A measurement in which planned sensors with `works` have failed if it has no value."""
+        values, parts = np.atleast_1d(y), self._filter.model.parts
+        asked = [parts[self._points.way(each)] for each in planned]
+        failed = [part.y for part in asked if part.model.works]
+        if not failed or values.dtype.kind != "f" or not np.isnan(values).all():
+            return y
+        values = np.full(self._filter.model.components[1], np.nan)
+        for each in failed:
+            values[each] = np.inf
+        return values
 
     def _hear(self, last: int, failed: Iterable[int] = ()) -> None:
         """Plan again from what the filter has received up to the last instant that has passed."""
         if self._filter.now.t < last:
-            self._filter.update(last, _nothing(self._filter))
+            self._filter.wait(last)
         new, self._heard = self._filter.seen[self._heard :], len(self._filter.seen)
         here = chain.from_iterable(made(self._filter.model, *each) for each in new)
         self._again(Now(self._filter.with_truths(), measured=True), here, failed)
@@ -397,11 +413,6 @@ class Planner:
         passed = (e for e in self.rest.in_flight if e < self._points.first(now.first))
         spent = (each for each in chain(failed, passed) if sensings.by_way(way(each)).fails)
         self.rest.again(now, chain(taken, spent))
-
-
-def _nothing(filtering: Filter) -> NDArray[np.float64]:
-    """A measurement without any value."""
-    return np.full(filtering.model.components[1], np.nan)
 
 
 def _at(t: int, prior: Prior) -> Prior:

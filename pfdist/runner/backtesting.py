@@ -138,24 +138,34 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
     is_judged = ~np.isnan(work.judged)
     simulated, y, z = _simulated(work)
     real, impossible, collapsed = _real(work)
+    made = when_made(y, evaluator.model, work.delays)[..., : z.shape[-1]]
+    # Sensors with `works` give no value in some systems, which are not judged there.
+    failed = np.isposinf(made) if work.is_measured else np.zeros(z.shape, np.bool_)
     if not np.isfinite(real[:, is_judged]).all():
         raise MeasurementsError("the filter's estimates must be finite")
     residuals = _difference(z, simulated, is_angle)
-    low, high = (real + each for each in np.nanquantile(residuals, INTERVAL, axis=1))
-    made = when_made(y, evaluator.model, work.delays)[..., : z.shape[-1]]
-    noise = _difference(made, z, is_angle) if work.is_measured else np.zeros(1)
+    ends = np.nanquantile(np.where(failed, np.nan, residuals), INTERVAL, axis=1)
+    low, high = (real + each for each in ends)
+    noise = _difference(np.where(failed, z, made), z, is_angle) if work.is_measured else np.zeros(1)
     of_real, of_simulated, of_noise = (
-        (np.broadcast_to(each**2, (*each.shape[:-2], *work.judged.shape)) / work.variances)[
-            ..., is_judged
-        ].mean(axis=-1)
-        for each in (_difference(work.judged, real, is_angle), residuals, noise)
+        _mean(
+            (np.broadcast_to(each**2, (*each.shape[:-2], *work.judged.shape)) / work.variances)[
+                ..., is_judged
+            ],
+            without,
+        )
+        for each, without in (
+            (_difference(work.judged, real, is_angle), np.zeros(1, np.bool_)),
+            (residuals, failed[..., is_judged]),
+            (noise, failed[..., is_judged] if work.is_measured else np.zeros(1, np.bool_)),
+        )
     )
     values = real + _difference(work.judged, real, is_angle)
     inside = ((low <= values) & (values <= high))[:, is_judged]
     return ReplicateErrors(
         of_real,
         of_simulated,
-        float(of_noise.mean()) / 2,
+        float(np.nanmean(of_noise)) / 2,
         inside.mean(axis=-1),
         _surprises(evaluator, work),
         real,
@@ -165,6 +175,14 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
         collapsed,
         is_angle,
     )
+
+
+def _mean(values: Array, without: NDArray[np.bool_]) -> Array:
+    """The mean along the last axis without some values; NaN if none is left."""
+    counts = np.broadcast_to(~without, values.shape)
+    with np.errstate(invalid="ignore"):
+        mean: Array = np.where(counts, values, 0.0).sum(axis=-1) / counts.sum(axis=-1)
+    return mean
 
 
 def _simulated(work: ReplicateWork) -> tuple[Array, Array, Array]:
@@ -267,10 +285,11 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
         made = without_failures(model, fails)
         if not is_predicted:
             return made
+        always = without_failures(model, fails, none=True)
         angles = circular_measurements(
-            made.on_clock(on.times, on.dates_in_formulas) if problem.has_clock else made
+            always.on_clock(on.times, on.dates_in_formulas) if problem.has_clock else always
         )
-        return predicted(made, problem.points.delays, on.horizon, angles)
+        return predicted(made, problem.points.delays, on.horizon, angles, always)
 
     return evaluator_on(built, clock, replicate.parameters, judged)
 

@@ -326,7 +326,7 @@ def models_of_job(job: Job) -> Models:
         models = given[0], given[-1]
     if job.problem.given:
         models = both(models, partial(_with_given, job))
-    if job.problem.sensings:
+    if job.problem.sensings or any(part.model.works for each in models for part in each.parts):
         models = _sensed(job, models)
     if job.scenarios is None or not job.scenarios.is_learned:
         return models
@@ -366,6 +366,9 @@ def _sensed(job: Job, models: Models) -> Models:
     model = models[0]
     _check_sensors(model, tuple(job.problem.sensors or ()))
     key = "problem.sensors" if model.sensors else "problem.sensor"
+    truth, believed = ([bool(part.model.works) for part in each.parts] for each in models)
+    if truth != believed:
+        raise ModelError("model.filter: the filter's model must have works where the model has it")
     with _naming(key):
         return both(models, partial(sensed, sensings=job.problem.sensings))
 

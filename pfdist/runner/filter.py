@@ -61,6 +61,7 @@ from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, installed_models, load_model
 from pfdist.models.base import within_half_turn
 from pfdist.models.recorded import declared
+from pfdist.models.sensed import sensed
 from pfdist.problem.job import Job
 from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.problem import JobSource, Problem, as_job
@@ -173,7 +174,7 @@ class Filter(Followed):
             clock = built.job.problem.clock
             prior = as_prior(prior, own["model"], clock.readers(), clock.instant_of_t)
         elif isinstance(model, StateSpaceModel | str):
-            own["model"] = load_model(model) if isinstance(model, str) else model
+            own["model"] = sensed(load_model(model) if isinstance(model, str) else model)
         else:
             rule = "a StateSpaceModel, a name, or a job"
             raise ModelError(f"a model must be {rule}, got {shown(model)}")
@@ -280,7 +281,9 @@ class Filter(Followed):
             An instant after the last measurement.
         y : float or sequence of float, (m,)
             The measurement. NaN marks a missing component; the model must declare
-            `missing_components`. If all components are missing, t was not measured.
+            `missing_components`. If all components are missing, t was not measured. If the model
+            has `works`, the measurement failed then; with several sensors, inf marks those that
+            failed.
         warn : bool
             Whether to warn if the effective sample size falls below 5 for the first time. The
             estimate says so, too.
@@ -306,14 +309,14 @@ class Filter(Followed):
                 f"{after} {self._formatted(self._filter.t)}, got {self._formatted(t)}"
             )
         measurement = checked_measurement(y, self.model, self._formatted(t), limits=self._limits)
+        if measurement is None and self.model.works:
+            measurement = np.full(self.model.components[1], np.inf)
         before = self.model
         if given:
             self._follow(self._with(t, given))
-        predicted, mean, variance = self._moved(t)
         if measurement is None:
-            self._filter = self._ahead = predicted
-            self._now = self._estimate(mean[-1], variance[-1])
-            return self._now
+            return self.wait(t)
+        predicted, mean, variance = self._moved(t)
         try:
             moved, mean, variance = predicted.at(t, measurement)
         except MeasurementsError:
@@ -345,6 +348,28 @@ class Filter(Followed):
         self._evidence += log_density
         self._now, self._collapsed = now, now.collapsed
         return now
+
+    def wait(self, t: int) -> FilterEstimate:
+        """Move the filter to t, where nothing was measured.
+
+        Parameters
+        ----------
+        t : int
+            An instant not before the last measurement.
+
+        Returns
+        -------
+        Estimate
+
+        Raises
+        ------
+        MeasurementsError
+            The instant is wrong.
+        """
+        t = self._not_before_last(t)
+        self._filter, mean, variance = self._moved(t)
+        self._ahead, self._now = self._filter, self._estimate(mean[-1], variance[-1])
+        return self._now
 
     def _with(self, t: int, given: Mapping[str, float | None]) -> StateSpaceModel:
         """The model with values of parameters at an instant."""
@@ -388,10 +413,7 @@ class Filter(Followed):
         MeasurementsError
             The instant is wrong.
         """
-        t = self._instant(t)
-        if t < self._filter.t:
-            first = self._formatted(self._filter.t)
-            raise MeasurementsError(f"t must not be before {first}, got {self._formatted(t)}")
+        t = self._not_before_last(t)
         if t == self._now.t:
             return self._now
         self._ahead, mean, variance = self._moved(t)
@@ -457,6 +479,13 @@ class Filter(Followed):
                 f"{error}: a filter counts instants, and model.on_clock(times) has their times, "
                 "which may be any"
             ) from error
+
+    def _not_before_last(self, t: Any) -> int:
+        instant = self._instant(t)
+        if instant < self._filter.t:
+            first = self._formatted(self._filter.t)
+            raise MeasurementsError(f"t must not be before {first}, got {self._formatted(instant)}")
+        return instant
 
     def _formatted(self, t: int) -> str:
         return formatted_instant(self.model, t)
