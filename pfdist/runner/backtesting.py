@@ -139,25 +139,24 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
     simulated, y, z = _simulated(work)
     real, impossible, collapsed = _real(work)
     made = when_made(y, evaluator.model, work.delays)[..., : z.shape[-1]]
-    # Sensors with `works` give no value in some systems, which are not judged there.
+    # Sensors with `works` give no value in some systems, and the others count for them.
     failed = np.isposinf(made) if work.is_measured else np.zeros(z.shape, np.bool_)
+    counts = np.where(failed, 0.0, 1.0) / np.maximum(np.mean(~failed, axis=0), 1e-9)
     if not np.isfinite(real[:, is_judged]).all():
         raise MeasurementsError("the filter's estimates must be finite")
     residuals = _difference(z, simulated, is_angle)
-    ends = np.nanquantile(np.where(failed, np.nan, residuals), INTERVAL, axis=1)
+    left_out = failed & ~failed.all(axis=0)
+    ends = np.nanquantile(np.where(left_out, np.nan, residuals), INTERVAL, axis=1)
     low, high = (real + each for each in ends)
     noise = _difference(np.where(failed, z, made), z, is_angle) if work.is_measured else np.zeros(1)
     of_real, of_simulated, of_noise = (
-        _mean(
-            (np.broadcast_to(each**2, (*each.shape[:-2], *work.judged.shape)) / work.variances)[
-                ..., is_judged
-            ],
-            without,
-        )
-        for each, without in (
-            (_difference(work.judged, real, is_angle), np.zeros(1, np.bool_)),
-            (residuals, failed[..., is_judged]),
-            (noise, failed[..., is_judged] if work.is_measured else np.zeros(1, np.bool_)),
+        (np.broadcast_to(each, (*each.shape[:-2], *work.judged.shape)) / work.variances)[
+            ..., is_judged
+        ].mean(axis=-1)
+        for each in (
+            _difference(work.judged, real, is_angle) ** 2,
+            residuals**2 * counts,
+            noise**2 * counts if work.is_measured else noise,
         )
     )
     values = real + _difference(work.judged, real, is_angle)
@@ -165,7 +164,7 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
     return ReplicateErrors(
         of_real,
         of_simulated,
-        float(np.nanmean(of_noise)) / 2,
+        float(of_noise.mean()) / 2,
         inside.mean(axis=-1),
         _surprises(evaluator, work),
         real,
@@ -175,14 +174,6 @@ def errors_of_replicates(work: ReplicateWork) -> ReplicateErrors:
         collapsed,
         is_angle,
     )
-
-
-def _mean(values: Array, without: NDArray[np.bool_]) -> Array:
-    """The mean along the last axis without some values; NaN if none is left."""
-    counts = np.broadcast_to(~without, values.shape)
-    with np.errstate(invalid="ignore"):
-        mean: Array = np.where(counts, values, 0.0).sum(axis=-1) / counts.sum(axis=-1)
-    return mean
 
 
 def _simulated(work: ReplicateWork) -> tuple[Array, Array, Array]:

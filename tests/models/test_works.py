@@ -495,3 +495,25 @@ def test_what_cannot_be_is_refused() -> None:
     problem = Problem(trial(), filter_model=other, horizon=5, measurement_budget=2)
     with pytest.raises(ModelError, match="the filter's model must have works"):
         pfdist.evaluate(problem, [1, 2])
+
+
+def test_a_backtest_of_the_right_model_finds_it_right(tmp_path: Path) -> None:
+    """Systems that it simulates; failed measurements are in the sets, and are not judged."""
+    problem = Problem(
+        chain(), horizon=12, measurement_budget=3, particles=300, sensor={"fails": 0.1}
+    )
+    changes = ["comparison.draws=200"]
+    run = pfdist.plan(problem, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    simulated = pfdist.simulate(problem, draws=150, seed=3)
+    data = simulated.rename(columns={"draw": "id", "y_0": "y0"})[["id", "t", "y0"]]
+    assert 0.2 < data["y0"].isna().mean() < 0.6
+    said = list[str]()
+    found = pfdist.backtest(run, data, say=said.append)
+    assert any("empty rows are failed measurements" in line for line in said)
+    assert not found.wrong
+    assert all(0.75 < ratio < 1.3 for ratio, _ in found.ratios.values())
+    assert found.means["covered"].between(0.83, 0.95).all()
+    assert found.improbable < 0.03
+    fixed = pfdist.backtest(run, data.dropna(), say=said.append)  # as if nobody had asked
+    assert any("without knowledge of x" in line for line in said)
+    assert fixed.means["real"]["plan"] != found.means["real"]["plan"]
