@@ -108,7 +108,7 @@ def without_failures(
     return dataclasses.replace(model, sensors=sensors)
 
 
-def values_of(y: Array) -> Array:
+def known_values(y: Array) -> Array:
     """Measurements with NaN where a sensor gave no value."""
     return np.where(np.isposinf(y), np.nan, y)
 

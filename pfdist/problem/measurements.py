@@ -21,7 +21,7 @@ from pfdist.filters.one_filter import checked_instant, checked_measurement, made
 from pfdist.filters.user_prior import user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import Parameter
-from pfdist.models.sensed import values_of
+from pfdist.models.sensed import known_values
 from pfdist.problem.clock import Clock
 from pfdist.problem.sensing_section import LOST, MeasurementsSection, Sensings
 from pfdist.store.user_tables import SEPARATORS, read_user_table
@@ -140,7 +140,7 @@ class Measurements:
 
     def made_with(self, model: StateSpaceModel) -> Times:
         """The possible measurements that gave a value; without sensors, these are instants."""
-        rows = zip(self.t, values_of(self.y[:, : model.components[1]]), strict=True)
+        rows = zip(self.t, known_values(self.y[:, : model.components[1]]), strict=True)
         return tuple(chain.from_iterable(made(model, t, y) for t, y in rows))
 
     def arriving(self, model: StateSpaceModel, delays: Sequence[int]) -> "Measurements":

@@ -27,7 +27,7 @@ from pfdist.errors import (
 )
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
-from pfdist.models.sensed import values_of, when_made
+from pfdist.models.sensed import known_values, when_made
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.needs import REAL_DATA
 from pfdist.problem.points import Points
@@ -410,7 +410,7 @@ def _result(
     for place in dict.fromkeys(places):
         (replicate, used, known_z), found = matched[place], errors[place]
         if matched[place].is_predicted:
-            y = values_of(replicate.y[:, : model.components[1]])
+            y = known_values(replicate.y[:, : model.components[1]])
             known_z = when_made(y, model, points.delays)
         near = within_half_turn(known_z, found.estimates[0], found.is_angle)
         times = np.array(replicate.clock.times, np.float64)

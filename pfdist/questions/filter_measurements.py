@@ -102,7 +102,8 @@ class FilteredMeasurements(Shown):
     is_smoothed : bool
         Whether the estimate of the job uses later measurements: `problem.estimate`, `problem.lag`.
     failed : tuple of int or float
-        Times of measurements that were made without a value, by sensors with `fails`.
+        Times of measurements that were made without a value, by sensors with `fails` or `works`, or
+        as codes of the table say.
     readings : mapping of str to list of (float, float)
         For each component of z whose name and unit a component of y has, by its suffix: the times
         and the values of that component.
@@ -222,7 +223,7 @@ def filter_measurements(
     measurements : str, Path or DataFrame
         Table in CSV or Parquet, or a DataFrame, with the columns t, y0, y1, ... (or ``y_NAME``),
         and sensor if the model has sensors; any times, or no rows. An empty cell is a missing
-        component, a row without any value a missed time (of a sensor with fails a spent
+        component, a row without any value a missed time (of a sensor with fails or works a spent
         measurement, of one with a delay a value on its way), a second row at a time a repeat.
     planned : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected

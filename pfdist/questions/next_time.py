@@ -229,7 +229,7 @@ def next_time(
     measurements : str, Path or DataFrame
         Table in CSV or Parquet, or a DataFrame, with the columns t, y0, y1, ... (or ``y_NAME``),
         and sensor if the model has sensors; any times, or no rows. An empty cell is a missing
-        component, a row without any value a missed time (of a sensor with fails a spent
+        component, a row without any value a missed time (of a sensor with fails or works a spent
         measurement, of one with a delay a value on its way), a second row at a time a repeat.
     now : int, float, str or datetime, optional
         The last time that has passed, or its date, if nothing was measured at the end. Times

@@ -16,7 +16,7 @@ from pfdist.errors import ArgumentError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.models import StateSpaceModel
-from pfdist.models.sensed import values_of
+from pfdist.models.sensed import known_values
 from pfdist.problem.clock import Clock
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.runner.build import Built, build
@@ -121,7 +121,7 @@ def _table(draws: Draws, model: StateSpaceModel, clock: Clock) -> pd.DataFrame:
         **{name: np.tile(values, count) for name, values in clock.columns(instants).items()},
     }
     labels = dict[str, str]()
-    for name, values in (("x", draws.x), ("y", values_of(draws.y)), ("z", draws.z)):
+    for name, values in (("x", draws.x), ("y", known_values(draws.y)), ("z", draws.z)):
         components = model.named(name)
         labels |= labels_of(f"{name}_", components)
         for k, component in enumerate(components):

@@ -17,7 +17,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import rounded
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
-from pfdist.models.sensed import values_of, when_made
+from pfdist.models.sensed import known_values, when_made
 from pfdist.pools.base import Pool
 from pfdist.problem.needs import PLAN_EACH
 from pfdist.problem.points import Points
@@ -131,7 +131,7 @@ def matched_of(
             continue
         judged = each.z
         if judged is None:
-            y = values_of(each.y[:, : model.components[1]])
+            y = known_values(each.y[:, : model.components[1]])
             judged = when_made(y, model, points.delays)
         used = here.made(chain(*sets.values()))
         judged = np.where(np.isin(np.arange(len(judged)), used)[:, None], np.nan, judged)

@@ -28,7 +28,7 @@ from pfdist.filters.work import (
 )
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
-from pfdist.models.sensed import values_of
+from pfdist.models.sensed import known_values
 from pfdist.problem.set_key import labels_of_sets, references_of
 from pfdist.results import BLOCK, ComparisonStatistics
 from pfdist.results.over_time import (
@@ -386,7 +386,7 @@ def _trajectory_columns(
         "t": np.tile(np.arange(instants, dtype=np.int32), last - first),
     }
     z, y = model.named("z"), model.named("y")
-    columns |= _by_component("z", z, result.z) | _by_component("y", y, values_of(result.y))
+    columns |= _by_component("z", z, result.z) | _by_component("y", y, known_values(result.y))
     for name, estimate in zip(piece.ids, result.estimates, strict=True):
         estimate = within_half_turn(estimate, result.z, model.is_angle)  # noqa: PLW2901
         columns |= _by_component(f"estimate_{name}", z, estimate)

@@ -339,6 +339,35 @@ def test_after_dropout_late_visits_lose_what_the_page_says(
     assert with_dropout([7, 10, 12]) / with_dropout([1, 3, 7]) == pytest.approx(1.58, abs=0.03)
 
 
+def test_that_a_battery_sends_nothing_says_that_it_is_in_use(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    names = {"pfdist": pfdist, "normal_logpdf": pfdist.densities.normal_logpdf, "np": np}
+    found = _play("cookbook", capsys, "Only at rest", **names)
+    told, untold = found["told"], found["untold"]
+    assert 1.6 < untold.expected_mse / told.expected_mse < 2.1  # nearly twice
+    resting = pfdist.Filter(found["resting"], 2000, seed=1)
+    resting.update(0, 3.9)
+    unasked = resting.predict(6).standard_deviation[0]
+    for t in (2, 4, 6):
+        asked = resting.update(t, np.nan).standard_deviation[0]
+    assert asked < 0.5 * unasked
+
+
+def test_a_satellite_that_is_not_seen_is_behind_the_hill(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The share of the angles that are hidden at both times: those of a fixed rate, enumerated."""
+    names = {"pfdist": pfdist, "normal_logpdf": pfdist.densities.normal_logpdf, "np": np}
+    estimate = _play("cookbook", capsys, "Line of sight", **names)["estimate"]
+    start = np.linspace(0.0, 2 * np.pi, 100_000, endpoint=False)
+    hidden = start[(np.cos(start) <= 0.5) & (np.cos(start + 1.5) <= 0.5)]
+    centre = np.angle(np.exp(1j * (hidden + 1.5)).mean())
+    assert abs(np.angle(np.exp(1j * (estimate.mean[0] - centre)))) < 0.1
+    low, high = (float(np.cos(each)) for each in estimate.quantiles([0.05, 0.95]).ravel())
+    assert max(low, high) < 0.5
+
+
 @pytest.mark.notebook
 @pytest.mark.needs("notebook")
 def test_duckdb_and_polars_read_what_pandas_reads(monkeypatch: pytest.MonkeyPatch) -> None:

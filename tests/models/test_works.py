@@ -449,8 +449,8 @@ def test_each_repeat_of_a_sensor_works_or_not(tmp_path: Path) -> None:
     for count in (1, 2, 3):
         exact = 0.0
         for made in range(count + 1):
-            one, zero = (stats.binom.pmf(made, count, share) / 2 for share in (0.75, 0.25))
-            exact += one * zero / (one + zero)
+            of_works, of_fails = (stats.binom.pmf(made, count, share) / 2 for share in (0.75, 0.25))
+            exact += of_works * of_fails / (of_works + of_fails)
         found = pfdist.evaluate(problem, [0] * count, draws=4000)
         assert abs(found.expected_mse - exact) < 3.5 * found.standard_error + 1e-4
 
