@@ -34,6 +34,11 @@ class Component:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
+    def unit_of_error(self) -> str:
+        """The unit of an error in a sentence, where per cent would read as a share of the value."""
+        return "percentage points" if self.unit == "%" else self.unit
+
+    @property
     def is_in_degrees(self) -> bool:
         """Whether the name or the unit says degrees.
 

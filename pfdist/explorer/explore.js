@@ -22,9 +22,12 @@ const draw = (tag, attributes = {}, ...children) =>
   filled(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children);
 const button = (text, onclick) => make("button", { type: "button", onclick }, text);
 
-function ticks(low, high, count) {
+const HOURS = [1, 2, 3, 6, 12, 24, 48, 72, 168]; // parts of a day, or days
+
+function ticks(low, high, count, hours = false) {
   const power = 10 ** Math.floor(Math.log10((high - low) / count));
-  const step = [1, 2, 5, 10].map((factor) => factor * power)
+  const round = [1, 2, 5, 10].map((factor) => factor * power);
+  const step = [...HOURS.filter((each) => hours && (high - low) / each >= 4), ...round]
     .find((each) => (high - low) / each <= count);
   const first = Math.ceil(low / step - 1e-9), last = Math.floor(high / step + 1e-9);
   return Array.from({ length: last - first + 1 }, (_, k) =>
@@ -349,7 +352,8 @@ export function mount(element, connection) {
         label({ x: LEFT - 12, y: y1 + 4, "text-anchor": "end" }, value));
     }
     const isNumber = facts.labels[0] === String(facts.times[0]); // else a date
-    for (const value of ticks(...span(), width() / (isNumber ? 90 : 170))) {
+    const hours = ["h", "hour", "hours"].includes(facts.unit);
+    for (const value of ticks(...span(), width() / (isNumber ? 90 : 170), hours)) {
       const t = least([...facts.times.keys()], (each) => Math.abs(facts.times[each] - value));
       const at = isNumber ? LEFT + (value - span()[0]) * wide() : x(t);
       const text = isNumber ? value : facts.labels[t];

@@ -154,6 +154,7 @@ def belief(
     clock = clock_of_table(table)
     sensors = [*clock.by_sensor([*measured, *missing, *to_come])]
     bottom, top = ax.get_ylim()
+    ax.set_yticks([tick for tick in ax.get_yticks() if bottom <= tick <= top])
     ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers
     as_planned = " as planned" * bool(missing or extra or to_come)
     levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}

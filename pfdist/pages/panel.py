@@ -41,6 +41,8 @@ _STRETCH = 4.0  # values are cut off only if the axis would be so many times lon
 _MARGIN = 0.08  # room beyond the last value that is shown, over the length of the axis
 _LEADING = 1.1  # distance of two names over the size of their font
 _MOST_DATES = 7  # on a horizontal axis
+_HOURS = (1, 2, 3, 6, 12, 24, 48, 72, 168)  # between two ticks of a clock in hours
+_MOST_HOURS = 7.8  # such steps on a horizontal axis
 _LABELLED = 2  # of more points beyond the axis, only the farthest has a number
 
 
@@ -210,7 +212,18 @@ def label_instants(ax: Axes, clock: Clock) -> None:
         ax.set_xlabel(f"date ({verbatim(str(zone))})" if zone else "date")
         return
     ax.set_xlabel(f"time $t$ [{verbatim(unit)}]" if unit else "instant $t$")
-    ax.xaxis.set_major_locator(MaxNLocator(integer=clock.counts, steps=[1, 2, 5, 10]))
+    ticks = _HourTicks if unit in ("h", "hour", "hours") else MaxNLocator
+    ax.xaxis.set_major_locator(ticks(integer=clock.counts, steps=[1, 2, 5, 10]))
+
+
+class _HourTicks(MaxNLocator):
+    """Ticks of hours at parts of days, or at days: 0, 6, 12, 18, 24."""
+
+    def tick_values(self, vmin: float, vmax: float) -> NDArray[np.float64]:
+        fits = [step for step in _HOURS if 4 <= (vmax - vmin) / step < _MOST_HOURS]
+        if not fits:
+            return super().tick_values(vmin, vmax)
+        return fits[0] * np.arange(math.ceil(vmin / fits[0]), vmax / fits[0])
 
 
 class _DateTicks(Locator):
@@ -257,10 +270,13 @@ def label_quantity(
 ) -> None:
     """Label the vertical axis as a component of z, by its name and unit if the model has them.
 
-    The text `what` is the label, with braces for the component.
+    The text `what` is the label, with braces for the component. The axis does not go below 0 if no
+    value does. Call it after all curves are drawn.
     """
     symbol = "$z$" if len(quantities) == 1 else f"$z_{{{number}}}$"
     text = what.format(verbatim(quantities[number].label) or symbol)
+    if ax.dataLim.y0 >= 0 > ax.get_ylim()[0]:  # a share or a concentration
+        ax.set_ylim(bottom=0)
     ax.set_ylabel("\n".join(wrap(text, _LABEL_LINE)))
 
 

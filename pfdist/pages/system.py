@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import product
+from textwrap import wrap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +47,8 @@ _CURVES = 4  # simulated systems beside the band
 _LOW, _HIGH = 0.05, 0.95  # quantiles that limit the band
 _LITTLE = 0.05  # share of the typical error: two sets that differ by less are two equal sawteeth
 _PANELS, _ROW = (1.35, 0.95), 0.2  # inches of the upper panels, and of a row of times
+_LANE = 0.3  # of a row, for bars that would overlap those of another lane
+_LETTERS = 14  # of a line of the label of an error
 
 
 class _Set(NamedTuple):
@@ -58,13 +61,27 @@ class _Set(NamedTuple):
     errors: Sequence[float]  # typical ones, by component of z; empty: unknown
 
 
+class _Bar(NamedTuple):
+    """How far a measurement of the plan may move alone, in one of several lanes below its row."""
+
+    sensor: str
+    lane: int
+    t: Time
+    first: Time
+    last: Time
+
+
 class _Component(NamedTuple):
     """A component of z."""
 
     number: int
     named: Component
     is_angle: bool
-    unit: str
+
+    @property
+    def unit(self) -> str:
+        """Its unit, that of an angle is rad."""
+        return self.named.unit or "rad" * self.is_angle
 
 
 @figure(
@@ -76,7 +93,7 @@ def system_figure(tables: Tables) -> Plot:
     run, quantities = tables.run, components_in(tables.trajectories, "z_")
     sets, angles = _sets_of(run), angles_of(run)
     components = [
-        _Component(k, each, is_angle, each.unit or "rad" * is_angle)
+        _Component(k, each, is_angle)
         for k, each in enumerate(quantities[:_MOST])
         for is_angle in [any(angles[k : k + 1])]
     ]
@@ -85,7 +102,11 @@ def system_figure(tables: Tables) -> Plot:
         for each in sets
         for k in components
     }
-    rows = _ROW * sum(len(each.times) for each in sets)
+    bars = _bars_of(run, sets[0])
+    lanes = sum(max(bar.lane for bar in bars if bar.sensor == each) + 1
+                for each in {bar.sensor for bar in bars})  # fmt: skip
+    rows = _ROW * (sum(len(each.times) for each in sets) + _LANE * lanes)
+    unit = components[0].named.unit_of_error or components[0].unit
 
     def draw(panels: Sequence[Axes]) -> None:
         for k in components:
@@ -96,7 +117,9 @@ def system_figure(tables: Tables) -> Plot:
             draw_errors, of_sets = _draw_errors, [profiles[each.name, k.number] for each in sets]
             if _is_little_better(run, sets, k):
                 what, draw_errors = "difference", _draw_difference
-            errors.set_ylabel(f"{what}\n[{verbatim(k.unit)}]" if k.unit and angles else what)
+            of_error = verbatim(k.named.unit_of_error or k.unit)
+            text = f"{what} [{of_error}]" if of_error and angles else what
+            errors.set_ylabel("\n".join(wrap(text, _LETTERS, break_long_words=False)))
             draw_errors(errors, run, sets, k, of_sets)
             for of_sensor in sets[0].times.values():
                 always = problem_of(run).clock.ranges(of_sensor)  # their lines would be a curtain
@@ -104,12 +127,12 @@ def system_figure(tables: Tables) -> Plot:
                     if t not in always:
                         colour = sets[0].style["color"]
                         ax.axvline(t, color=colour, lw=thin(0.5), alpha=0.6, zorder=0)
-            _draw_times(times, run, sets, named=not k.number)
+            _draw_times(times, run, sets, bars, named=not k.number)
             stack(column)
 
     return Plot(
         0.9 + sum(_PANELS) + rows, draw, 3, share_x=True, columns=len(components),
-        title=_caption(tables, sets, components[0].unit), heights=[*_PANELS, rows],
+        title=_caption(tables, sets, unit), heights=[*_PANELS, rows],
     )  # fmt: skip
 
 
@@ -144,9 +167,7 @@ def simulated_plot(table: pd.DataFrame, angles: Sequence[bool]) -> Plot:
     The table has the columns of `pfdist.simulate`; `angles` says which components are angles.
     """
     quantities = components_in(table, "z_")
-    components = [
-        _Component(k, each, angles[k], each.unit) for k, each in enumerate(quantities[:_MOST])
-    ]
+    components = [_Component(k, each, angles[k]) for k, each in enumerate(quantities[:_MOST])]
 
     def draw(panels: Sequence[Axes]) -> None:
         for ax, k in zip(panels, components, strict=True):
@@ -252,29 +273,43 @@ def _draw_difference(
     legend_above(ax)
 
 
-def _draw_times(ax: Axes, run: Run, sets: Sequence[_Set], *, named: bool) -> None:
-    """The times of each set and sensor, with the sampling windows of the plan."""
-    clock, names, windows = problem_of(run).clock, list[str](), list[Any]()
-    if "sampling_windows" in run.tables:
-        table = run.table("sampling_windows")
-        rows = table[table["name"] == sets[0].name].to_dict("records")
-        windows = windows_of(rows, WIDE, clock)
+def _bars_of(run: Run, plan: _Set) -> list[_Bar]:
+    """The sampling windows of the plan, in as few lanes as do not overlap."""
+    if "sampling_windows" not in run.tables:
+        return []
+    table = run.table("sampling_windows")
+    rows = table[table["name"] == plan.name].to_dict("records")
+    bars, ends = list[_Bar](), dict[str, list[Time]]()
+    for window in windows_of(rows, WIDE, problem_of(run).clock):
+        [reach] = [each for each in runs_of(window.inside) if window.t in each]
+        if len(reach) > 1:
+            lanes = ends.setdefault(window.sensor, [])
+            free = (lane for lane, end in enumerate(lanes) if end < reach[0])
+            lane = next(free, len(lanes))
+            lanes[lane : lane + 1] = [reach[-1]]
+            bars.append(_Bar(window.sensor, lane, window.t, reach[0], reach[-1]))
+    return bars
+
+
+def _draw_times(
+    ax: Axes, run: Run, sets: Sequence[_Set], bars: Sequence[_Bar], *, named: bool
+) -> None:
+    """The times of each set and sensor, and below those of the plan how far each may move."""
+    clock, names, level = problem_of(run).clock, dict[float, str](), 0.0
     for each in sets[::-1]:
         for sensor, times in each.times.items():
             style = {**each.style, "ls": "", "ms": marker()}
-            ax.plot(times, [len(names)] * len(times), clip_on=False, zorder=3, **style)
-            for window in windows if each is sets[0] else ():
-                if window.sensor == sensor:
-                    [ends] = [run for run in runs_of(window.inside) if window.t in run]
-                    reach = [[window.t - ends[0]], [ends[-1] - window.t]]
-                    ax.errorbar(
-                        window.t, len(names), xerr=reach, c=style["color"], lw=thin(),
-                        capsize=marker(0.8), capthick=thin(),
-                    )  # fmt: skip
-            names.append(", ".join(filter(None, [each.label, verbatim(sensor)])))
+            ax.plot(times, [level] * len(times), clip_on=False, zorder=3, **style)
+            names[level] = ", ".join(filter(None, [each.label, verbatim(sensor)]))
+            below = [bar for bar in bars if bar.sensor == sensor] if each is sets[0] else []
+            for bar in below:
+                at, color = level + 0.4 + _LANE * bar.lane, style["color"]
+                ax.plot([bar.first, bar.last], [at, at], c=color, lw=thin())
+                ax.plot([bar.t], [at], "|", c=color, ms=marker(0.7), mew=thin())
+            level += 1 + _LANE * max((bar.lane + 1 for bar in below), default=0)
     shade(ax, {*forbidden_times(run)}, clock)
-    ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.set_yticks(range(len(names)), names if named else [""] * len(names))
+    ax.set_ylim(level - 0.4, -0.6)
+    ax.set_yticks([*names], [*names.values()] if named else [""] * len(names))
     ax.tick_params(axis="y", length=0)
     label_instants(ax, clock)
 
@@ -292,17 +327,14 @@ def _of_halves(run: Run, name: str) -> tuple[Array, Array]:
 
 
 def _stretch(clock: Clock, first: float, last: float) -> str:
-    """From one time to another in words: days with their month, hours only of one day."""
+    """From one time to another in words: days, and hours only of one day."""
     ends = [*dict.fromkeys(map(clock.text, [first, last]))]
     if clock.calendar is None:
         return f"at t = {' to '.join(ends)}"
     dates = [*map(clock.calendar.date, [first, last])]
-    days = [*dict.fromkeys(f"{each.day} {each:%b %Y}" for each in dates)]
+    days = [*dict.fromkeys(each.date().isoformat() for each in dates)]
     if len(days) == 1 and len(ends) == 2:
         return f"on {days[0]}, {dates[0]:%H:%M} to {dates[1]:%H:%M}"
-    if len(days) == 2:
-        for shared in (f"{dates[1]: %b %Y}", f" {dates[1].year}"):
-            days[0] = days[0].removesuffix(shared)
     return f"on {days[0]}" if len(days) == 1 else f"from {days[0]} to {days[1]}"
 
 
@@ -330,9 +362,10 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
             rounded(typical_error(mean, angles_of(run)[0]) if is_root else mean, 3)
             for mean in means
         )
-        when = _stretch(clock, *(float(t[k]) for k in (first, end - 1)))
-        what = "typical error" if is_root else "expected MSE"
-        if means[1] < means[0] and now != before:
+        ends = [float(t[k]) for k in (first, end - 1)]
+        is_short = 2 * (ends[1] - ends[0]) <= t[-1] - t[0]  # "most" of more than half says nothing
+        when, what = _stretch(clock, *ends), "typical error" if is_root else "expected MSE"
+        if is_short and means[1] < means[0] and now != before:
             said = (
                 f"With {plan} instead of {other}, the {what} falls most {when}: from "
                 f"{before} to {f'{now} {unit}'.rstrip()}."

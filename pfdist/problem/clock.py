@@ -457,7 +457,7 @@ class Clock:
         return f"{text} (t in {self.unit})" if isinstance(listed[0], str) else f"{text} {self.unit}"
 
     def in_words(self, measurements: Iterable[Time | str]) -> list[str]:
-        """Each measurement as text; a date has its weekday, and a year that stays is said once."""
+        """Each measurement as text; a date has its weekday, and a day with hours is named once."""
         words, day = list[str](), ""
         for each in measurements:
             if self.calendar is None:
@@ -465,9 +465,9 @@ class Clock:
                 continue
             time, sensor = self.time_and_sensor(each)
             moment = self.calendar.date(time)
-            before, day = day, f"{moment:%a} {moment.day} {moment:%b %Y}"
+            before, day = day, f"{moment:%a} {moment.date()}"
             hour = self.calendar.shown(moment).partition("T")[2]
-            said = "" if hour and day == before else day.removesuffix(before[-5:] or "-")
+            said = "" if hour and day == before else day
             words.append(" ".join(filter(None, [said, hour, sensor])))
         return words
 

@@ -126,7 +126,7 @@ def written(points: Points, visit: Times) -> str:
         f"{date:%H:%M} {points.sensor(point)}".rstrip()
         for date, point in zip(dates, visit, strict=True)
     )
-    return f"{dates[0]:%a} {dates[0].day} {dates[0]:%b}: {', '.join(hours)}"
+    return f"{dates[0]:%a} {dates[0].date()}: {', '.join(hours)}"
 
 
 class Block(NamedTuple):

@@ -453,7 +453,8 @@ class Evaluated:
         mse = self.evaluations[name].expected_mse
         if self.quantity is None or not math.isfinite(mse):
             return ""
-        return f"{mark} typical error {rounded(math.sqrt(mse), 3)} {self.quantity.unit}".rstrip()
+        unit = self.quantity.unit_of_error
+        return f"{mark} typical error {rounded(math.sqrt(mse), 3)} {unit}".rstrip()
 
     def _warnings(self) -> Iterator[str]:
         for name, evaluation in self.evaluations.items():

@@ -248,7 +248,7 @@ class Subject:
 
 
 def _typical(component: Component, is_angle: bool, error: float, before: float | None) -> str:
-    unit, text = component.unit or "rad" * is_angle, rounded(error, 3)
+    unit, text = component.unit_of_error or "rad" * is_angle, rounded(error, 3)
     if before is None or not math.isfinite(before):
         return f"{text} {unit}".rstrip()
     if text == rounded(before, 3):

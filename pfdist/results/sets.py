@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 
 _ROUNDING = 1e-9
 _EXACT = "exact"
-_CHOSE = "its draws chose the set"
+_CHOSE, _CHANCE = "its draws chose the set", "within chance"
 _UNDERESTIMATES = "the search's filter underestimates its error"
 _TOO_FEW = (
     "The mean of mse - control is not above 0: there are too few draws to know a gain or the "
@@ -367,7 +367,7 @@ def cause_of_excess(result: Mapping[str, Any], own: Mapping[str, Any], evaluatio
     limit = largest_of(evaluations) if difference < 0 and not _is_biased(own) else CLEAR_ERRORS
     rounding = _ROUNDING * abs(result["expected_mse"])  # matters where both errors are exact
     if not abs(difference) > limit * error + rounding:
-        return _CHOSE if error else _EXACT
+        return (_CHOSE if difference <= 0 else _CHANCE) if error else _EXACT
     if difference > 0 and own:
         return _ERRS_MORE
     if _is_biased(own):

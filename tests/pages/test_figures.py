@@ -4,6 +4,7 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -262,16 +263,36 @@ def test_the_first_picture_shows_a_small_difference_alone_and_says_months(
     reach = 12 // len(best)  # of the 13 instants, twice the mean interval in all
     middle = [change[t - reach : t + reach + 1].mean() for t in range(reach, 13 - reach)]
     np.testing.assert_allclose(mean.get_ydata()[reach : 13 - reach], middle, rtol=1e-9)
-    assert re.search(r"falls most (on|from) \d+ (.*)May 2027: from ", plot.title)
+    assert re.search(r"falls most (on|from) 2027-05-\d\d.*: from ", plot.title)
 
 
-def test_a_stretch_of_dates_says_days_with_their_month() -> None:
+def test_bars_of_windows_hold_their_time_and_do_not_overlap(tmp_path: Path) -> None:
+    """Errors are exact. Each bar is a window of the plan; those of one lane are apart."""
+    walk = pfdist.Problem("random_walk", horizon=30, measurement_budget=6, engine="kalman")
+    changes = ["comparison.draws=20"]
+    run = pfdist.plan(walk, tmp_path, bound_draws=0, changes=changes, figures=False)
+    pfdist.why(run, figures=False)
+    [(_, plot)] = FIGURES["system"].plots(Tables(open_run(tmp_path)))
+    *_, times = drawn(plot).axes
+    bars = [line for line in times.get_lines() if np.ptp(line.get_xdata()) and line.get_ls() == "-"]
+    assert len(bars) > 2
+    lanes = dict[float, list[list[float]]]()
+    for bar in bars:
+        lanes.setdefault(bar.get_ydata()[0], []).append([*bar.get_xdata()])
+    marks = [line for line in times.get_lines() if line.get_marker() == "|"]
+    for (first, last), mark in zip((bar.get_xdata() for bar in bars), marks, strict=True):
+        assert first <= mark.get_xdata()[0] <= last
+    for lane in lanes.values():
+        assert all(before[1] < after[0] for before, after in pairwise(sorted(lane)))
+
+
+def test_a_stretch_of_dates_says_days_and_hours_of_one_day() -> None:
     hours = replace(Clock.regular(9000, 1, "h"), calendar=Calendar.starting("2027-12-30", "h"))
     assert [_stretch(hours, 8, last) for last in (8, 12, 40, 80)] == [
-        "on 30 Dec 2027",
-        "on 30 Dec 2027, 08:00 to 12:00",
-        "from 30 to 31 Dec 2027",
-        "from 30 Dec 2027 to 2 Jan 2028",
+        "on 2027-12-30",
+        "on 2027-12-30, 08:00 to 12:00",
+        "from 2027-12-30 to 2027-12-31",
+        "from 2027-12-30 to 2028-01-02",
     ]
     assert _stretch(Clock.counting(9), 3, 5) == "at t = 3 to 5"
 
@@ -286,7 +307,7 @@ def test_the_first_picture_names_no_gain_over_the_same_times(finished: Callable[
 
 def test_each_component_has_a_column_and_an_angle_is_drawn_around_its_mean(tmp_path: Path) -> None:
     turns = ["model.name=robot", "problem.horizon=10", "problem.measurement_budget=2"]
-    turns += ["comparison.reference=[9, 10]"]  # so the plan is clearly better
+    turns += ["comparison.reference=[0, 1]"]  # so the plan is clearly better
     run = pfdist.run(ROOT / "small.toml", tmp_path / "robot", changes=turns, figures=False)
     band, errors, _ = plots.system(run)
     low, high = band.dataLim.intervaly

@@ -23,7 +23,7 @@ from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError
 from pfdist.pages import panel
 from pfdist.pages.figure import FIGURES, Tables, drawn
-from pfdist.pages.panel import label_ends, styles_of
+from pfdist.pages.panel import label_ends, label_instants, label_quantity, styles_of
 from pfdist.pages.style import BLUE, GREY, OCHRE, PRINT, RED, SCREEN, styled
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
@@ -520,3 +520,32 @@ def test_names_that_have_no_room_are_left_out_and_the_axis_says_so() -> None:
     assert axes.get_ylabel() == f"101 sets, 1 of {step} is named"
     small = plots.times(sets, ax=Figure(figsize=(3, 1.5)).subplots())
     assert len(small.get_yticks()) < len(axes.get_yticks())
+
+
+@pytest.mark.parametrize(
+    ("hours", "ticks"),
+    [
+        (24, [0, 6, 12, 18, 24]),
+        (12, [0, 2, 4, 6, 8, 10, 12]),
+        (48, [0, 12, 24, 36, 48]),
+        (168, [24 * day for day in range(8)]),
+        (1.0, [0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+    ],
+)
+def test_ticks_of_hours_are_parts_of_a_day_or_days(hours: float, ticks: list[float]) -> None:
+    ax = Figure().subplots()
+    ax.plot([0, hours], [0, 1])
+    label_instants(ax, Clock.regular(hours, hours / 96, "h"))
+    low, high = ax.get_xlim()
+    shown = [tick for tick in ax.get_xticks() if low <= tick <= high]
+    np.testing.assert_allclose(shown, ticks, atol=1e-12)
+
+
+def test_the_axis_of_what_is_never_negative_begins_at_0() -> None:
+    shares, others = Figure().subplots(2)
+    shares.plot([0, 1, 2], [0.01, 30, 0.02])
+    others.plot([0, 1, 2], [-0.01, 30, 0.02])
+    for ax in (shares, others):
+        label_quantity(ax, numbered_components(1), 0)
+    assert shares.get_ylim()[0] == 0
+    assert others.get_ylim()[0] < -0.01

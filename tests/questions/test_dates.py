@@ -120,7 +120,7 @@ def test_a_run_with_dates_is_resumed(folder: Path, tmp_path: Path) -> None:
 def test_answers_and_reports_have_dates(folder: Path, run: pfdist.Run) -> None:
     times = run.best.measurement_times
     said = "\n".join(lines_of(answer_of(run), verbose=True))
-    assert "Measure on Sat 28 Mar 2026 08:00, Sun 29 Mar 09:00" in said
+    assert "Measure on Sat 2026-03-28 08:00, Sun 2026-03-29 09:00" in said
     assert times[:2] == ["2026-03-28T08:00", "2026-03-29T09:00"]
     assert max(len(line) for line in said.splitlines() if str(folder) not in line) <= 80
     assert run.as_json()["sets"][0]["measurement_times"] == [*run.sets[run.names[0]]]
@@ -182,7 +182,7 @@ def test_now_may_be_a_date(folder: Path, now: Any, shown: str) -> None:
     text = " ".join(lines_of(found._page()))
     assert f"from t = {shown} on" in text
     if shown == ON_SUNDAY:
-        when = "on Sun 29 Mar 2026 21:00; then on about Mon 30 Mar 2026 15:00."
+        when = "on Sun 2026-03-29 21:00; then on about Mon 2026-03-30 15:00."
         assert text.strip().startswith(f"Measure next {when}")
 
 

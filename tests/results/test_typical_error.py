@@ -60,6 +60,9 @@ def test_an_angle_has_a_circular_deviation(tmp_path: Path) -> None:
         Subject(run).typical_errors(some, none) == "place 1.00 m (no difference), angle 0.500 rad"
     )
     assert Subject(run).typical_errors(none, some) == ""
+    share = dataclasses.replace(WALKS, z_names=("place [%]", "angle"))  # no share of the place
+    row = Subject(shared := _run(share, tmp_path / "share")).rows["early"]
+    assert " percentage points, angle " in Subject(shared).typical_errors(row)
 
 
 @pytest.mark.parametrize("others", [{}, {"b": math.inf}, {"b": 1.0}])

@@ -490,7 +490,10 @@ def test_answers_and_refusals_name_visits() -> None:
     keys, _ = KINDS["a day"]
     problem = Problem("linear_gaussian", horizon=72, **keys).job(seed=1).problem
     words = problem.by_parts(["2026-05-04T08:00", "2026-05-04T16:00", "2026-05-06T00:00"])
-    assert words == "in 2 visits. Visit 1, Mon 4 May: 08:00, 16:00. Visit 2, Wed 6 May: 00:00."
+    assert (
+        words
+        == "in 2 visits. Visit 1, Mon 2026-05-04: 08:00, 16:00. Visit 2, Wed 2026-05-06: 00:00."
+    )
     by_days = {"start": "2026-05-04", "step": "1 d"}
     weeks = {"measurement_budget": 4, "clock": by_days, "visits": {"most": 2, "per": "week"}}
     days = Problem("linear_gaussian", horizon=20, **weeks).job(seed=1).problem
