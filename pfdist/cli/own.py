@@ -117,11 +117,12 @@ def plan(
         Also write the plan into this file: ``.csv`` for a spreadsheet, ``.ics`` for a diary.
     against : sequence of str, optional
         Was last year good? A table of its times, ``@last.csv``, or sets as for `pfdist.compare`,
-        with which the plan is compared. It has as many as the first, if they are counted.
+        with which the plan is compared. Where the job counts measurements, the plan has as many as
+        the first of these sets.
     dry_run : bool
-        Print the particle-steps that are usual, by what they are for, and about how many minutes a
-        core of this machine takes for them; compute nothing. A proof that `plan` would leave to
-        `pfdist bound` does not count.
+        Print the particle-steps that are usual, by what they are for, about how many minutes a core
+        of this machine takes for them, and the size on disk; compute nothing. A proof that `plan`
+        would leave to `pfdist bound` does not count.
     options
         See `Options`.
     """

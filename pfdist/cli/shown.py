@@ -12,6 +12,7 @@ from pfdist.cli.words import Line
 from pfdist.common.parts import Page
 from pfdist.errors import one_line
 from pfdist.pages.terminal import lines_of, wrapped
+from pfdist.questions.about_run import PARTS
 from pfdist.questions.run_page import answer_of
 from pfdist.results import Run, finite, reaching
 from pfdist.results.columns import records_of
@@ -84,9 +85,10 @@ def _as_json(answer: Any, line: Line) -> dict[str, Any]:
         case Run():
             return answer.as_json()
         case pd.DataFrame():
-            unit = answer.attrs.get("time_unit")
+            keys = [key for key in ("time_unit", "bytes") if key in answer.attrs]
+            known = {key: answer.attrs[key] for key in keys}
             name = {"list": "runs", "sweep": "points"}.get(line.name, "rows")
-            return ({} if unit is None else {"time_unit": unit}) | {name: records_of(answer)}
+            return known | {name: records_of(answer)}
     values: dict[str, Any] = answer.as_json()
     return values
 
@@ -126,7 +128,7 @@ def _show_run(run: Run, line: Line) -> None:
         page = dataclasses.replace(page, place="")
     _print_page(page, line)
     if is_status and (done := steps_by_part(run)):
-        parts = ", ".join(f"{part} {steps:.3g}" for part, steps in done.items())
+        parts = "; ".join(f"{PARTS[part]} {steps:.3g}" for part, steps in done.items())
         text = f"{sum(done.values()):.3g} ({parts})"
         print("\n".join(wrapped(text, "particle-steps: ")))
     print("\n" * (not page.place), end="")

@@ -59,8 +59,8 @@ class Problem(Shown):
         horizon, the time of every instant. With a clock, all times are times on the clock.
     clock : mapping, optional
         Start, step and time zone, if times are dates: ``{"start": "2026-04-01", "step": "1 d"}``.
-    instant_weights : sequence of float, optional
-        Weight of the error of each instant in the MSE.
+    instant_weights : {"first", "last"}, sequence of float, or mapping of str to float, optional
+        Weight of the error of each instant, or of ranges, in the MSE: ``{"0:7": 0, "8:24": 1}``.
     lag : int or float, optional
         The estimate of z at a time uses measurements until so much later.
     estimate : {"filtered", "smoothed"}, optional

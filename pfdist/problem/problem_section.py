@@ -81,8 +81,9 @@ class ProblemSection(JobSection):
         Name of the unit of time, such as "h", for tables, figures and reports.
     times : list of numbers, time_unit
         The time of every instant, 2 to 32,001 in ascending order, instead of ``horizon``.
-    instant_weights : list of numbers
-        Weight of the error of each instant in the MSE, at least 0; only ratios matter.
+    instant_weights : "last", "first", list of numbers, or section of ranges
+        Weight of the error of each instant in the MSE, or in each range, at least 0; only ratios
+        matter. With "last" or "first" that instant alone counts.
     lag : number, clock
         The estimate of z at a time uses measurements until so much later, as 2 or "2 h".
     estimate : str
@@ -130,7 +131,7 @@ class ProblemSection(JobSection):
     times: (
         Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS), ListWritten] | None
     ) = None
-    instant_weights: _Numbers | None = None
+    instant_weights: Literal["first", "last"] | _Numbers | dict[str, Moment] | None = None
     lag: Annotated[Moment, Written] | None = None
     # None stands for "filtered", which is not written into a job
     estimate: Literal["filtered", "smoothed"] | None = None
@@ -474,22 +475,20 @@ class ProblemSection(JobSection):
     def weights(self) -> tuple[float, ...] | None:
         """Weight of each instant's error in the MSE, (T+1,), with mean 1; None if all are equal.
 
-        Raises `MeasurementTimesError` if the number of weights is wrong, or if a weight is below 0.
+        Raises `MeasurementTimesError` unless each instant has one weight, none of them below 0.
         """
-        instants, given = len(self.clock.times), self.instant_weights
+        given: Any = self.instant_weights
         if given is None:
             if self.clock.is_even:
                 return None
             given = self.clock.trapezoids
-        if len(given) != instants:
-            raise MeasurementTimesError(
-                f"instant_weights needs {instants} values, one for each instant, got {len(given)}"
-            )
-        weights = np.array(given, np.float64)
+        if isinstance(given, str):
+            weights = np.eye(len(self.clock.times))[0 if given == "first" else -1]
+        else:
+            weights = np.array(by_instant("instant_weights", given, self.clock), np.float64)
         if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.any()):
             raise MeasurementTimesError(
-                "instant_weights must be finite, at least 0, and not all 0, got "
-                f"{shown(list(given))}"
+                f"instant_weights must be finite, at least 0, and not all 0, got {shown(given)}"
             )
         return tuple((weights / weights.mean()).tolist())
 

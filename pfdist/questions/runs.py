@@ -19,6 +19,7 @@ from pfdist.errors import one_line
 from pfdist.filters.criterion import MEAN, Criterion, WorstScenario, criterion_named
 from pfdist.problem.set_key import labels_of_sets, phrase_of
 from pfdist.problem.sweep import parts_that_pay
+from pfdist.questions.about_run import PARTS
 from pfdist.questions.list_runs import FINISHED
 from pfdist.results.columns import interval_cell
 from pfdist.results.runs_table import (
@@ -148,16 +149,17 @@ def _result(row: Mapping[Any, Any]) -> str:
 def foreseen_work_page(work: pd.DataFrame) -> Page:
     """The work of a plan, from `pfdist.questions.plan.foreseen_work`."""
     rows = [
-        [Cell(row["part"]), Cell(f"{row['steps']:.3g}", row["steps"]),
+        [Cell(PARTS.get(row["part"], row["part"])), Cell(f"{row['steps']:.3g}", row["steps"]),
          Cell(f"{row['minutes']:.2g}", row["minutes"])]
         for row in [*work.to_dict("records"), {"part": "all", **work.sum(numeric_only=True)}]
     ]  # fmt: skip
-    table = Table("", ("part", "particle-steps", "minutes of a core"), rows)
+    table = Table("", ("work for", "particle-steps", "minutes of a core"), rows)
+    size = f"The run takes about {formatted_size(work.attrs['bytes'])} on disk, with its report."
     usual = (
         "The search usually takes between half and twice as much: exchanges go on while they "
         "improve the plan. Where many sets are almost as good, it was six times as much."
     )
-    return Page("", "", [Section("", [table, Text(usual)])])
+    return Page("", "", [Section("", [table, Text(usual), Text(size)])])
 
 
 def foreseen_page(points: pd.DataFrame) -> Page:

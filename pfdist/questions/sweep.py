@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -11,7 +11,9 @@ import pandas as pd
 from pfdist.common.arguments import path_argument
 from pfdist.common.parts import Page, Section, Text
 from pfdist.common.section import checked
+from pfdist.common.shown import Shown
 from pfdist.errors import ArgumentError, JobError, ModelError, SweepError
+from pfdist.filters.work import BLOCK
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sweep import SweepJob, SweepPart, read_sweep
@@ -31,6 +33,7 @@ from pfdist.results import Run, open_run, read_recorded
 from pfdist.results.columns import records_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
+from pfdist.runner.comparison_phase import TRAJECTORIES
 from pfdist.runner.door import Loop
 from pfdist.runner.driver import foreseen_by_part, foreseen_steps, prover_of
 from pfdist.runner.progress import Progress, Say, Show, silent
@@ -40,11 +43,12 @@ from pfdist.store.folder import REPORT, figures_in
 TABLE = "points.csv"
 """Name of the file in a sweep's folder that has the table of its points."""
 _SHOWN = 3  # failures in an error
+_BYTES, _A_NUMBER = 1.5e6, 8  # of report, figures and other tables; of a number in a table
 _NOTHING: Mapping[str, object] = {}
 
 
-@dataclass(frozen=True)
-class Sweep:
+@dataclass(frozen=True, repr=False)
+class Sweep(Shown):
     """The finished runs of a sweep.
 
     Parameters
@@ -58,11 +62,11 @@ class Sweep:
     """
 
     path: Path
-    runs: Mapping[str, Run] = field(repr=False)
+    runs: Mapping[str, Run]
     busy: tuple[str, ...] = ()
 
     def table(self) -> pd.DataFrame:
-        """All runs as one tidy table; see `pfdist.table`."""
+        """All runs as one tidy table, that of ``points.csv``; `pfdist.table` lists its columns."""
         return table(*self.runs.values())
 
     @property
@@ -246,7 +250,8 @@ def foreseen_work(
 ) -> pd.DataFrame:
     """The particle-steps of a plan by what they are for, and minutes of a core of this machine.
 
-    The arguments are those of `pfdist.plan`, and the errors, too.
+    The attribute ``bytes`` of the table is about how much the run takes on disk. The arguments are
+    those of `pfdist.plan`, and the errors, too.
     """
     wanted = as_job(job, changes, sections=searched_by(search))
     wanted = wanted if against is None else of_as_many(wanted, against)
@@ -258,7 +263,19 @@ def foreseen_work(
     minutes = _seconds_a_step(built) / 60
     work = foreseen_by_part(built, prover).items()
     rows = [{"part": part, "steps": steps, "minutes": steps * minutes} for part, steps in work]
-    return pd.DataFrame(rows)
+    frame = pd.DataFrame(rows)
+    frame.attrs["bytes"] = _bytes(built, frame.set_index("part")["steps"])
+    return frame
+
+
+def _bytes(built: Built, steps: "pd.Series[float]") -> int:
+    """About how many bytes a run has; seven plans had 0.6 to 1.2 times as many."""
+    each = built.comparing  # a sum of errors at an instant is stored for each block of draws
+    sums = (
+        steps.get("search", 0.0) / each.steps_an_instant + steps.get("proof", 0.0) / each.particles
+    )
+    draws, instants = built.job.comparison.draws, built.evaluator.horizon + 1
+    return int(_BYTES + _A_NUMBER * (sums / BLOCK + 2 * draws + 5 * TRAJECTORIES * instants))
 
 
 def _seconds_a_step(built: Built) -> float:

@@ -242,6 +242,15 @@ def test_commands_read_and_write_hours(
         ("problem.horizon=12", r"problem\.horizon must be left out, because times gives every"),
         ("problem.forbidden=[4]", r"problem\.forbidden must be times .* nearest are 3 and 5 h"),
         ("problem.instant_weights=[1, 2]", r"needs 8 values, one for each instant, got 2"),
+        (
+            "problem.instant_weights={'0:3'=1}",
+            r"instant_weights must name every time in 0\.\.12 once",
+        ),
+        (
+            "problem.instant_weights={'0:12'=0}",
+            r"must be finite, at least 0, and not all 0, got {'0",
+        ),
+        ("problem.instant_weights='end'", r"instant_weights.* 'last'"),
     ],
 )
 def test_a_wrong_clock_is_told_in_one_line(job: Path, change: str, message: str) -> None:

@@ -117,6 +117,14 @@ def test_ranges_arrays_and_mappings_may_stand_for_numbers() -> None:
     assert problem(measurement_budget=3, times=range(25)).clock.times == tuple(range(25))
     weights = problem(measurement_budget=3, horizon=3, instant_weights=range(4)).weights
     assert weights == (0.0, 2 / 3, 4 / 3, 2.0)
+    for written, given in (
+        ("first", (4, 0, 0, 0)),
+        ("last", (0, 0, 0, 4)),
+        ({0: 0, "1:2": 1, "3": 2}, (0, 1, 1, 2)),
+    ):
+        short = problem(measurement_budget=3, horizon=3, instant_weights=written)
+        long = problem(measurement_budget=3, horizon=3, instant_weights=given)
+        assert short.weights == long.weights
     for price, prices in (
         (range(1, 5), (1, 2, 3, 4)),
         (np.ones(4, int), (1, 1, 1, 1)),

@@ -355,6 +355,7 @@ def test_a_sweep_has_the_table_of_its_points_and_one_figure(
     folder = tmp_path / "sweep"
     sweep = pfdist.sweep(small_job, over, results=folder, changes=EXACT, report=False)
     frame, (file,) = sweep.table(), sweep.files
+    assert repr(sweep).startswith("<The lowest expected MSE is ")  # as a run shows its answer
     assert pd.read_csv(file)["expected_mse"].tolist() == frame["expected_mse"].tolist()
     assert sweep.figures == (folder / "figures" / "points.svg",)
     assert not (folder / ".lock").exists()

@@ -12,6 +12,7 @@ import pfdist
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
+from pfdist.questions.about_run import PARTS
 from pfdist.questions.run_of_job import searched_by
 from pfdist.questions.sweep import foreseen_work
 from pfdist.results.stored_run import steps_by_part
@@ -87,7 +88,8 @@ def test_a_plan_is_foreseen_about_as_it_is_done(
     foreseen = dict(zip(rows["part"], rows["steps"], strict=True))
     shown = dict(re.findall(r"^(.*?)  +(\S+e\+\d+|\d+) ", text, re.MULTILINE))
     assert shown.pop("all") == f"{sum(foreseen.values()):.3g}"
-    assert shown == {part: f"{steps:.3g}" for part, steps in foreseen.items()}
+    assert shown == {PARTS[part]: f"{steps:.3g}" for part, steps in foreseen.items()}
+    assert {*PARTS} == {*get_args(Part)}
     assert (rows["minutes"] > 0).all()
     run = tmp_path / "run"
     assert main([*words, "--results", str(run), "--no-report", "--pool", "serial"]) == 0
@@ -98,6 +100,9 @@ def test_a_plan_is_foreseen_about_as_it_is_done(
     for part in ("search", "proof", "likelihood", "statistics"):
         assert foreseen[part] / 4 < done[part] < 2 * foreseen[part], part
     assert 0 < done["scan"] <= foreseen["scan"]
+    size = sum(file.stat().st_size for file in run.rglob("*") if file.is_file())
+    pictures = 0.7e6  # which --no-report leaves out
+    assert rows.attrs["bytes"] / 2 < size + pictures < 2 * rows.attrs["bytes"]
     assert main(["status", str(run)]) == 0
     assert f"particle-steps: {done.total():.3g} (" in capsys.readouterr().out
 
