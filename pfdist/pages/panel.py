@@ -212,18 +212,19 @@ def label_instants(ax: Axes, clock: Clock) -> None:
         ax.set_xlabel(f"date ({verbatim(str(zone))})" if zone else "date")
         return
     ax.set_xlabel(f"time $t$ [{verbatim(unit)}]" if unit else "instant $t$")
-    ticks = _HourTicks if unit in ("h", "hour", "hours") else MaxNLocator
-    ax.xaxis.set_major_locator(ticks(integer=clock.counts, steps=[1, 2, 5, 10]))
+    locator = _HourTicks if unit in ("h", "hour", "hours") else MaxNLocator
+    ax.xaxis.set_major_locator(locator(integer=clock.counts, steps=[1, 2, 5, 10]))
 
 
 class _HourTicks(MaxNLocator):
     """Ticks of hours at parts of days, or at days: 0, 6, 12, 18, 24."""
 
-    def tick_values(self, vmin: float, vmax: float) -> NDArray[np.float64]:
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
         fits = [step for step in _HOURS if 4 <= (vmax - vmin) / step < _MOST_HOURS]
         if not fits:
             return super().tick_values(vmin, vmax)
-        return fits[0] * np.arange(math.ceil(vmin / fits[0]), vmax / fits[0])
+        step = fits[0]
+        return [step * k for k in range(math.ceil(vmin / step), math.floor(vmax / step) + 1)]
 
 
 class _DateTicks(Locator):
