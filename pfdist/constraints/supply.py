@@ -59,7 +59,7 @@ class Supply(Step):
         return (self._in_units(self.capacity), len(self.income), *each)
 
     def _in_units(self, amount: Money) -> int:
-        # What is above the capacity is lost, or never in the store, whatever it is.
+        # Above the capacity an amount is lost, or never in the store, whatever it is.
         return round(min(Fraction(amount), 2 * Fraction(self.capacity)) * self._parts)
 
     @cached_property
