@@ -460,7 +460,7 @@ SENSORS = {"near": {"price": 1}, "far": {"price": 2}, "both": {"price": 1}}
     [
         ({"visits": {"most": 2}}, "needs one of within, per and allowed, got none"),
         ({"visits": {"most": 2, "within": 2, "per": "day"}}, "got within and per"),
-        ({"visits": {"within": 2}}, "needs price, most or both, got neither"),
+        ({"visits": {"within": 2}}, "needs price, most or most_within, got none"),
         ({"visits": {"price": 2, "within": 2}}, "visits.price needs total_price"),
         ({"visits": {"most": 2, "per": "day"}}, "visits.per = 'day' needs dates"),
         ({"visits": {"most": 2, "allowed": ["3:5", "5:7"]}}, "must list visits one after"),
