@@ -208,7 +208,8 @@ class Line(NamedTuple):
 
 FLAGS = {
     "json": "Print one JSON object and no text.",
-    "verbose": "Also print details: all sets of times, what each search estimated, pairs.",
+    "verbose": "Also print details: all sets of times, what each search estimated, pairs, a "
+    "methods paragraph.",
     "debug": "Show the traceback of an error.",
 }
 """Options of every command."""

@@ -84,8 +84,7 @@ def made_by(subject: Subject) -> str:
     """The name of a run, the day on which it was started, and the version of pfdist."""
     run = subject.run
     started = datetime.fromisoformat(provenance_of(run)["started"])
-    day = f"{started.day} {started:%B %Y}"
-    return f"Run {run.path.name}, {day}, pfdist {version_of(run)}."
+    return f"Run {run.path.name}, {started.date()}, pfdist {version_of(run)}."
 
 
 def _facts(subject: Subject) -> Iterator[tuple[str, str]]:

@@ -38,6 +38,7 @@ from pfdist.questions.compared_page import (
     online_sentence,
     scenarios,
 )
+from pfdist.questions.methods_page import methods_section
 from pfdist.questions.subject import (
     Subject,
     all_sets,
@@ -114,7 +115,7 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
         unfinished = f"This run is not finished: {draws} are compared so far, and all results may "
         warnings.insert(0, f"{unfinished}change.")
     others = () if "budget" in run.job else (compared, gains)
-    folded = [problem, *others, searches_section, computed, using]
+    folded = [problem, *others, searches_section, computed, methods, using]
     last = _sections(subject, [make for make in folded if make not in chapters])
     sections = [*_sections(subject, chapters), *(replace(each, folded=True) for each in last)]
     # The name in the model; in an older run, the name in the job.
@@ -144,7 +145,8 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         f"{run.path}: {run.state}, {evaluations_of(run):,} evaluations, "
         f"{run.draws_compared:,} draws compared"
     )
-    sections = _sections(subject, (*chapters, *([proof, searches_section] if details else [])))
+    more = [proof, searches_section, methods] if details else []
+    sections = _sections(subject, (*chapters, *more))
     return Page("", "", sections, _warnings(subject), place=place, alarms=subject.alarms)
 
 
@@ -209,6 +211,18 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
         # The errors of worst scenarios are those of draws, whatever the engine.
         by_chance = row.standard_error or not subject.criterion.is_mean
         yield Text(f"{best} {_LOOKS_BETTER if by_chance else _BY_EXACT_ERRORS}")
+
+
+def methods(subject: Subject) -> Section | None:
+    """A paragraph about what was done and found, for a proposal or a paper."""
+    if not subject.is_compared or "budget" in subject.run.job:
+        return None
+    row, problem = subject.rows[subject.by_error[0]], problem_of(subject.run)
+    times = row.measurement_times
+    at = problem.by_parts(times) or f"{problem.when(times)}."
+    proved = _proof(subject, row) or "Nothing was proved about other times."
+    found = [(_beating if row.beats_search else _gain)(subject, row), proved]
+    return methods_section(subject, row, at, found)
 
 
 def _gain(subject: Subject, row: Row) -> str:
