@@ -17,7 +17,7 @@ from pfdist.kernels.prefixes import Plan
 from pfdist.models import StateSpaceModel
 from pfdist.moving import kernel
 from pfdist.moving.gains import Gains, additive_gains
-from pfdist.moving.moves import OF_CONSTANTS, OF_PATHS, Move
+from pfdist.moving.moves import OF_CONSTANTS, OF_PATHS, Move, Moving
 
 _MOST_SAVED = 2**24  # numbers of single precision of saved lines, about
 
@@ -79,7 +79,7 @@ class Moved:
         events = instants * request.sensors
         slots, count = plan.clouds if steps.save else 0, max(1, self.initial)
         memory, arrays = zeros(
-            kernel.Moving,
+            Moving,
             now=4,
             event=2 * events + 2,
             noise=noise,
@@ -104,7 +104,7 @@ class Moved:
             saved_now=slots * 4,
             saved_means=slots * instants * kept.rows * batch.row if request.lag else 0,
         )
-        own = kernel.Moving(
+        own = Moving(
             begin=steps.begin,
             move=steps.move,
             save=steps.save,
@@ -163,6 +163,6 @@ def _moved(model: StateSpaceModel, instants: range) -> Moved:
     return Moved(moves, initial, process, additive_gains(model, instants))
 
 
-def _placed(own: kernel.Moving, memory: Any) -> tuple[int, Any]:
+def _placed(own: Moving, memory: Any) -> tuple[int, Any]:
     numbers = in_memory(own)
     return numbers.ctypes.data, (numbers, own, memory)

@@ -19,7 +19,7 @@ from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, variates
 from pfdist.models import StateSpaceModel
-from pfdist.moving import kernel
+from pfdist.moving import kernel, moves
 from pfdist.moving.arrays import Moved, moved_extension
 from pfdist.moving.gains import Gains
 from pfdist.moving.moves import GAP, INDEPENDENT, SUM, WALK, Move, derived
@@ -299,7 +299,7 @@ def _proposed(
 
 def _on_circle(value: Array, kind: str) -> Array:
     if kind == "uniform":
-        return np.clip(value - np.floor(value), kernel.INSIDE, 1.0 - kernel.INSIDE)
+        return np.clip(value - np.floor(value), moves.INSIDE, 1.0 - moves.INSIDE)
     return value - np.rint(value)
 
 
@@ -317,9 +317,9 @@ def _initial(
     """New initial noise; its log density, less that of the old, is added to the ratio."""
     kinds, new = lines.model.initial_noise, list[Array]()
     drawn = [
-        lines.variates(_centred(kind), stream, 0, kernel.MOVED, c) for c, kind in enumerate(kinds)
+        lines.variates(_centred(kind), stream, 0, moves.MOVED, c) for c, kind in enumerate(kinds)
     ]
-    walked = (move.scale if move.kind == WALK else kernel.STEP) * kernel.WALKED / len(kinds) ** 0.5
+    walked = (move.scale if move.kind == WALK else moves.STEP) * moves.WALKED / len(kinds) ** 0.5
     for a, (kind, old) in enumerate(zip(kinds, lines.noise[0], strict=True)):
         change = sum(root[:, a, b, None] * drawn[b] for b in range(a + 1))
         is_independent = move.kind == INDEPENDENT and kind == "normal"
@@ -368,7 +368,7 @@ def _process(lines: _Lines, k: int, move: Move, stream: int) -> list[States] | N
     for c, kind in enumerate(kinds):
         old = np.stack([each[c] for each in lines.noise[1:]])
         drawn = np.stack([
-            lines.variates(_centred(kind), stream, t, kernel.MOVED, c) for t in range(1, k + 1)
+            lines.variates(_centred(kind), stream, t, moves.MOVED, c) for t in range(1, k + 1)
         ])  # fmt: skip
         keeps_sum, counted = move.kind == SUM and kind == "normal", changes[:, :, None]
         old_mean, new_mean = (
@@ -399,7 +399,7 @@ def _stretch(lines: _Lines, k: int, move: Move, stream: int, steps: NDArray[np.i
         changes: Flags = steps > before
         return changes
     length = np.rint(move.span * (k / (instants.sum(axis=0) + 1))).clip(2, k)
-    place = lines.variates("uniform", stream, 0, kernel.PLACED, 0)[:, 0]
+    place = lines.variates("uniform", stream, 0, moves.PLACED, 0)[:, 0]
     first = 1 + np.floor(place * (k - length + 1))
     chosen: Flags = (first <= steps) & (steps < first + length)
     return chosen
@@ -422,7 +422,7 @@ def _judge(
         ratio = ratio + np.where(counts[:, None], tried[-1] - known, 0.0)
     likelihood = lines.likelihoods(k, sensor, path[k])
     ratio = ratio + power[:, None] * (likelihood - lines.likelihood)
-    bound = -lines.variates("exponential", stream, 0, kernel.ACCEPTED, 0)
+    bound = -lines.variates("exponential", stream, 0, moves.ACCEPTED, 0)
     takes = (bound < ratio) & (ratio < np.inf) & np.isfinite(likelihood) & active[:, None]
 
     def either(new: States, old: States) -> States:
