@@ -86,8 +86,11 @@ class Corridor(Survivors):
         )
 
     def _next(self, state: SurvivorState, times: Times) -> Iterator[int]:
-        """Yield the times in the corridor that may follow a prefix."""
+        """Yield the times in the corridor that may follow a prefix; all around the empty set."""
         feasible = self.feasible
+        if not state.middle:
+            yield from feasible.extensions(times)
+            return
         spent_in_middle = accumulate((feasible.units[time] for time in state.middle), initial=0)
         number = bisect_left(list(spent_in_middle), feasible.spent(times))
         middle = feasible.index[state.middle[min(number, len(state.middle) - 1)]]

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, prefix_costs, riccati_cost
+from oracles.watched import WALK as TWO_SENSORS
+from pfdist import Problem
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
 from pfdist.problem.feasible import Feasible
@@ -202,3 +204,15 @@ def test_a_polish_by_the_corridor_starts_from_the_set_it_is_given() -> None:
     settings = METHODS["corridor"].section().settings
     made = METHODS["corridor"].make(Feasible(12, 4), 10, settings, (1, 2, 3, 4))
     assert made == Corridor(Feasible(12, 4), start=(1, 2, 3, 4))
+
+
+def test_a_corridor_around_the_empty_set_has_all_times() -> None:
+    """What is left of a store may pay for nothing at regular times."""
+    sensors = {"cheap": {"price": 1, "delay": 2}, "sharp": {"price": 2, "delay": 1}}
+    store = {"capacity": 3, "start": 2, "income": 0.25}
+    problem = Problem(TWO_SENSORS, horizon=9, total_price=6, sensors=sensors, store=store)
+    rest = problem.job().problem.feasible.rest((), 8)
+    assert rest is not None
+    assert rest.regular() == ()
+    best = _last(Corridor(rest), lambda times, end: 1.0 - len(times)).whole[0]
+    assert best.measurement_times == (3,)
