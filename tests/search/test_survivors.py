@@ -207,7 +207,7 @@ def test_a_polish_by_the_corridor_starts_from_the_set_it_is_given() -> None:
 
 
 def test_a_corridor_around_the_empty_set_has_all_times() -> None:
-    """What is left of a store may pay for nothing at regular times."""
+    """A store may pay for nothing at regular times."""
     sensors = {"cheap": {"price": 1, "delay": 2}, "sharp": {"price": 2, "delay": 1}}
     store = {"capacity": 3, "start": 2, "income": 0.25}
     problem = Problem(TWO_SENSORS, horizon=9, total_price=6, sensors=sensors, store=store)
