@@ -409,9 +409,10 @@ class Planner:
 
     def _again(self, now: Now, taken: Iterable[int], failed: Iterable[int] = ()) -> None:
         """Plan again what is left from now on; sensors that may fail are spent without a value."""
-        sensings, way = self._built.job.problem.sensed, self._points.way
+        sensings, parts = self._built.job.problem.sensed, self._filter.model.parts
         passed = (e for e in self.rest.in_flight if e < self._points.first(now.first))
-        spent = (each for each in chain(failed, passed) if sensings.by_way(way(each)).fails)
+        ways = ((each, self._points.way(each)) for each in chain(failed, passed))
+        spent = (e for e, way in ways if sensings.by_way(way).fails or parts[way].model.works)
         self.rest.again(now, chain(taken, spent))
 
 

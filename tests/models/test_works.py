@@ -346,6 +346,25 @@ def test_a_table_without_empty_rows_is_said_to_be_left_out_by_chance() -> None:
     assert informed.log_evidence == pytest.approx(exactly(READINGS, 14)[1], abs=0.05)
 
 
+def test_late_values_and_failures_are_known_when_they_arrive() -> None:
+    """All together say the same; of the last row nobody knows yet whether it failed."""
+    late = Problem(chain(), horizon=14, measurement_budget=9, particles=20_000, sensor={"delay": 2})
+    known = {t: y for t, y in READINGS.items() if t < 10}
+    rows = known | {11: math.inf}
+    found = pfdist.filter_measurements(late, table(rows), report=False, say=print)
+    assert found.log_evidence == pytest.approx(exactly(known, 14)[1], abs=0.14)  # 4 deviations
+    assert (found.measured, found.failed) == ((0, 2, 8), (3, 5, 9))
+    share = exactly(known, 11)[0][11]
+    assert found.table["mean_0"][11] == pytest.approx(share @ PLACES, abs=0.06)
+    answer = pfdist.next_time(late, table(rows), say=print)
+    assert answer.in_flight == (11,)
+    assert answer.left == 2
+    planner = pfdist.Planner(late.with_changes(measurement_budget=3), [1, 4, 8])
+    planner.taken(1)
+    planner.missed(4)  # its arrival has passed
+    assert planner.measured == (1,)
+
+
 def test_next_counts_failures_as_spent_and_knows_what_they_tell() -> None:
     problem = Problem(chain(), horizon=14, measurement_budget=9, particles=5000)
     exact = exactly(READINGS, 14)[0][12]
