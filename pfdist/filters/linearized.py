@@ -16,6 +16,7 @@ a review", Statistical Science 10, 1995 (the mean over draws).
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from statistics import NormalDist
 from typing import Any, Final
 
 import numpy as np
@@ -44,6 +45,9 @@ _LEAST = 1e-9  # of an information's eigenvalue, relative to the largest
 _MOST = 4_000_000  # numbers in an array of all instants
 _JUMPS = MASKS | {"floor", "ceil", "trunc", "rint", "sign", "floor_divide", "remainder", "fmod"}
 _VARIANCES = {"normal": 1.0, "uniform": 1.0, "centred": 1 / 12}  # uniform: see `_noise`
+_NORMAL = NormalDist()
+_quantile = np.vectorize(_NORMAL.inv_cdf, otypes=[np.float64])  # workers wait for no SciPy
+_probability = np.vectorize(_NORMAL.cdf, otypes=[np.float64])
 _FORMULAS = "initial", "transition", "quantity_of_interest"
 
 Array = NDArray[np.float64]
@@ -141,23 +145,18 @@ def linearized(
     with np.errstate(all="ignore"):
         w = _noise(model.initial_noise, stream, index, 0, TRUTH_INITIAL)
         begun = partial(_initial, twin)
-        states = [_components(begun(w), (draws,))]
-        root = _slopes(begun, w, np.ones(len(w)), n)
-        own = _variances(model.initial_noise)
-        begin = np.einsum("dik,k,djk->dij", root, own, root)
-        noises = list[Array]()
+        states, noises = [_components(begun(w), (draws,))], list[Array]()
+        begin = _covariance(begun, w, model.initial_noise, n)
         for t in instants[:-1]:
             noises.append(_noise(model.process_noise, stream, index, t, TRUTH_PROCESS))
-            states.append(_components(_by_noise(twin, t, states[-1], noises[-1]), (draws,)))
+            states.append(_components(_following(twin, t, states[-1], noises[-1]), (draws,)))
         spreads = _spreads(np.array(states))
         steps, added = np.empty((2, horizon, draws, n, n))
-        own = _variances(model.process_noise)
         for t, (state, w) in enumerate(zip(states[:-1], noises, strict=True)):
             check()
-            by_x, by_w = partial(_by_state, twin, t, w), partial(_by_noise, twin, t, state)
-            steps[t] = _slopes(by_x, state, spreads[t], n)
-            root = _slopes(by_w, w, np.ones(len(w)), n)
-            added[t] = np.einsum("dik,k,djk->dij", root, own, root)
+            steps[t] = _slopes(partial(_following, twin, t, noise=w), state, spreads[t], n)
+            by_noise = partial(_following, twin, t, state)
+            added[t] = _covariance(by_noise, w, model.process_noise, n)
         quantities = np.array(
             [_slopes(partial(_quantity, twin, t), states[t], spreads[t], q) for t in instants]
         )
@@ -240,26 +239,6 @@ def _as_drawn(kinds: tuple[str, ...], noise: Array) -> Array:
     return drawn
 
 
-def _quantile(probability: Array) -> Array:
-    """Quantiles of the normal distribution."""
-    from scipy.special import ndtri  # noqa: PLC0415  workers, which import this, wait for no SciPy
-
-    found: Array = ndtri(probability)
-    return found
-
-
-def _probability(value: Array) -> Array:
-    """Probabilities of the normal distribution."""
-    from scipy.special import ndtr  # noqa: PLC0415
-
-    found: Array = ndtr(value)
-    return found
-
-
-def _variances(kinds: tuple[str, ...]) -> Array:
-    return np.array([_VARIANCES[kind] for kind in kinds], np.float64)
-
-
 def _components(values: Sequence[Any], shape: tuple[int, ...]) -> Array:
     """Components that a formula gives, as one array; some may be single numbers."""
     found = [np.broadcast_to(np.asarray(each, np.float64), shape) for each in values]
@@ -270,15 +249,9 @@ def _initial(model: StateSpaceModel, noise: Array) -> Any:
     return model.initial(_as_drawn(model.initial_noise, noise), model.p)
 
 
-def _by_state(model: StateSpaceModel, t: int, noise: Array, x: Array) -> Any:
-    w = _as_drawn(model.process_noise, noise)
-    return model.transition(x, t, _wide(w, x), model.p)
-
-
-def _by_noise(model: StateSpaceModel, t: int, x: Array, noise: Array) -> Any:
-    if len(noise):
-        x = _wide(x, noise)
-    return model.transition(x, t, _as_drawn(model.process_noise, noise), model.p)
+def _following(model: StateSpaceModel, t: int, x: Array, noise: Array) -> Any:
+    w = _as_drawn(model.process_noise, _wide(noise, x))
+    return model.transition(_wide(x, noise), t, w, model.p)
 
 
 def _quantity(model: StateSpaceModel, t: int, x: Array) -> Any:
@@ -287,7 +260,7 @@ def _quantity(model: StateSpaceModel, t: int, x: Array) -> Any:
 
 def _wide(values: Array, like: Array) -> Array:
     """The values of D draws, (k, D), as often as another argument has columns."""
-    return np.tile(values, like.shape[1] // max(1, values.shape[1]))
+    return np.tile(values, max(1, like.shape[1] // values.shape[1]))
 
 
 def _slopes(formula: Callable[[Any], Any], at: Array, spread: Array, count: int) -> Array:
@@ -305,6 +278,16 @@ def _slopes(formula: Callable[[Any], Any], at: Array, spread: Array, count: int)
     made = np.array([moved[c, 0, c] - moved[c, 1, c] for c in range(size)])  # rounded
     slopes: Array = ((high - low) / made).transpose(2, 0, 1)
     return slopes
+
+
+def _covariance(
+    formula: Callable[[Any], Any], noise: Array, kinds: tuple[str, ...], count: int
+) -> Array:
+    """The covariance of what a formula gives, (D, count, count), where noise (k, D) varies."""
+    root = _slopes(formula, noise, np.ones(len(noise)), count)
+    own = np.array([_VARIANCES[kind] for kind in kinds], np.float64)
+    covariance: Array = np.einsum("dik,k,djk->dij", root, own, root)
+    return covariance
 
 
 def _jumps(model: StateSpaceModel, x: Array, t: int, spread: Array) -> bool:

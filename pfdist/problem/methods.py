@@ -48,11 +48,6 @@ class Method:
         """Whether the method adds errors of estimates that use later measurements, too."""
         return "lag" in self.optimiser.__annotations__
 
-    @property
-    def takes_errors(self) -> bool:
-        """Whether the method takes the linearized errors of sets."""
-        return "errors" in self.optimiser.__annotations__
-
     def make(
         self,
         feasible: Feasible,
@@ -60,21 +55,17 @@ class Method:
         settings: dict[str, Any],
         start: Times | None = None,
         lag: Lag = 0,
-        errors: Any = None,
     ) -> Any:
         """An optimiser with these settings: a `pfdist.search.Optimiser`.
 
         `draws` is the number of simulated systems on which a set is evaluated. Methods that search
         around a set begin at `start`, a good feasible set. The estimate of z(t) uses measurements
-        until t + lag, in instants. `errors` gives the linearized errors of sets, for methods that
-        take them. Raises `JobError` if the method cannot search this problem.
+        until t + lag, in instants. Raises `JobError` if the method cannot search this problem.
         """
         if "draws" in self.optimiser.__annotations__:
             settings = {"draws": draws, **settings}
         if "start" in self.optimiser.__annotations__:
             settings = {"start": start, **settings}
-        if self.takes_errors:
-            settings = {"errors": errors, **settings}
         if self.takes_lag:
             settings = {"lag": lag, **settings}
         return self.optimiser(feasible, **settings)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from pfdist.common.measurement_times import Times
 from pfdist.problem.feasible import Feasible
@@ -76,7 +76,7 @@ class BudgetStudy(Study):
         digits = len(str(max(self.feasible.horizon + 1, *self._each)))
         return [SetKey(origin, f"{number:0{digits}}").column for number in self._each]
 
-    def optimiser(self, section: SearchSection, draws: int, errors: Any = None) -> Optimiser:
+    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """State-space relaxation, which finds a set for each number."""
         lag = self.job.problem.instants_of_lag
         start = first_relaxation(self.widest, self.usual, lag)

@@ -33,7 +33,6 @@ from pfdist.pools.kinds import POOLS, cluster_at_hand
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import ONLINE, Job
-from pfdist.problem.methods import METHODS
 from pfdist.problem.needs import LOSS, ON_THE_WAY
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
@@ -47,7 +46,7 @@ from pfdist.runner.choice import (
     steps_a_particle,
 )
 from pfdist.runner.contract import few_draws
-from pfdist.runner.design import design_of, linearized_of
+from pfdist.runner.design import design_of
 from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
     RANKING,
@@ -199,13 +198,7 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
     smaller = feasible.smaller or (is_wrong and not feasible.counted)
     feasible = replace(feasible, smaller=smaller)
     study = (Study if job.budget is None else BudgetStudy)(job, feasible)
-    by_variance = evaluator.variance_is_error
-    errors = None
-    if any(METHODS[each.method].takes_errors for each in job.search):
-        errors = linearized_of(job, evaluator)
-    searches = tuple(
-        named_search(study, job, section, by_variance, errors) for section in job.search
-    )
+    searches = tuple(named_search(study, job, section, evaluator) for section in job.search)
     wanted = [comparing_of(job), Settings.from_job(job).estimation]
     wanted += [settings.estimation for search in searches for settings in search.all_settings]
     if job.online is not None:

@@ -2,10 +2,10 @@
 
 import os
 from dataclasses import dataclass, replace
-from typing import Any
 
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.proposals import MOVING
 from pfdist.filters.work import BLOCK, Estimation
 from pfdist.kernels.estimators import (
@@ -18,9 +18,11 @@ from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
 from pfdist.problem.search_section import EvaluationSettings, SearchSection
+from pfdist.runner.design import linearized_of
 from pfdist.runner.planning import Planning
 from pfdist.runner.study import Study
 from pfdist.search import Optimiser
+from pfdist.search.linearized import LinearizedDesign
 
 _POLISH_DRAWS = 4096  # at most
 _RACE_DRAWS = 1000  # of the first round
@@ -135,22 +137,23 @@ class NamedSearch:
 
 
 def named_search(
-    study: Study, job: Job, section: SearchSection, variance_is_error: bool, errors: Any = None
+    study: Study, job: Job, section: SearchSection, evaluator: Evaluator
 ) -> NamedSearch:
     """The optimiser of a section [[search]], with the settings of its evaluations.
 
-    `errors` gives the linearized errors of sets, if its method takes them.
-
-    Raises `JobError` if the optimiser cannot search this problem.
+    Raises `JobError` if the optimiser cannot search this problem, and `ModelError` if it needs
+    linearized errors and there are none.
     """
     additive = METHODS[section.method].additive
     # The variance of particles has the mean of the errors, not their quantiles.
-    by_variance = variance_is_error and (additive or not job.criterion.needs_draws)
+    by_variance = evaluator.variance_is_error and (additive or not job.criterion.needs_draws)
     settings = Settings.from_job(job, section.evaluation, by_variance)
     if not METHODS[section.method].online:  # it asks for errors of instants, block by block
         settings = replace(settings, draws=-(-settings.draws // BLOCK) * BLOCK)
     check_memory(job, section, settings.draws)
-    optimiser = study.optimiser(section, settings.draws, errors)
+    optimiser = study.optimiser(section, settings.draws)
+    if isinstance(optimiser, LinearizedDesign):
+        optimiser = replace(optimiser, errors=linearized_of(job, evaluator))
     # Only the method itself may kill sets, as the paper says.
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
     estimator = ESTIMATORS[settings.estimation.estimator]

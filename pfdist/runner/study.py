@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from pfdist.common.measurement_times import EVEN, Times
 from pfdist.errors import JobError
@@ -88,17 +88,15 @@ class Study:
         """Names of the sets of a search or a reference, one for each number."""
         return [origin]
 
-    def optimiser(self, section: SearchSection, draws: int, errors: Any = None) -> Optimiser:
+    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """The optimiser of a section [[search]], whose evaluations have so many draws.
-
-        `errors` gives the linearized errors of sets, if the method takes them.
 
         Raises `JobError` if the optimiser cannot search this problem.
         """
         lag = self.job.problem.instants_of_lag
         try:
             made: Optimiser = METHODS[section.method].make(
-                self.feasible, draws, section.settings, lag=lag, errors=errors
+                self.feasible, draws, section.settings, lag=lag
             )
         except JobError as error:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error

@@ -6,6 +6,7 @@ for the errors.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from pfdist.problem.methods import method
 from pfdist.problem.search_section import Count
 from pfdist.search.base import FINALISTS, Candidate, best_of
 
+Found = tuple[Evaluation, ...]
 LinearizedErrors = Callable[[Sequence[Times]], NDArray[np.float64]]
 """The linearized errors of sets, (S,)."""
 
@@ -53,13 +55,6 @@ def _rounded(errors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.isfinite(errors), np.round(errors / scale, 6) * scale, np.inf)
 
 
-@dataclass(frozen=True)
-class DesignState:
-    """Progress of the search."""
-
-    evaluations: tuple[Evaluation, ...] = ()
-
-
 @method("linearized", online=False)
 @dataclass(frozen=True)
 class LinearizedDesign:
@@ -71,13 +66,13 @@ class LinearizedDesign:
     ----------
     feasible : Feasible
     errors : callable
-        The linearized errors of sets.
+        The linearized errors of sets, `LinearizedErrors`, which whoever searches must give.
     starts : int
         Number of sets from which exchanges begin: regular times, then random ones.
     """
 
     feasible: Feasible
-    errors: LinearizedErrors = field(compare=False)
+    errors: Any = field(default=None, compare=False)
     starts: Count = 5
 
     @property
@@ -90,24 +85,24 @@ class LinearizedDesign:
         """The number of sets that filters evaluate, at most."""
         return min(self.starts, FINALISTS)
 
-    def init(self) -> DesignState:
+    def init(self) -> Found:
         """The state before the exchanges."""
-        return DesignState()
+        return ()
 
-    def ask(self, state: DesignState, rng: np.random.Generator) -> list[Candidate]:
+    def ask(self, state: Found, rng: np.random.Generator) -> list[Candidate]:
         """The sets at which exchanges end."""
         starts = [self.feasible.regular(), *self.feasible.random(self.starts - 1, rng)]
         found = designs(self.feasible, self.errors, starts, np.inf)
         return [Candidate(times) for times in found[:FINALISTS]]
 
-    def tell(self, state: DesignState, evaluations: Sequence[Evaluation]) -> DesignState:
+    def tell(self, state: Found, evaluations: Sequence[Evaluation]) -> Found:
         """Keep the evaluations."""
-        return DesignState(evaluations=best_of(evaluations))
+        return best_of(evaluations)
 
-    def done(self, state: DesignState) -> bool:
+    def done(self, state: Found) -> bool:
         """Whether the sets were evaluated."""
-        return bool(state.evaluations)
+        return bool(state)
 
-    def finalists(self, state: DesignState) -> tuple[Evaluation, ...]:
+    def finalists(self, state: Found) -> Found:
         """The evaluated sets."""
-        return state.evaluations
+        return state
