@@ -21,7 +21,7 @@ _AS_FAR_AS = "No real measurement was used: all numbers hold as far as the model
 
 
 def methods_section(subject: Subject, row: Row, at: str, found: Iterable[str]) -> Section:
-    """What was done and found, with its numbers.
+    """The methods and the result, with their numbers.
 
     Parameters
     ----------
