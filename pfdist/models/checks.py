@@ -43,6 +43,7 @@ ARGUMENTS = {
     "error": ("z", "estimate", "t", "p"),
 }
 """Names of a model's formulas, and of their arguments."""
+_TAKES = ARGUMENTS | {"works": ("x", "t", "p")}
 MEASURING = ("measurement", "log_likelihood")
 """Names of the formulas that each sensor of a model has for itself."""
 MOST_SENSORS = 64  # a set of the sensors that measure at an instant has 64 bits
@@ -55,6 +56,7 @@ _PARTICLES = 2
 ONE_NUMBER = {
     "log_likelihood": "one number a particle",
     "error": "one number for z and its estimate",
+    "works": "one number a particle",
 }
 
 
@@ -93,7 +95,7 @@ def checked_fields(model: Any) -> dict[str, Any]:
         for name in own_formulas(model):
             _check_signature(getattr(model, name), name, ARGUMENTS[name])
         if not isinstance(model.works, bool):
-            _check_signature(model.works, "works", ("x", "t", "p"))
+            _check_signature(model.works, "works", _TAKES["works"])
     except ModelError as error:
         advice = _advice_on_noise(error.argument, getattr(model, error.argument or "name"))
         raise ModelError(f"model {model.name}: {error}{advice}") from error
@@ -210,6 +212,8 @@ def count_components(model: Any, parameters: Mapping[str, Parameter]) -> tuple[i
         z = _call(model, "quantity_of_interest", x, 0, parameters)
         _call(model, "log_likelihood", y, x, 0, parameters)
         _call(model, "error", z, z, 0, parameters)
+    if not isinstance(model.works, bool):
+        _call(model, "works", x, 0, parameters)
     return len(x), len(y), len(z)
 
 
@@ -249,7 +253,7 @@ def _by_program(
     model: Any, name: str, arguments: tuple[Any, ...]
 ) -> tuple[Any, BaseException | None]:
     """The value of a formula by its program at t = 0; None, and why it cannot be recorded."""
-    groups = dict(zip(ARGUMENTS[name], arguments, strict=True))
+    groups = dict(zip(_TAKES[name], arguments, strict=True))
 
     def of_right_kind(*symbols: Any) -> Any:
         value = getattr(model, name)(*symbols)
@@ -280,7 +284,7 @@ def _advice(model: Any, name: str, arguments: tuple[Any, ...], error: BaseExcept
     if "tuple index out of range" in str(error):
         sizes = [
             f"{argument} has {len(value)}"
-            for argument, value in zip(ARGUMENTS[name], arguments, strict=True)
+            for argument, value in zip(_TAKES[name], arguments, strict=True)
             if argument != "p" and isinstance(value, tuple)
         ]
         return f"; numbers of components: {', '.join(sizes)}, and the first is [0]"

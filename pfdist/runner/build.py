@@ -358,7 +358,7 @@ def _sensed(job: Job, models: Models) -> Models:
     """The models whose sensors have limits, fail, or repeat, as the job says."""
     model = models[0]
     _check_sensors(model, tuple(job.problem.sensors or ()))
-    key = "problem.sensors" if model.sensors else "problem.sensor"
+    key = f"problem.sensor{'s' * bool(model.sensors)}" if job.problem.sensings else "works"
     truth, believed = ([bool(part.model.works) for part in each.parts] for each in models)
     if truth != believed:
         raise ModelError("model.filter: the filter's model must have works where the model has it")

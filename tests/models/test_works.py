@@ -510,6 +510,13 @@ def test_what_cannot_be_is_refused() -> None:
         replace(trial(), works=lambda x: x)
     with pytest.raises(ModelError, match="each sensor must have its own works"):
         replace(two_sensors(), works=lambda x, t, p: x[0] > 0.0)
+    for works, message in (
+        (lambda x, t, p: x[7] > 0.5, "works failed: IndexError"),
+        (lambda x, t, p: (x[2] > 0.5,), "works must give one number a particle"),
+        (lambda x, t, p: p.nothing, "works failed: AttributeError"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            replace(trial(), works=works)
     other = replace(trial(), works=False)
     problem = Problem(trial(), filter_model=other, horizon=5, measurement_budget=2)
     with pytest.raises(ModelError, match="the filter's model must have works"):
