@@ -129,7 +129,7 @@ export function mount(element, connection) {
   // --- constraints -------------------------------------------------------------------------------
 
   const many = () => facts.sensors.length; // 1 without sensors
-  const arrival = (m) => Math.floor(m / many()); // of its value: these count for spacing
+  const arrival = (m) => Math.floor(m / many()); // of its value: these count for the spacing of all
   const instant = (m) => arrival(m) - facts.delays[m % many()]; // it is made
   const time = (m) => facts.times[instant(m)];
   const times = () => own.map((each) => each.m).sort((a, b) => a - b);
@@ -141,7 +141,7 @@ export function mount(element, connection) {
     return !facts.forbidden.has(m) && beside.every((other) => {
       const [low, high] = m < other ? [m, other] : [other, m];
       if (low === high || (facts.after && high < facts.after[low])) return false;
-      return !apart || (high - low) % many() || arrival(high) >= apart[arrival(low)];
+      return !apart || (high - low) % many() || instant(high) >= apart[instant(low)];
     });
   }
 
