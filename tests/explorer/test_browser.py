@@ -276,7 +276,9 @@ def test_each_sensor_has_a_strip_and_its_own_forbidden_times(
         assert page.locator("rect.forbidden").count() == 2 * 3
 
 
-def test_spacing_of_a_late_sensor_is_that_of_the_instants_at_which_it_measures(open_page: Open) -> None:
+def test_spacing_of_a_late_sensor_counts_when_it_measures(
+    open_page: Open,
+) -> None:
     """Steps may differ by rounding, so instants that are far enough apart may be, too."""
     rounding, never = 0.9e-9, {"forbidden": ["0:12"]}
     problem = pfdist.Problem(
