@@ -32,6 +32,11 @@ class Apart(Step):
     step = apart_step
     beginning: ClassVar[tuple[int, ...]] = (0,)
 
+    @classmethod
+    def is_whole(cls, table: Times, start: Times, ways: int, instants: int) -> bool:
+        """Whether the table has all instants."""
+        return (len(table), len(start)) == (1 + instants, 1)
+
     @cached_property
     def table(self) -> tuple[int, ...]:
         """The sensor, and the first instants after each."""

@@ -1,25 +1,23 @@
-"""The steps of all constraints, by the names under which files and workers know them."""
+"""All constraints by the names under which files and workers know them."""
 
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from pfdist.constraints.apart import apart_step
-from pfdist.constraints.most_within import most_within_step
-from pfdist.constraints.setup import setup_step
-from pfdist.constraints.step import Step, Turn
-from pfdist.constraints.supply import supply_step
-from pfdist.constraints.together import together_step
+from pfdist.constraints.apart import Apart
+from pfdist.constraints.most_within import MostWithin
+from pfdist.constraints.setup import Setup
+from pfdist.constraints.step import Step
+from pfdist.constraints.supply import Supply
+from pfdist.constraints.together import Together
 
-STEPS: Final[dict[str, Callable[[Turn], None]]] = {
-    "apart": apart_step, "setup": setup_step, "together": together_step,
-    "most_within": most_within_step, "store": supply_step,
-}  # fmt: skip
+KINDS: Final[dict[str, type[Step]]] = {
+    each.kind: each for each in (Apart, Setup, Together, MostWithin, Supply)
+}
 
 
 class PlainStep(NamedTuple):
     """A constraint as plain numbers, as files and compiled filters have it."""
 
-    kind: str  # in `STEPS`
+    kind: str  # in `KINDS`
     table: tuple[int, ...]
     start: tuple[int, ...]
     fee: float = 0.0
@@ -27,18 +25,8 @@ class PlainStep(NamedTuple):
 
     def is_of(self, ways: int, instants: int) -> bool:
         """Whether numbers from a file are those of sensors and instants, so that a step may run."""
-        sizes = {
-            "apart": (1 + instants, 1), "setup": (1 + ways * instants, 2), "together": (ways, 2),
-            "most_within": (2 + instants + ways * instants, 1 + self.table[0]),
-            "store": (2 + instants + ways * instants, 2),
-        }  # fmt: skip
-        if (len(self.table), len(self.start)) != sizes.get(self.kind) or self.first:
-            return False
-        if self.kind == "most_within" and self.table[0] < 1:
-            return False
-        return self.kind not in {"most_within", "store"} or (
-            self.table[1] == instants and self.start[1] >= 0
-        )
+        step = None if self.first else KINDS.get(self.kind)
+        return step is not None and step.is_whole(self.table, self.start, ways, instants)
 
     @classmethod
     def made_from(cls, step: Step) -> "PlainStep":

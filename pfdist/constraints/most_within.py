@@ -46,6 +46,12 @@ class MostWithin(Step):
         """The first that is too much."""
         return f"{self.key}, got one more at {when}"
 
+    @classmethod
+    def is_whole(cls, table: Times, start: Times, ways: int, instants: int) -> bool:
+        """Whether the table has all instants and points, and the state as many as may count."""
+        sizes = 2 + instants + ways * instants, 1 + table[0]
+        return table[0] > 0 and table[1] == instants and (len(table), len(start)) == sizes
+
     @cached_property
     def table(self) -> tuple[int, ...]:
         """The largest number, and what lasts how long."""

@@ -57,6 +57,11 @@ class Setup(Step):
         """The largest number, and the ends."""
         return (NO_LIMIT if self.most is None else self.most, *self.ends)
 
+    @classmethod
+    def is_whole(cls, table: Times, start: Times, ways: int, instants: int) -> bool:
+        """Whether the table has all points."""
+        return (len(table), len(start)) == (1 + ways * instants, 2)
+
     @property
     def fee(self) -> Money:
         """The price of each time that it begins."""

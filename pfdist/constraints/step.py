@@ -8,6 +8,8 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import Times
+
 BROKEN, PAYS, NEXT = range(3)
 """Numbers in `Turn.said`: which measurement is the first that breaks the constraint, or -1; how
 often measurements pay the fee; and the first instant at which anything may be measured, or 0."""
@@ -56,7 +58,7 @@ class Step:
     since_then: tuple[int, ...] | None = None  # the state behind measurements before
 
     kind: ClassVar[str]
-    """The name of `step` in `pfdist.constraints.kinds.STEPS`."""
+    """The name in `pfdist.constraints.kinds.KINDS`."""
     fee: ClassVar[Any] = 0
     """The price of what a measurement begins."""
     step: ClassVar[Callable[[Turn], None]]
@@ -64,6 +66,11 @@ class Step:
     @property
     def table(self) -> tuple[int, ...]:
         """The numbers that the step reads."""
+        raise NotImplementedError
+
+    @classmethod
+    def is_whole(cls, table: Times, start: Times, ways: int, instants: int) -> bool:
+        """Whether a table and a state from a file are as long as the step reads, and say so."""
         raise NotImplementedError
 
     @property

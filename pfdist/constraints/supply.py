@@ -7,6 +7,7 @@ from fractions import Fraction
 from functools import cached_property
 from math import lcm
 
+from pfdist.common.measurement_times import Times
 from pfdist.constraints.step import BROKEN, Money, Step, Turn, Walk
 
 _DIGITS = 16  # of a full store in units
@@ -51,6 +52,12 @@ class Supply(Step):
     def beginning(self) -> tuple[int, ...]:
         """The level at first."""
         return (self._in_units(self.full), 0)
+
+    @classmethod
+    def is_whole(cls, table: Times, start: Times, ways: int, instants: int) -> bool:
+        """Whether the table has all instants and points, and no income has come too often."""
+        sizes = 2 + instants + ways * instants, 2
+        return (len(table), len(start)) == sizes and table[1] == instants and start[1] >= 0
 
     @cached_property
     def table(self) -> tuple[int, ...]:

@@ -31,6 +31,11 @@ class Together(Step):
     step = together_step
     beginning: ClassVar[tuple[int, ...]] = (-1, 0)
 
+    @classmethod
+    def is_whole(cls, table: Times, start: Times, ways: int, instants: int) -> bool:
+        """Whether the table has all sensors."""
+        return (len(table), len(start)) == (ways, 2)
+
     @property
     def table(self) -> tuple[int, ...]:
         """The numbers."""

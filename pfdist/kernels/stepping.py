@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.constraints.kinds import STEPS, PlainStep
+from pfdist.constraints.kinds import KINDS, PlainStep
 from pfdist.constraints.step import BROKEN, NEXT, PAYS, Turn
 from pfdist.kernels.cached import Entry, compiled, entry
 from pfdist.kernels.follows import ROUNDING, Follows
@@ -16,7 +16,7 @@ from pfdist.kernels.memory import ahead, call, read
 
 @cache
 def _entry_of(kind: str) -> Entry:
-    return Entry(STEPS[kind], Turn)
+    return Entry(KINDS[kind].step, Turn)
 
 
 def addresses_of(steps: Sequence[PlainStep]) -> list[int]:
