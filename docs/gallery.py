@@ -20,6 +20,7 @@ JOBS = {  # labels with units: some models leave them to their docstrings
     "lotka_volterra": ("expected MSE\nof logarithms", "time"),
     "constant_velocity": ("expected MSE [km²]", "time [min]"),
     "pharmacokinetics": ("expected MSE\nof the logarithm", "time [h]"),
+    "drug": ("expected MSE\nof three logarithms", "time [h]"),
     "epidemic": ("expected MSE\nof prevalence [%²]", "time [d]"),
 }
 DRAWS = 4000

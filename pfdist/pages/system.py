@@ -106,6 +106,9 @@ def system_figure(tables: Tables) -> Plot:
     lanes = sum(max(bar.lane for bar in bars if bar.sensor == each) + 1
                 for each in {bar.sensor for bar in bars})  # fmt: skip
     rows = _ROW * (sum(len(each.times) for each in sets) + _LANE * lanes)
+    # All components are drawn alike; a mean over time says nothing where instants have no weight.
+    is_little = all(_is_little_better(run, sets, k) for k in components)
+    is_little &= 0.0 not in (problem_of(run).weights or ())
     unit = components[0].named.unit_of_error or components[0].unit
 
     def draw(panels: Sequence[Axes]) -> None:
@@ -115,7 +118,7 @@ def system_figure(tables: Tables) -> Plot:
             label_quantity(band, quantities, k.number)
             what = "typical error" if angles else "expected error"
             draw_errors, of_sets = _draw_errors, [profiles[each.name, k.number] for each in sets]
-            if _is_little_better(run, sets, k):
+            if is_little:
                 what, draw_errors = "difference", _draw_difference
             of_error = verbatim(k.named.unit_of_error or k.unit)
             text = f"{what} [{of_error}]" if of_error and angles else what
@@ -348,10 +351,14 @@ def _caption(tables: Tables, sets: Sequence[_Set], unit: str) -> str:
     (best, second), (reference, second_of_reference) = (
         _of_halves(run, each.name) for each in (sets[0], sets[-1])
     )
-    change = np.nan_to_num(weight * (reference - best), posinf=0.0, neginf=0.0)
+    change, size = (
+        np.nan_to_num(weight * each, posinf=0.0, neginf=0.0) for each in (reference - best, best)
+    )
     said = "The system, the typical error over time, and the times of measurements."
-    if (change > 0).any() and _is_better(run, sets[0]):
-        total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
+    change -= max(0.0, change.mean())  # no stretch is all of time
+    # Constants that are analysed afterwards have the same error at all times, up to rounding.
+    if (change > 1e-9 * size.max()).any() and _is_better(run, sets[0]):
+        total = np.cumsum([0.0, *change])
         stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
         first, end = np.unravel_index(stretches.argmax(), stretches.shape)
         here = slice(first, end)

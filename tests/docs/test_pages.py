@@ -368,6 +368,31 @@ def test_a_satellite_that_is_not_seen_is_behind_the_hill(
     assert max(low, high) < 0.5
 
 
+def test_a_model_of_past_records_predicts_other_records_as_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its errors are those of the Gaussian formula; held-out days have them within chance."""
+    monkeypatch.chdir(tmp_path)
+    quick = {"figures": False, "bound_draws": 0}
+    names = _play("cookbook", capsys, "Only past records", pfdist=pfdist, quick=quick)
+    days, model, run = names["days"], names["past"], names["run"]
+    draws = simulate(model, 23, range(4000), 1).z[:, :, 0]
+    times = [*run.best.measurement_times]
+    exact = float(names["errors"][run.best.name])
+    known = np.cov(draws, rowvar=False)  # of 4,000 simulated days: within some per cent
+    gain = known[:, times] @ np.linalg.inv(known[np.ix_(times, times)] + 0.01 * np.eye(4))
+    assert np.diag(known - gain @ known[times]).mean() == pytest.approx(exact, rel=0.1)
+    mean, other = days[::2].mean(axis=0), days[1::2]
+    read = other[:, times] + 0.1 * np.random.default_rng(3).normal(size=(100, 4))
+    left = ((mean + (read - mean[times]) @ gain.T - other) ** 2).mean(axis=1)
+    assert abs(left.mean() - exact) < 4 * left.std() / 10
+    between = np.array([np.interp(np.arange(24), times, row) for row in read])
+    assert ((between - other) ** 2).mean() > 3 * exact
+    assert (round(exact, 3), times) == (0.129, [8, 12, 16, 21])  # the page says so
+    assert round(((between - other) ** 2).mean(), 2) == 0.56
+    assert exact == pytest.approx(names["errors"]["evenly_spaced"])
+
+
 @pytest.mark.notebook
 @pytest.mark.needs("notebook")
 def test_duckdb_and_polars_read_what_pandas_reads(monkeypatch: pytest.MonkeyPatch) -> None:
