@@ -75,7 +75,7 @@ BENCHMARKS = FOLDER.parent / "benchmarks" / "results"
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 _SHARED = 2  # commands that have an option with the same words
-_EXAMPLES = 2  # of a command; its help has all
+_EXAMPLES = 1  # of a command; its help has all
 _COMMON_COLUMNS = 3  # tables that have a column with the same words
 _JOB = re.compile(  # the page says it once
     r"A job file,( as `jobs/plan.toml`,| whose run is meant,)? or the folder of a run\.\s*"
@@ -345,35 +345,6 @@ def genetic() -> str:
     return _table(head, rows)
 
 
-def stone_soup() -> str:
-    """Give the table of sets that a greedy sensor manager chooses, from its benchmark."""
-    chosen_by = {
-        "pfdist": "pfdist",
-        "stone_soup_greedy": "Stone Soup, greedy",
-        "rotation": "rotation",
-        "regular": "regular, position",
-    }
-    sets = pd.read_csv(BENCHMARKS / "stone_soup.csv", comment="#")
-    rows = [
-        [
-            str(row["measurements"]),
-            chosen_by[row["set"]],
-            f"{row['exact_mse']:.4f}",
-            f"{100 * (row['exact_mse'] / row['bound'] - 1):.2f}",
-            f"{row['expected_mse']:.4f} ± {row['standard_error']:.4f}",
-        ]
-        for row in sets[sets["set"].isin(chosen_by)].to_dict("records")
-    ]
-    head = [
-        "measurements",
-        "chosen by",
-        "exact error",
-        "above the bound, %",
-        "error on the same draws ± standard error",
-    ]
-    return _table(head, rows)
-
-
 def seconds_of_plan() -> str:
     """Give the table of where the seconds of a plan go."""
     parts = pd.read_csv(BENCHMARKS / "seconds_of_plan.csv", comment="#")
@@ -483,73 +454,6 @@ def size() -> str:
     return _table(head, rows)
 
 
-def ways() -> str:
-    """Give the table of the ways to compute a job, from their benchmark."""
-    measured = pd.read_csv(BENCHMARKS / "ways.csv", comment="#")
-    rows = [
-        [row.way, "the same" if row.same_bytes else "other", f"{row.seconds:.1f}"]
-        for row in measured.itertuples()
-    ]
-    return _table(["way", "bytes", "seconds until workers are ready"], rows)
-
-
-def driver() -> str:
-    """Give the table of simulated nodes that the real driver feeds, from its benchmark."""
-    tasks = pd.read_csv(BENCHMARKS / "driver.csv", comment="#")
-    tasks = tasks.query("task_seconds < 1 or wanted == 'chosen'")
-    rows = [
-        [
-            f"{row.cores:,}",
-            f"{row.task_seconds:.2g}" + ", as chosen" * (row.wanted == "chosen"),
-            f"{row.microseconds:,.0f}",
-            f"{100 * row.busy:.1f}",
-        ]
-        for row in tasks.itertuples()
-    ]
-    head = ["cores", "seconds a task", "driver, microseconds a task", "cores busy, %"]
-    return _table(head, rows)
-
-
-def searches() -> str:
-    """Give the table of searches on simulated nodes, from the benchmark of the driver."""
-    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#")
-    measured = measured.query("cores > 1 and measurements == 21")
-    rows = []
-    for (search, number, draws), group in measured.groupby(["search", "measurements", "draws"]):
-        busy = group.set_index("cores")["busy"]
-        rows.append(
-            [
-                f"`{search}`",
-                str(number),
-                f"{draws:,}",
-                f"{group['core_seconds'].iloc[0]:.1f}",
-                *(f"{100 * busy[cores]:.0f}" for cores in busy.index),
-            ]
-        )
-    counts = [f"{cores:,}" for cores in sorted(measured["cores"].unique())]
-    head = ["search", "N", "draws", "work, core seconds", *(f"{count} cores" for count in counts)]
-    return _table(head, rows)
-
-
-def robust() -> str:
-    """Give the table of plans for one guess and for scenarios, from their benchmark."""
-    plans = pd.read_csv(BENCHMARKS / "robust.csv", comment="#")
-    rows = [
-        [
-            f"`{row.system}`",
-            row.planned_for,
-            with_error(row.mean_mse, row.mean_error),
-            with_error(row.worst_mse, row.worst_error),
-            f"{100 * row.worst_loss:.1f}",
-            f"{100 * row.mean_loss:.1f}",
-        ]
-        for row in plans.itertuples()
-    ]
-    errors = ("mean error ± standard error", "largest error ± standard error")
-    losses = ("largest loss, %", "loss of the mean, %")
-    return _table(["job", "planned for", *errors, *losses], rows)
-
-
 def rules() -> str:
     """Give the table of rules against plans and the bound, and replanning, from their benchmark."""
     kinds, table = ("plan", "constant"), pd.read_csv(BENCHMARKS / "rules.csv", comment="#")
@@ -630,8 +534,8 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, backtest, guided, constants, static, designs, size,
-        seconds_of_plan, ways, driver, searches, robust, rules, engines, schemes, commands, figures,
+        gallery, genetic, backtest, guided, constants, static, designs, size,
+        seconds_of_plan, rules, engines, schemes, commands, figures,
         densities, needs,
     )
 }  # fmt: skip
