@@ -40,7 +40,7 @@ def methods_section(subject: Subject, row: Row, at: str, found: Iterable[str]) -
 def _sentences(subject: Subject, row: Row, at: str) -> Iterator[str]:
     run, problem, job = subject.run, problem_of(subject.run), subject.run.job
     z = ", ".join(each.name for each in subject.quantities if each.name) or "z"
-    first, last = map(problem.clock.formatted, (0, problem.clock.horizon))
+    between = problem.clock.listed([problem.clock.times[k] for k in (0, -1)], " to ")
     yield (
         f"We looked for the measurement times that give {subject.criterion.aim(z)}"
         f"{subject.of_the_estimate} with pfdist {version_of(run)} ({_PAPER}; kernel "
@@ -49,17 +49,18 @@ def _sentences(subject: Subject, row: Row, at: str) -> Iterator[str]:
     scenarios = " with uncertain parameters" * bool(job.get("scenarios"))
     yield (
         f"Systems were simulated by the model {without_folder(job['model']['name'])}{scenarios}, "
-        f"at {problem.clock.horizon + 1} instants from t = {first} to {last}."
+        f"at {problem.clock.horizon + 1} instants from t = {between}."
     )
     yield _filter(subject)
     searches = ", ".join(each["method"] for each in job["search"])
     if searches:
         yield f"The search ({searches}) estimated {evaluations_of(run):,} errors of sets."
     draws = number_of(run.draws_compared, "simulated system")
-    sets = number_of(len(subject.distinct), "set")
-    fresh = f" {_FRESH}" * bool(searches)
-    yield f"Then {sets} of times were compared, with common random numbers, on {draws}{fresh}."
-    yield f"The best has {number_of(row.measurements, 'measurement')}, {at}"
+    sets, fresh = len(subject.distinct), f" {_FRESH}" * bool(searches)
+    compared = f"{sets} sets were compared, with common random numbers,"
+    yield f"Then {compared if sets > 1 else 'the set was judged'} on {draws}{fresh}."
+    best = "The best" if sets > 1 else "It"
+    yield f"{best} has {number_of(row.measurements, 'measurement')}, {at}"
 
 
 def _filter(subject: Subject) -> str:

@@ -285,6 +285,8 @@ def _as_good(subject: Subject, row: Row) -> str:
     """How many evenly spaced measurements do as well, by a quick estimate."""
     if not row.evenly_spaced or row.evenly_spaced == row.measurements:
         return ""
+    if row.measurement_times == subject.reference_row.measurement_times:  # they say it already
+        return ""
     judged = subject.run.table("evenly_spaced").set_index("measurements")["draws"]
     draws = int(judged[row.evenly_spaced])
     estimated = f" (quick estimate on {draws:,} of these draws)" * bool(draws)
