@@ -173,11 +173,11 @@ def _race_of_all(built: Built, search: NamedSearch) -> Phase | None:
     own = search.settings.estimation
     if own.estimator == FILTER_VARIANCE.name:  # it does not see that a cloud collapses
         own = replace(own, estimator=TWO_CLOUDS.name)
-    settings = replace(search.polishing, estimation=own)
+    settings, until = replace(search.polishing, estimation=own), search.settings.draws
 
     def race(draws: int) -> Phase:
         sets, of_race = tuple(built.feasible.every()), replace(settings, draws=draws)
-        among = Race(sets, draws, _KEPT, search.settings.draws)
+        among = Race(sets, draws, _KEPT, until, tested_from=until)
         return Phase(search.every, among, "search", of_race, built, search.criterion)
 
     share = _searching(built, search).steps(usual=True) / race(FEWEST).steps()

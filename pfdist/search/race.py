@@ -38,6 +38,9 @@ class Race:
     draws: int  # of the first round
     kept: int = 1  # so many sets stay at least
     until: int = 0  # in rounds with fewer draws
+    # Draws from which a test decides: fewer may miss rare large errors, and then their standard
+    # errors are too small.
+    tested_from: int = 0
 
     @property
     def generations(self) -> int:
@@ -51,7 +54,8 @@ class Race:
         Each round has half as many sets and twice as many draws as the one before. A test leaves
         about `kept` of many sets after the first round.
         """
-        later = min(len(self.sets) / 2, 2 * self.kept) if self.until else len(self.sets) / 2
+        is_short = self.until > self.tested_from
+        later = min(len(self.sets) / 2, 2 * self.kept) if is_short else len(self.sets) / 2
         return len(self.sets) + (self.generations - 1) * later
 
     def init(self) -> RaceState:
@@ -68,7 +72,8 @@ class Race:
         near = [
             evaluation
             for evaluation in order
-            if not evaluation.difference(order[0]).is_positive(_WORSE)
+            if state.draws < self.tested_from
+            or not evaluation.difference(order[0]).is_positive(_WORSE)
         ]
         staying = near[: (len(order) + 1) // 2]
         if 2 * state.draws <= self.until and len(staying) < self.kept:

@@ -13,7 +13,7 @@ from pfdist import Problem
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.evaluator import Evaluator
-from pfdist.kernels.estimators import TWO_CLOUDS
+from pfdist.kernels.estimators import SQUARED_ERROR, TWO_CLOUDS
 from pfdist.problem.feasible import Feasible
 from pfdist.runner import search_phase
 
@@ -145,7 +145,8 @@ SMALL = {
 @pytest.mark.parametrize("name", SMALL)
 def test_a_plan_of_constants_is_the_best_of_all_sets(name: str, tmp_path: Path) -> None:
     # All 220 sets by moved particles: some draws choose the best, others judge it and the plan. The
-    # regret is at most 1 % beyond two standard errors.
+    # regret is at most 1 % beyond two standard errors: by squared errors, and by two clouds, whose
+    # standard error is up to six times smaller where large errors are rare.
     model, times = SMALL[name]
     of_job = Problem(
         model.on_clock(times), horizon=11, measurement_budget=3, estimate="smoothed",
@@ -157,6 +158,11 @@ def test_a_plan_of_constants_is_the_best_of_all_sets(name: str, tmp_path: Path) 
     chosen = evaluator(evaluator.work(sets, 3, 5, (0, 400), moving(100, estimator=TWO_CLOUDS.name)))
     best = sets[int(chosen.mse.mean(axis=0).argmin())]
     rivals = [run.sets["relaxation"], best]
-    mse = evaluator(evaluator.work(rivals, 7, 11, (0, 8000), moving(100))).mse
-    regret = mse[:, 0] - mse[:, 1]
-    assert regret.mean() <= 0.01 * mse[:, 0].mean() + 2 * regret.std() / len(mse) ** 0.5
+    for estimator in (SQUARED_ERROR, TWO_CLOUDS):
+        judged = moving(100, estimator=estimator.name)
+        mse = evaluator(evaluator.work(rivals, 7, 11, (0, 8000), judged)).mse
+        regret = mse[:, 0] - mse[:, 1]
+        assert regret.mean() <= 0.01 * mse[:, 1].mean() + 2 * regret.std() / len(mse) ** 0.5
+    if name == "line":  # exact
+        errors = kalman.expected_mse(model, 11, [run.sets["relaxation"], *sets], lag=11)
+        assert errors[0] <= 1.01 * errors.min()

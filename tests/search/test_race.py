@@ -99,3 +99,21 @@ def test_the_foreseen_work_counts_the_sets_that_drop_out() -> None:
     new = draws[0] + sum(each / 2 for each in draws[1:])
     assert race.evaluations * race.draws == pytest.approx(new, rel=0.2)
     assert race.evaluations < 0.7 * Race(race.sets, race.draws).evaluations
+
+
+def test_a_leader_that_missed_its_rare_large_errors_drops_no_set_before_tests_decide() -> None:
+    """A set with the lowest error in 39 of 40 draws, and a larger mean than all others."""
+    sets: list[Times] = [(0, t) for t in range(1, 17)]
+    best, wins = sets[3], {True: 0, False: 0}
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        mse = {times: 1.0 + 0.1 * rng.normal(size=2048) for times in sets}
+        mse[best] -= 0.3
+        mse[sets[0]] = np.where(rng.random(2048) < 1 / 40, 80.0, 0.5)
+        for waits in wins:
+            race = Race(tuple(sets), 32, tested_from=1024 * waits)
+            wins[waits] += _run(race, mse)[0][0].measurement_times == best
+    # It meets none of them in the first 32 draws with the probability (39/40)^32. Then it leads.
+    missed = 100 * (39 / 40) ** 32
+    assert wins[True] == 100
+    assert abs(100 - missed - wins[False]) <= 3 * math.sqrt(missed * (1 - missed / 100))
