@@ -16,7 +16,7 @@ from pfdist.questions.report import renew_report
 from pfdist.questions.run_of_job import finished_run, own_store, run_and_job
 from pfdist.results import Run, finite
 from pfdist.results.particle_loss import ParticleLoss, particle_losses_of
-from pfdist.results.sets import publish_sets
+from pfdist.results.sets import publish_sets, recommended
 from pfdist.runner.bound_settings import MEMORY, BoundSettings
 from pfdist.runner.build import check_pool
 from pfdist.runner.door import RunSession, complete
@@ -64,6 +64,8 @@ class Bound(Shown):
         Its bound was computed. If it is maximised, the errors and bounds of gaps are minus it.
     has_fewer : bool
         Whether the budget of a gap is the largest number of measurements: sets may have fewer.
+    plan : str
+        Name of the set that the run recommends; empty with several numbers of measurements.
     """
 
     run: Path
@@ -84,6 +86,7 @@ class Bound(Shown):
     labels: Mapping[str, str] = field(default_factory=dict, repr=False)
     criterion: Criterion = field(default=MEAN, repr=False)
     has_fewer: bool = False
+    plan: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
@@ -133,7 +136,7 @@ def bound(
     within : float, optional
         Double the draws until the upper limits of the gaps are at most this fraction, or until they
         are `draws`, by default 30,720. The gaps of references, and of other sets than found ones,
-        do not count if there are searches.
+        do not count if there are searches, unless such a set beats them: then it alone counts.
     particles : int, optional
         Number of particles of the bound's filter; by default that of the job's filter, and at least
         1,000 if estimates use later measurements.
@@ -203,7 +206,7 @@ def bound(
         prover.particles,
         look.draws,
         prover.confidence,
-        None if within is None else look.is_within(within, built.unjudged),
+        None if within is None else look.is_within(within, prover.ignored),
         [
             replace(
                 gap,
@@ -221,4 +224,5 @@ def bound(
         proved.labels,
         built.job.criterion,
         built.feasible.has_fewer,
+        "" if built.job.budget else recommended(proved).name,
     )

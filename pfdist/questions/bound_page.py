@@ -86,9 +86,13 @@ def bound_page(
     proofs, common = answer["sets"], {"confidence": answer["confidence"]}
     constrained = answer["is_constrained"]
     blocks, warnings = list[Block](), list[str]()
-    for name, each in reversed(proofs.items()):  # the plan comes before the reference
-        number, label = len(each["measurement_times"]), labels[name]
-        if not each["reason"] and label not in (EVENLY_SPACED, REGULAR):
+    # The recommended set comes first, and other sets before the reference.
+    in_turn = [*reversed(proofs)]
+    in_turn.sort(key=lambda name: name != answer["plan"])
+    for name in in_turn:
+        each, label, is_first = proofs[name], labels[name], name == answer["plan"]
+        number = len(each["measurement_times"])
+        if not each["reason"] and (is_first or label not in (EVENLY_SPACED, REGULAR)):
             sentence = criterion.proof_sentence(
                 each | common,
                 number,
@@ -96,8 +100,9 @@ def bound_page(
                 is_constrained=constrained,
                 has_scenarios=answer["has_scenarios"],
             )
-            start = "" if label == PLAN else f"For {phrase_of(label)}: "
-            is_detail = bool(start) and PLAN in labels.values()
+            who = "the set of the search" if label == PLAN else phrase_of(label)
+            start = "" if is_first and label == PLAN else f"For {who}: "
+            is_detail = not is_first and PLAN in labels.values()
             blocks.append(Text(f"{start}{sentence}", prominent=not is_detail, detail=is_detail))
         if each.get("particle_loss_limit") is not None:
             loss = particle_loss_text(each["particle_loss"], each["particle_loss_limit"])

@@ -53,10 +53,12 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
           ``unreadable`` (`fault` says why).
         - draws, draws_wanted: draws that all sets have filtered, and draws that the job demands.
         - changed: when a file of the run changed last. bytes: the size of all files.
-        - best: the best found set by the job's criterion; in a run without a search, the best set
-          other than the reference. None before the comparison has begun, and in a run of several
-          numbers of measurements.
-        - reference, gain_of_means: over which set, and by how much the best set gains.
+        - best: the set that answers name first: the best found set by the job's criterion, or a
+          given set or opponent that beats it. In a run without a search, the best set other than
+          the reference. None before the comparison has begun, and in a run of several numbers of
+          measurements.
+        - reference, gain_of_means: over which set, and by how much the best set gains. A set that
+          beats the search has no gain: the draws that show it have chosen it.
         - has_budget: whether the run has times of several numbers of measurements.
         - found: the gain of the best set, or the numbers of measurements, in words; None before
           the comparison has begun.
@@ -120,7 +122,11 @@ def _found(run: Run) -> dict[str, Any]:
     }
     if not draws:
         return found
-    if not found["has_budget"] and (best := _best(rows)) is not None:
+    best = None if found["has_budget"] else _best(rows)
+    if best is not None and best.beats_search:
+        words = f"{best.label}: the search found nothing better"
+        found |= {"best": best.name, "reference": best.reference, "found": words}
+    elif best is not None:
         gain = math.nan if best.gain_of_means is None else best.gain_of_means
         is_mean = best.criterion_gain is None
         judged = "gain_of_means" if is_mean else "criterion_gain"
@@ -151,8 +157,8 @@ def _state(run: Run, state: str) -> str:
 
 
 def _best(sets: list[Row]) -> Row | None:
-    """The best set other than the reference."""
-    rows = {row.name: row for row in sets if row.reference is not None}
+    """The set that answers name first; without a search, the best other than the reference."""
+    rows = {row.name: row for row in sets if row.reference is not None or row.beats_search}
     return next((rows[name] for name in best_first(sets) if name in rows), None)
 
 

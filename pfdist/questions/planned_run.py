@@ -34,7 +34,7 @@ from pfdist.problem.measurements import NO_CODES, Measurements, Reading
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.run_of_job import built_for_run, path_of_run, run_and_job
 from pfdist.results import Run, open_run
-from pfdist.results.sets import best_first, rows_of_sets
+from pfdist.results.sets import recommended
 from pfdist.results.stored_run import job_of, measured_of
 from pfdist.runner.backtesting import evaluator_on, follows_clock
 from pfdist.runner.build import Built, build, say_model_files
@@ -179,7 +179,7 @@ def _planned_set(run: Run, name: str) -> str:
     ----------
     run : Run
     name : str
-        Name of a compared set; if it is empty, that of the answer, see `best_first`.
+        Name of a compared set; if it is empty, that of the answer, see `recommended`.
 
     Raises
     ------
@@ -198,7 +198,8 @@ def _planned_set(run: Run, name: str) -> str:
             f"for instance {list(sets)[-1]}",
             argument="planned",
         )
-    return best_first(rows_of_sets(run))[0]
+    own: str = recommended(run).name
+    return own
 
 
 def reading_of(built: Built, columns: Columns | None, within: float | None, say: Say) -> Reading:

@@ -40,7 +40,7 @@ from pfdist.results import Run, finite
 from pfdist.results.online import is_online
 from pfdist.results.pairs import pairs_table
 from pfdist.results.particle_loss import lost_text
-from pfdist.results.sets import best_first, rows_of_sets
+from pfdist.results.sets import recommended
 from pfdist.results.stored_run import check_one_number, measured_of, provenance_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch, complete
@@ -350,7 +350,7 @@ def _judge(
 ) -> Generator[WorkBatch, None, Ruled]:
     """Driver that tunes the rule, and filters the draws of the run's comparison with it."""
     built, store = session.built, session.store
-    table, plan = _compared(run, draws), best_first(rows_of_sets(run))[0]
+    table, plan = _compared(run, draws), recommended(run).name
     own = yield from tuned(session, measured_of(run)[plan], is_hard=is_hard)
     feasible, measured, finer = built.feasible, measured_of(run), None
     if (

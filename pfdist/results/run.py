@@ -21,7 +21,7 @@ from pfdist.results.export import export_plan
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.over_time import RANGE_SUMS, error_over_time
 from pfdist.results.pairs import pairs_of, ranks_of
-from pfdist.results.sets import best_first, rows_of_sets, sets_of
+from pfdist.results.sets import recommended, sets_of
 from pfdist.results.stored_run import (
     StoredRun,
     check_one_number,
@@ -125,9 +125,7 @@ class Run(StoredRun, Shown):
         check_one_number(self)
         if not self.draws_compared:
             raise StoreError(f"{self.path} has compared no draws yet: it is {self.state}")
-        rows = rows_of_sets(self)
-        name = best_first(rows)[0]
-        return next(row for row in rows if row.name == name)
+        return recommended(self)
 
     def export(self, path: str | Path) -> Path:
         """Write the times of `best` for a spreadsheet (``.csv``) or a diary (``.ics``).

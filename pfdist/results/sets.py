@@ -420,6 +420,13 @@ def _add_lost_constants(run: StoredRun, rows: dict[str, Row]) -> None:
         rows[name].warnings += [text for text in [lost_text(share)] if text]
 
 
+def recommended(run: StoredRun) -> Row:
+    """The row of the set that answers name first, see `best_first`."""
+    rows = rows_of_sets(run)
+    name = best_first(rows)[0]
+    return next(row for row in rows if row.name == name)
+
+
 def best_first(sets: Sequence[Row]) -> list[str]:
     """Names of the found sets, or of all sets of a run without a search, the best first.
 

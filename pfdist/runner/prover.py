@@ -20,6 +20,7 @@ from pfdist.problem.constraints import Constraints
 from pfdist.problem.needs import BOUND
 from pfdist.results import Run
 from pfdist.results.criteria import other_criteria, samples_of
+from pfdist.results.sets import recommended
 from pfdist.results.stored_run import measured_of, values_of
 from pfdist.runner.block_sums import (
     CHOICE_BLOCKS,
@@ -75,8 +76,9 @@ class Prover:
     Before a proof, `relaxation` is the one from which its windows grow; afterwards the final one.
     `particles` is 0 for an exact engine. `confidence` is that of the limit of a gap: 95 %, or more
     if the proof may end after several numbers of draws. `shares` are those of the scenarios or
-    instants in the bound, if the worst of them decides. Raises `JobError` or `ModelError` if no
-    bound is known for the job's problem, or if its relaxation is too large.
+    instants in the bound, if the worst of them decides. `ignored` are the sets that a required gap
+    ignores: all others, if a set beats those of the searches. Raises `JobError` or `ModelError` if
+    no bound is known for the job's problem, or if its relaxation is too large.
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
@@ -110,6 +112,7 @@ class Prover:
         self._given = self._built = built
         self.settings = settings
         self.shares: tuple[float, ...] = ()
+        self.ignored = built.unjudged
         self.particles = particles if built.evaluator.has_particles else 0
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
         looks = 1 if settings.within is None else len(self._blocks)
@@ -152,6 +155,8 @@ class Prover:
         # kill in between errors no filter: the next proof finds all sums by their ids. If it is
         # stopped, the sums stay parts, because those of single draws are not published.
         built, tables = self._built, ["draws", "timings"]
+        if "budget" not in run.job and (best := recommended(run)).beats_search:
+            self.ignored = run.sets.keys() - {best.name}
         try:
             looks = yield from self._looks(session, run)
             tables = ["error_sums", *tables]
@@ -231,7 +236,7 @@ class Prover:
             )
             if reason:  # more draws would not help
                 break
-            if within is not None and looks[-1].is_within(within, self._built.unjudged):
+            if within is not None and looks[-1].is_within(within, self.ignored):
                 break
         return looks
 

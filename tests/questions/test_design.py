@@ -1,5 +1,6 @@
 """The linearized design as times, as a search and as a rival of a plan; what a plan then says."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -103,6 +104,32 @@ def test_a_set_that_clearly_beats_the_search_is_named_without_a_gain(tmp_path: P
     answer = str(run)
     assert "This is the set mine: the search found nothing better" in answer
     assert "lower" not in answer.partition("with its set")[0]
+
+
+@pytest.mark.parametrize("best", ["mine", "reference"])
+def test_lists_and_bounds_name_the_set_that_beats_the_search_first(
+    best: str, tmp_path: Path
+) -> None:
+    worst = max(SETS, key=lambda times: EXACT[times])
+    given = {"mine": BEST, "reference": worst}
+    if best == "reference":
+        given = {"mine": worst, "reference": BEST}
+    comparison = {"draws": 2000, "reference": [*given["reference"]]}
+    comparison["sets"] = {"mine": [*given["mine"]]}
+    search = [{"method": "random", "evaluations": 1, "name": "one"}]
+    job = problem().job(comparison=comparison, search=search)
+    run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
+    (row,) = pfdist.list_runs(tmp_path).itertuples()
+    assert row.best == run.best.name == best
+    assert row.found == f"{best}: the search found nothing better"
+    assert math.isnan(row.gain_of_means)  # these draws have chosen it
+    # The gap of the search's set is above .8; that of the best, which alone counts, is small.
+    proved = pfdist.bound(run, draws=480, within=0.5, pool="serial", figures=False)
+    gaps = {gap.name: gap.gap_at_most for gap in proved.gaps}
+    assert gaps[best] < 0.5 < gaps["one"]
+    assert proved.within_reached
+    assert proved.as_json()["plan"] == best
+    assert str(proved).startswith(f"<For the {'set ' * (best == 'mine')}{best}: Proved")
 
 
 def test_a_set_that_breaks_a_constraint_is_never_named(tmp_path: Path) -> None:
