@@ -69,7 +69,7 @@ class CarriedLines:
         Other formulas, another clock, or other parameters until then, also of readings that come
         with theirs, would change what has happened.
         """
-        own, known = self.model, t + self.has_measured  # instants whose parameters have counted
+        own, known = self.model, self._known(t)
         return (
             len(self.noise) == t - self.start + 1
             and own.components == model.components
@@ -77,6 +77,24 @@ class CarriedLines:
             and (own.initial_noise, own.process_noise) == (model.initial_noise, model.process_noise)
             and _formulas_of(own) == _formulas_of(model)
         )
+
+    def given(self, model: StateSpaceModel, t: int) -> dict[str, Any]:
+        """The parameters of the lines that differ from a model's only before t.
+
+        Their values came with readings, so a model with them fits.
+        """
+        known, found = self._known(t), dict[str, Any]()
+        for name, own in model.parameters.items():
+            value = self.model.parameters.get(name)
+            if not (isinstance(own, tuple) and isinstance(value, tuple) and len(own) > known):
+                continue
+            if own != value and own[known:] == value[known:]:
+                found[name] = value
+        return found
+
+    def _known(self, t: int) -> int:
+        """The number of instants whose parameters have counted."""
+        return t + self.has_measured
 
 
 def _of_first(instants: int, parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from pfdist.errors import (
 )
 from pfdist.filters.cloud import Cloud, Prior
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.one_filter import made
 from pfdist.filters.user_prior import as_prior
@@ -413,7 +414,19 @@ class Planner:
         passed = (e for e in self.rest.in_flight if e < self._points.first(now.first))
         ways = ((each, self._points.way(each)) for each in chain(failed, passed))
         spent = (e for e, way in ways if sensings.by_way(way).fails or parts[way].model.works)
+        evaluator = _with_past(self._built.evaluator, now)
+        self.rest.replanner = replace(self.rest.replanner, evaluator=evaluator)
         self.rest.again(now, chain(taken, spent))
+
+
+def _with_past(evaluator: Evaluator, now: Now) -> Evaluator:
+    """The evaluator with the values that came with readings, so that lines can be continued."""
+    lines, own = getattr(now.prior, "lines", None), evaluator.believed
+    if lines is None or not (given := lines.given(own, now.t)):
+        return evaluator
+    believed = own.with_parameters(given)
+    model = believed if evaluator.model == own else evaluator.model
+    return replace(evaluator, model=model, filter_model=believed)
 
 
 def _at(t: int, prior: Prior) -> Prior:

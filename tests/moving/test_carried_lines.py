@@ -19,6 +19,7 @@ from pfdist.filters.interface import EACH_DRAW
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
 from pfdist.filters.simulation import simulate
+from pfdist.runner.planning import Replanner
 
 SENSORS = ThreeSensors(0.4, 0.95, 0.5, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), (0.3, 0.05, 0.5))
 MODELS = [level_and_slope(0.1, 0.05), constants(2, 0.05), SENSORS.as_model()]
@@ -91,6 +92,85 @@ def test_particles_of_a_user_do_not_move_but_later_noise_does() -> None:
     assert np.allclose(found.cloud, twin.cloud, rtol=1e-8)
     assert np.isin(found.cloud[:, 1], x[1]).all()
     assert np.unique(found.cloud[0, 0]).size == 48
+
+
+# --- readings with errors of their own ------------------------------------------------------------
+
+READINGS = [(2, 0.5, 0.05), (5, 1.2, 0.1), (8, 1.9, 0.3)]
+
+
+def slope_of_readings(u: tuple[float, ...] = (0.2,) * 13) -> StateSpaceModel:
+    """A level that grows by an unknown slope, read with the errors u."""
+    return replace(
+        level_and_slope(0.1, 0.2),
+        measurement=lambda x, t, v, p: (x[0] + p.u[t] * v[0],),
+        log_likelihood=lambda y, x, t, p: normal_logpdf(y[0], x[0], p.u[t]),
+        parameters={"u": u},
+        linear_gaussian=False,
+    )
+
+
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_with_given_errors_a_filter_that_stops_has_the_bytes_of_one_that_does_not(
+    engine: str,
+) -> None:
+    u = dict(zip(range(13), (0.2,) * 13, strict=True)) | {t: own for t, _, own in READINGS}
+    known = {"particles": 48, "proposal": "moving", "engine": engine, "horizon": 12, "seed": 3}
+    stopped = Filter(slope_of_readings(), **known)
+    for t, y, own in READINGS:
+        stopped.update(t, y, u=own)
+    whole = Filter(slope_of_readings(tuple(u.values())), **known).unmeasured
+    seen = [(t, np.array([y])) for t, y, _ in READINGS]
+    draws, points = whole._draws(8, seen)
+    filters = plain if engine == "numpy" else particle_filter
+    found = filters.filter_checked_draws(whole.model, draws, points, whole.stream, whole.settings,
+                                         True)  # fmt: skip
+    cloud = stopped.cloud
+    assert isinstance(cloud, Cloud)
+    assert cloud.lines is not None
+    assert np.array_equal(cloud.x, found.cloud[0])
+    assert np.array_equal(cloud.lines.noise, found.noise[0])
+    assert np.array_equal(stopped.now.mean, found.estimate[0, -1])
+
+
+@pytest.mark.parametrize("by_table", [False, True], ids=["planner", "next"])
+def test_plans_behind_readings_with_given_errors_start_from_lines_that_move(
+    by_table: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Problem(
+        slope_of_readings(), horizon=12, measurement_budget=5, proposal="moving",
+        moved_particles=20, given={"u": "error"},
+    )  # fmt: skip
+    planned = list[tuple[Any, Any]]()
+
+    def plan(replanner: Replanner, now: Any, *others: Any) -> Any:
+        planned.append((replanner.evaluator, now.prior))
+        return ()
+
+    monkeypatch.setattr(Replanner, "plan", plan)
+    if by_table:
+        table = pd.DataFrame(READINGS, columns=["t", "y0", "error"])
+        pfdist.next_time(problem, table)
+    else:
+        planner = pfdist.Planner(problem, [2, 5, 8, 10, 12])
+        for t, y, u in READINGS:
+            planner.update(y, t, u=u)
+    evaluator, cloud = planned[-1]
+    assert cloud.lines_for(evaluator.believed) is not None
+    assert evaluator.model == evaluator.believed  # so the filter still knows the truth's model
+    assert [evaluator.model.parameters["u"][t] for t in (1, 2, 5, 8, 9)] == [0.2, 0.05, 0.1, 0.3,
+                                                                            0.2]  # fmt: skip
+    # Its slopes move: two more measurements leave far more values than particles without lines.
+    draws = replace(evaluator, prior=cloud).draws(range(20), 11)
+    found = filter_checked_draws(
+        evaluator.believed, draws, (10, 12), 5, moving(20, prior=cloud), True
+    )
+    stuck = moving(20, prior=replace(cloud, lines=None))
+    left = filter_checked_draws(evaluator.believed, draws, (10, 12), 5, stuck, True)
+    values, of_copies = (
+        np.median([np.unique(x[1]).size for x in each.cloud]) for each in (found, left)
+    )
+    assert values > 1.5 * of_copies
 
 
 # --- lines that do not fit ------------------------------------------------------------------------
