@@ -365,9 +365,12 @@ class Evaluator:
         set has NaN if a draw is infinite with it, or degenerate although the truth is among the
         particles. Raises `ModelError` if a formula failed.
         """
+        return self._summed(work).errors
+
+    def _summed(self, work: FilterWork) -> FilterArrays:
         draws = self.draws(range(*work.draws), work.draws_stream)
         sets, ends, (stream, *_) = work.measurement_times, work.ends, work.filter_streams
-        return self.filter_sets(draws, sets, ends, stream, work.estimation, SUMS).errors
+        return self.filter_sets(draws, sets, ends, stream, work.estimation, SUMS)
 
     def work(
         self,
@@ -553,7 +556,9 @@ class Evaluator:
         if work.summed:
             first, ends = np.array([work.since, work.ends])[:, :, None]
             t = np.arange(self.start, self.horizon + 1)
-            return Result(np.empty(0), sums=self.sum_errors(work)[(first <= t) & (t <= ends)])
+            found = self._summed(work)
+            sums = found.errors[(first <= t) & (t <= ends)]
+            return Result(np.empty(0), sums=sums, work=found.work)
         draws = self.draws(range(*work.draws), work.draws_stream)
         if work.trajectories:
             streams, estimation = work.filter_streams, work.estimation
@@ -566,11 +571,15 @@ class Evaluator:
                 np.stack([getattr(each, name) for each in each_set])
                 for name in ("estimate", "sizes", "lines")
             )
-            return Result(mse, draws.z, draws.y, estimates, sizes, lines, degenerate=degenerate)
+            steps = np.concatenate([each.work for each in each_set])
+            return Result(
+                mse, draws.z, draws.y, estimates, sizes, lines, degenerate=degenerate, work=steps
+            )
         values = np.empty((len(draws.index), len(work.measurement_times)))
         control = np.zeros(values.shape if work.controlled else 0)
         degenerate = np.zeros(values.shape, np.bool_)
         errors = np.empty((*values.shape, draws.z.shape[1] if work.over_time else 0))
+        taken = list[NDArray[np.float64]]()
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]
             ends = [work.ends[column] for column in same_noise]
@@ -578,13 +587,15 @@ class Evaluator:
             found = self.filter_sets(draws, sets, ends, stream, work.estimation, wanted)
             values[:, same_noise], degenerate[:, same_noise] = found[:2]
             errors[:, same_noise] = found.errors
+            taken.append(found.work)
             if work.controlled:  # by the same noise, so that both errors have much in common
                 estimation = control_of(work.estimation)
                 found = self.filter_sets(draws, sets, ends, stream, estimation, wanted)
                 control[:, same_noise] = np.where(np.isfinite(found.mse), found.mse, 0.0)
                 errors[:, same_noise] -= np.where(np.isfinite(found.errors), found.errors, 0.0)
                 degenerate[:, same_noise] |= found.degenerate
-        return Result(values, degenerate=degenerate, control=control, errors=errors)
+        steps = np.concatenate(taken)
+        return Result(values, degenerate=degenerate, control=control, errors=errors, work=steps)
 
     def settings(self, estimation: Estimation) -> Estimation:
         """The estimation, with filters that start from the prior, and the lag of their error.

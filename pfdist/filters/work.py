@@ -192,6 +192,16 @@ class FilterWork:
         """Particle-steps of all draws."""
         return (self.draws[1] - self.draws[0]) * self.steps_a_draw
 
+    def steps_of(self, result: "Result") -> int:
+        """The particle-steps that a result took: of particles that move, those that were counted.
+
+        Before, their number is a guess; see `Estimation.steps_a_particle`.
+        """
+        counted = int(result.work.sum())
+        return (
+            counted + self.steps - replace(self, controlled=False).steps if counted else self.steps
+        )
+
 
 def columns(streams: Sequence[int]) -> dict[int, list[int]]:
     """For each stream, the columns of the sets that use it."""
@@ -249,6 +259,8 @@ class Result:
     # (D, S, T+1): error of each draw at each instant, not weighted, less its control variate if it
     # is wanted, or (R, S, T+1): sums over ranges of draws; if they are wanted; else empty
     errors: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # particle-steps of particles that move, in parts; see `FilterArrays`
+    work: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     def in_ranges(self, work: FilterWork) -> "Result":
         """The same result with sums over ranges of draws, if the work wants them."""

@@ -170,7 +170,7 @@ class WorkBatch:
         """
         session = self.session
         self._in_flight -= 1
-        steps = 0 if outcome.error is not None else session.counted(cut.task.work)
+        steps = 0 if outcome.error is not None else session.counted(cut.task.work, outcome.value)
         if self.row_format is not None or self.phase in QUESTIONS:  # failed tasks, too
             session.note(self.phase, outcome, self._part, steps)
         session.done[self._part] += steps
@@ -274,12 +274,12 @@ class RunSession:
         """Keep the timing of a task, and what it has computed, for the next commit."""
         self._outcomes.setdefault(phase, []).append((outcome, part, steps))
 
-    def counted(self, works: Iterable[FilterWork]) -> int:
-        """The particle-steps of works; an exact filter has one particle."""
+    def counted(self, works: Iterable[FilterWork], results: Iterable[Result]) -> int:
+        """The particle-steps that works have taken; an exact filter has one particle."""
         has_particles = self.built.evaluator.has_particles
         return sum(
-            work.steps // (1 if has_particles else work.estimation.steps_an_instant)
-            for work in works
+            work.steps_of(result) // (1 if has_particles else work.estimation.steps_an_instant)
+            for work, result in zip(works, results, strict=True)
         )
 
     def count_exact(self, phase: str, part: Part, instants: int) -> None:

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import pytest
 
 import pfdist
+from oracles.unknown import level_and_slope
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
@@ -47,6 +48,37 @@ def test_the_steps_of_all_tasks_are_counted_and_a_resumed_run_adds_what_it_compu
     assert after["comparison"] == 3 * 300 * 9 * 40
     assert after["search"] == before["search"]
     assert sum(after.values()) == sum(steps) + VALUES
+
+
+def test_steps_of_moved_particles_are_those_that_filters_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever was foreseen, and however draws were cut; the controls are plain filters."""
+    problem = pfdist.Problem(
+        level_and_slope(0.1, 0.05), horizon=8, measurement_budget=2, proposal="moving",
+        moved_particles=20,
+    )  # fmt: skip
+    counted, done, filtered = list[float](), set[int](), Evaluator.filtered
+
+    def counting(evaluator: Evaluator, work: Any) -> Any:
+        result = filtered(evaluator, work)
+        counted.extend(result.work.tolist() if work.controlled else ())
+        return result
+
+    monkeypatch.setattr(Evaluator, "filtered", counting)
+    for guess in (5.0, 50.0):
+        monkeypatch.setattr("pfdist.runner.build.steps_a_particle", lambda *_, own=guess: own)
+        counted.clear()
+        run = pfdist.compare(
+            problem, times={"one": [2, 6], "two": [3, 8]}, draws=200, pool="serial",
+            results=tmp_path / f"{guess:g}", figures=False,
+        )  # fmt: skip
+        controls = 2 * 200 * 9 * 100  # sets, draws, instants, particles
+        moved = steps_by_part(run)["comparison"] - controls
+        assert moved == sum(counted)
+        done.add(moved)
+    assert len(done) == 1
+    assert done.pop() > 2 * 200 * 9 * 20
 
 
 def test_an_exact_engine_counts_instants_of_sets(
