@@ -27,12 +27,14 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from oracles.unknown import (
     GLUCOSE_MINUTES,
     HOURS,
+    MINUTES,
     drug,
     emax,
     epidemic,
     level_and_slope,
     logistic,
     minimal_model,
+    remifentanil,
 )
 
 TITLE = "Plans and linearized designs"
@@ -47,6 +49,7 @@ BEFORE: Mapping[str, tuple[float, ...]] = {
     "growth, 3 constants": (7, 13, 19, 23, 24),
     "minimal model": (8, 50, 80, 120, 180),
     "epidemic, 2 rates": (12, 48, 54, 60),
+    "remifentanil, 6 constants": (60, 90, 120, 180),
     "level and slope, noise": (9, 14, 18, 22, 26, 31),
     "shipped: drug with noise": (0, 3, 4, 6, 10, 11),
     "shipped: predator and prey": (11, 15, 20, 28, 31, 35),
@@ -75,6 +78,9 @@ def problems() -> dict[str, Problem]:
         ),
         "epidemic, 2 rates": Problem(
             epidemic(), horizon=60, time_step=6, measurement_budget=4, **afterwards
+        ),
+        "remifentanil, 6 constants": Problem(
+            remifentanil(), times=[*MINUTES], measurement_budget=4, **afterwards
         ),
         "level and slope, noise": Problem(
             level_and_slope(0.02, 0.05), horizon=40, measurement_budget=6

@@ -198,3 +198,35 @@ def logistic() -> StateSpaceModel:
         return size / (1.0 + (size / first - 1.0) * np.exp(-rate * t))
 
     return response("logistic", curve, lambda c: 0.05 * c + 0.5, 3)
+
+
+MINUTES = (2.0, 4.0, 6.0, 10.0, 15.0, 20.0, 22.0, 25.0, 30.0, 40.0, 60.0, 90.0, 120.0, 180.0)
+
+
+def remifentanil() -> StateSpaceModel:
+    """The log concentration of an opioid, infused for 20 minutes: six unknown constants.
+
+    The compartments, their fitted parameters and the widths are those of docs/real-data.md.
+    """
+    typical, widths = (5.0, 11.6, 12.6, 2.6, 2.4, 0.086), (0.256, 0.284, 0.602, 0.139, 0.349, 0.394)
+
+    def curve(x: Any, t: Any) -> Any:
+        v1, v2, v3, cl, q2, q3 = (
+            each * np.exp(width * value)
+            for each, width, value in zip(typical, widths, x, strict=True)
+        )
+        out, back_2, back_3 = (cl + q2 + q3) / v1, q2 / v2, q3 / v3
+        # The rates of three modes are the roots of s^3 - a s^2 + b s - c, by Viete's formula.
+        a, c = out + back_2 + back_3, cl / v1 * back_2 * back_3
+        b = (out - q3 / v1) * back_3 + (out - q2 / v1) * back_2 + back_2 * back_3
+        width = np.sqrt(a**2 / 9 - b / 3)
+        angle = np.arccos(((a / 3) ** 3 - a * b / 6 + c / 2) / width**3) / 3
+        s = [a / 3 + 2 * width * np.cos(angle + 2 * np.pi * k / 3) for k in range(3)]
+        concentration = 0.0
+        for k in range(3):
+            gain = (back_2 - s[k]) * (back_3 - s[k]) / ((s[k - 1] - s[k]) * (s[k - 2] - s[k])) / v1
+            left = np.exp(-s[k] * np.maximum(t - 20.0, 0.0)) - np.exp(-s[k] * t)
+            concentration = concentration + 100.0 * gain / s[k] * left
+        return np.log(concentration)
+
+    return response("remifentanil", curve, lambda c: 0.167 + 0.0 * c, 6)
