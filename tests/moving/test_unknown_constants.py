@@ -9,18 +9,21 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
+from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 import pfdist
 from oracles.unknown import (
     GLUCOSE_MINUTES,
     HOURS,
+    MINUTES,
     constants,
     drug,
     epidemic,
     level_and_slope,
     minimal_model,
     moving,
+    remifentanil,
 )
 from pfdist import Filter, Problem, StateSpaceModel
 from pfdist.errors import ModelError, PfdistWarning
@@ -290,3 +293,24 @@ def test_a_plan_on_the_way_that_would_take_too_long_keeps_plain_particles(
         proposals.append(planner.rest.replanner.planning.estimation.proposal)
         assert planner._filter.unmeasured.settings.proposal == MOVING.name
     assert proposals == [MOVING.name, PLAIN.name]
+
+
+def test_the_modes_of_remifentanil_solve_its_compartments() -> None:
+    """Oracle: the differential equations of three compartments, by an integrator."""
+    model, w = remifentanil().on_clock(MINUTES), (0.3, -1.0, 0.5, 0.2, -0.4, 1.0)
+    widths = (0.256, 0.284, 0.602, 0.139, 0.349, 0.394)
+    v1, v2, v3, cl, q2, q3 = np.array((5.0, 11.6, 12.6, 2.6, 2.4, 0.086)) * np.exp(
+        np.multiply(widths, w)
+    )
+
+    def slopes(t: float, c: Any, rate: float) -> Any:
+        to_2, to_3 = q2 * (c[0] - c[1]), q3 * (c[0] - c[2])
+        return (rate - cl * c[0] - to_2 - to_3) / v1, to_2 / v2, to_3 / v3
+
+    begun, found = np.zeros(3), list[float]()
+    for span, rate in (((0.0, 20.0), 100.0), ((20.0, 180.0), 0.0)):
+        at = [t for t in MINUTES if span[0] < t <= span[1]]
+        solved = solve_ivp(slopes, span, begun, "RK45", at, args=(rate,), rtol=1e-9, atol=1e-12)
+        begun, found = solved.y[:, -1], [*found, *solved.y[0]]
+    log_concentration = [model.quantity_of_interest(w, t, model.p)[0] for t in range(len(MINUTES))]
+    assert log_concentration == pytest.approx(np.log(found), abs=1e-6)
