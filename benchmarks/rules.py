@@ -18,7 +18,7 @@ from pfdist.common.rounding import rounded, with_error
 from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import Thresholds
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
-from pfdist.runner import ruling
+from pfdist.plugins.rule import ruling
 
 TITLE = "Rules"
 TABLES: tuple[str, ...] = ("rules", "decisions")

@@ -22,6 +22,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import program
 from pfdist.cli.words import FLAGS, shown_default
 from pfdist.common.component_names import Component
+from pfdist.common.plugins import plugins
 from pfdist.common.rounding import rounded, with_error
 from pfdist.common.section import JobSection, keys_of_section
 from pfdist.densities import DENSITIES
@@ -36,7 +37,7 @@ from pfdist.problem.job import Job
 from pfdist.problem.job_schema import documented
 from pfdist.problem.limits_section import MostWithinSection, StoreSection
 from pfdist.problem.methods import METHODS
-from pfdist.problem.needs import CAPABILITIES
+from pfdist.problem.needs import capabilities
 from pfdist.problem.online_section import Online
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
@@ -72,6 +73,11 @@ ASPECTS = (
     *(aspect for form in CRITERIA.values() for aspect in form.aspects),
 )  # fmt: skip
 BENCHMARKS = FOLDER.parent / "benchmarks" / "results"
+_NAMES_OF_PLUGINS = "# Names of plugins, written by docs/tables.py\n"
+STUBS = {
+    FOLDER.parent / "pfdist" / "__init__.pyi": "names",
+    FOLDER.parent / "pfdist" / "pages" / "plots.pyi": "plots",
+}
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 _SHARED = 2  # commands that have an option with the same words
@@ -500,7 +506,7 @@ def needs() -> str:
             each.title,
             "; ".join(fact.head + f" ({why})" * bool(why) for fact, why in each.needs.items()),
         ]
-        for each in CAPABILITIES
+        for each in capabilities()
     ]
     return _table(["capability", "it needs"], rows)
 
@@ -671,6 +677,22 @@ def _table(header: list[str], rows: Iterable[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def with_names_of_plugins(stub: Path, hook: str) -> str:
+    """Give a stub with the names that plugins add by a hook."""
+    core, mark, rest = stub.read_text(encoding="utf-8").partition(_NAMES_OF_PLUGINS)
+    root = FOLDER.parent / "pfdist"
+    dots = "." * len(stub.relative_to(root).parts)
+    names = [name for each in plugins().values() for name in getattr(each, hook)]
+    lines = []
+    for module, _, name in sorted(each.partition(":") for each in names):
+        if (root.parent / f"{module.replace('.', '/')}.py").exists():
+            lines.append(f"from {dots}{module.removeprefix('pfdist.')} import {name} as {name}\n")
+    end = rest[rest.index("\n__all__") :]
+    return f"{core}{mark}{''.join(lines)}{end}"
+
+
 if __name__ == "__main__":
+    for stub, hook in STUBS.items():
+        stub.write_text(with_names_of_plugins(stub, hook), encoding="utf-8")
     for path in (FOLDER.parent / "README.md", *sorted(FOLDER.glob("*.md"))):
         path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")

@@ -33,8 +33,6 @@ from .questions.particle_losses import particle_losses as particle_losses
 from .questions.plan import plan as plan
 from .questions.planner import Planner as Planner
 from .questions.report import report as report
-from .questions.rule import rule as rule
-from .questions.rule_file import Rule as Rule
 from .questions.run import run as run
 from .questions.simulate import simulate as simulate
 from .questions.sweep import Sweep as Sweep
@@ -44,6 +42,11 @@ from .questions.why import why as why
 from .results import Run as Run
 from .results import open_run as open_run
 from .runner.filter import Filter as Filter
+
+# isort: split
+# Names of plugins, written by docs/tables.py
+from .plugins.rule.question import rule as rule
+from .plugins.rule.rule_file import Rule as Rule
 
 __all__: list[str]
 __version__: str

@@ -9,32 +9,9 @@ An answer is a DataFrame of runs, a path, a line, or an object with ``as_json()`
 test each command, and docs/commands.md is written from this table.
 """
 
-from typing import NamedTuple
+from pfdist.common.plugins import Command, plugins
 
-
-class Command(NamedTuple):
-    """A command of the command line.
-
-    Parameters
-    ----------
-    function : str
-        ``module:function``; it is imported when the command is called.
-    sentence : str
-        The first line of the function's docstring, for the list of commands.
-    examples : dict of str to str
-        Whole command lines of at most 78 characters, each with what it does. The help of the
-        command ends with them, and a test runs them. The first is the one to begin with.
-    resumes : bool
-        Whether the same command, given again, resumes what was interrupted.
-    """
-
-    function: str
-    sentence: str
-    examples: dict[str, str]
-    resumes: bool = False
-
-
-COMMANDS = {
+COMMANDS: dict[str, Command] = {
     "run": Command(
         "pfdist.questions.run:run",
         "Run the searches of a job and compare the found times with evenly spaced ones.",
@@ -116,15 +93,6 @@ COMMANDS = {
             "pfdist online jobs/plan.toml --draws 200": (
                 "The same for a job without a section [online], on few draws"
             ),
-        },
-        resumes=True,
-    ),
-    "rule": Command(
-        "pfdist.questions.rule:rule",
-        "Measure when the filter is unsure, and compare this with the plan of a run.",
-        {
-            "pfdist rule jobs/plan.toml": "Tune a rule that measures as often as the plan",
-            "pfdist rule jobs/plan.toml --hard": "Never measure more often than the plan",
         },
         resumes=True,
     ),
@@ -326,13 +294,18 @@ COMMANDS = {
         },
     ),
 }
-"""All commands by name, in the order of the help."""
+"""All commands by name: those of the core, and those of plugins."""
 
-GROUPS = {
+GROUPS: dict[str, tuple[str, ...]] = {
     "Plan": ("plan", "budget", "run", "sweep"),
     "Ask": ("evaluate", "compare", "why", "bound", "explore"),
-    "Real data": ("filter", "next", "rule", "online", "backtest"),
+    "Real data": ("filter", "next", "online", "backtest"),
     "Runs": ("status", "list", "table", "report", "plot", "verify"),
     "Models": ("init", "check-model", "simulate", "models", "schema", "completion"),
 }
-"""The groups of the help, with their commands in order."""
+"""The groups of the help, with their commands in order: those of plugins follow."""
+
+for plugin in plugins().values():
+    for title, added in plugin.commands.items():
+        COMMANDS |= added
+        GROUPS[title] = (*GROUPS.get(title, ()), *added)

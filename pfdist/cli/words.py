@@ -17,6 +17,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.common.arguments import columns_argument, sets_argument
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import finite_number, whole_number, whole_numbers
+from pfdist.common.plugins import added
 from pfdist.errors import shown
 from pfdist.pools.kinds import AUTO, POOLS
 from pfdist.problem.sweep_points import values_by_key
@@ -138,10 +139,8 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "changes": _texts("KEY=VALUE", name="--set", consume_multiple=1),
     "data": _file("DATA"),
     "draws": _number("K"),
-    "dry_run": _SWITCH,
     "export": _folder("FILE"),
     "folder": _file("DIR"),
-    "hard": _SWITCH,
     "horizon": _number("T"),
     "job": _file("JOB"),
     "measurements": _file("MEASUREMENTS"),
@@ -153,17 +152,14 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "over": _texts("KEY=VALUES", values_by_key),
     "part": Word(Any, Parameter(metavar="K/N", converter=_each(_part))),
     "particles": _number("P"),
-    "plan_each": _SWITCH,
     "planned": _text("NAME"),
     "pool": Word(str | None, Parameter(metavar="POOL", choices=(AUTO, *POOLS))),
     "port": _number("PORT"),
     "prior": _folder("FILE"),
-    "profile": _SWITCH,
     "report": Word(bool | None, Parameter(negative="--no-report")),
     "replicate": _text("COLUMN"),
     "results": _folder("DIR"),
     "reuse": Word(list[Path], Parameter(metavar="RUN", converter=_all(_paths))),
-    "rule": _SWITCH,
     "run": _file("RUN"),
     "runs": _file("RUN"),
     "search": _search,
@@ -173,7 +169,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     ),
     "target": _number("MSE", finite_number),
     "times": _texts("TIMES", sets_argument),
-    "watch": _SWITCH,
     "window": _number("K"),
     "within": _number("GAP", finite_number),
     "work": _number("STEPS", finite_number),
@@ -191,7 +186,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "simulate.out": Word(Path, Parameter(metavar="FILE", converter=_each(_path), required=True)),
     "check-model.times": _text("TIMES"),
 }
-"""The words of each parameter by its name, or by its command and its name."""
+"""The words of each parameter by its name, or by its command and its name; others are switches."""
 
 
 class Line(NamedTuple):
@@ -255,9 +250,18 @@ def __getattr__(name: str) -> Callable[..., Line]:
     return read
 
 
+def word_of(command: str, parameter: inspect.Parameter) -> Word:
+    """How a parameter of a command is read; a KeyError if no table has it."""
+    for table in (WORDS, *added("words")):
+        if found := table.get(f"{command}.{parameter.name}") or table.get(parameter.name):
+            return found if isinstance(found, Word) else found()
+    if isinstance(parameter.default, bool):
+        return _SWITCH
+    raise KeyError(parameter.name)
+
+
 def _as_word(command: str, parameter: inspect.Parameter) -> inspect.Parameter:
-    found = WORDS.get(f"{command}.{parameter.name}") or WORDS[parameter.name]
-    word = found if isinstance(found, Word) else found()
+    word = word_of(command, parameter)
     if parameter.kind is not parameter.VAR_POSITIONAL:
         kind = parameter.POSITIONAL_ONLY if word.stands_alone else parameter.KEYWORD_ONLY
         parameter = parameter.replace(kind=kind)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from importlib.metadata import entry_points
 from typing import Generic, TypeVar
 
-from pfdist.errors import PfdistError
+from pfdist.common.plugins import cannot_load, import_modules
 
 T = TypeVar("T")
 
@@ -15,12 +15,12 @@ class Registry(Mapping[str, T], Generic[T]):
     """Objects of a kind by their names, in alphabetical order.
 
     The modules of the package `package` declare themselves when they are imported. They are
-    imported when the table is first read, and so are the entry points of the group `group`, if
-    there is a group: installed packages have such entry points.
+    imported when the table is first read; so are the modules that plugins name in the hook `hook`,
+    and the entry points of the group `group` that installed packages have.
     """
 
-    def __init__(self, package: str, group: str = "") -> None:
-        self._package, self._group = package, group
+    def __init__(self, package: str, group: str = "", hook: str = "") -> None:
+        self._package, self._group, self._hook = package, group, hook
         self._declared: dict[str, T] = {}
         self._complete = False
 
@@ -53,11 +53,11 @@ class Registry(Mapping[str, T], Generic[T]):
         folder = importlib.import_module(self._package).__path__
         for module in pkgutil.iter_modules(folder):
             importlib.import_module(f"{self._package}.{module.name}")
+        if self._hook:
+            import_modules(self._hook)
         for entry_point in entry_points(group=self._group) if self._group else ():
             try:
                 entry_point.load()
             except Exception as error:
-                raise PfdistError(
-                    f"cannot load {entry_point.name!r}, which an installed package adds to "
-                    f"{self._group} as {entry_point.value}: {type(error).__name__}: {error}"
-                ) from error
+                named = entry_point.name, self._group, entry_point.value
+                raise cannot_load(*named, error) from error

@@ -145,7 +145,7 @@ class Figure:
         return {self.name: ()}
 
 
-FIGURES: Registry[Figure] = Registry("pfdist.pages")
+FIGURES: Registry[Figure] = Registry("pfdist.pages", hook="figures")
 
 
 def one_number(run: Run) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pfdist.common.plugins import added
 from pfdist.errors import JobError
 from pfdist.filters.criterion import MEAN
 from pfdist.filters.engines import NUMPY, is_exact
@@ -238,14 +239,6 @@ ON_THE_WAY = Capability(
     },
     lambda job: "online" * (job.online is not None),
 )  # fmt: skip
-RULES = Capability(
-    "`pfdist rule`",
-    {
-        OF_EACH_DRAW: "", A_SEARCH: "there is no plan",
-        PARTICLES: "its spread does not depend on y, so a rule is a fixed set",
-        COMPILED: "it takes too long", SQUARED_NORM: "",
-    },
-)  # fmt: skip
 WHY = Capability("`pfdist why`", {ONE_NUMBER: "", MEAN_OF_SCENARIOS: ""})
 EXPLORE = Capability("`pfdist explore`", {EXPECTED_MSE: ""})
 BOUND = Capability(
@@ -261,15 +254,20 @@ PLAN_EACH = Capability(
     "`plan_each` of `pfdist backtest`",
     {A_NUMBER: "without plan_each, the plan of the run is judged", LEARNED: ""},
 )
-CAPABILITIES = (
+_CAPABILITIES = (
     BUDGET, ON_THE_WAY, CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, EXACT,
-    WRONG_FILTER, LEARNING, RULES, WHY, EXPLORE, BOUND, LOSS, REAL_DATA, PLAN_EACH,
+    WRONG_FILTER, LEARNING, WHY, EXPLORE, BOUND, LOSS, REAL_DATA, PLAN_EACH,
 )  # fmt: skip
+
+
+def capabilities() -> tuple[Capability, ...]:
+    """All capabilities: those of the core, then those of plugins."""
+    return (*_CAPABILITIES, *added("capabilities"))
 
 
 def fault_of(job: "Job") -> str:
     """Why the settings of a job do not go together; empty if they do."""
-    for capability in CAPABILITIES:
+    for capability in capabilities():
         if (what := capability.asked(job)) and (lacking := capability.lacks(job)):
             return f"{what} needs {lacking}"
     return ""

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.parts import Facts, Page, Section, Text
+from pfdist.common.plugins import asked
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.shown import Shown
-from pfdist.errors import PfdistWarning
+from pfdist.errors import ArgumentError, PfdistWarning
 from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
@@ -24,12 +25,12 @@ from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
-from pfdist.questions.next_by_rule import NextByRule, next_by_rule, next_in_words
 from pfdist.questions.planned_run import (
     Columns,
     PlannedRun,
     UserTable,
     instant_now,
+    next_in_words,
     planned_run,
     reading_of,
     system_of_table,
@@ -218,7 +219,7 @@ def next_time(
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     say: Say = silent,
-) -> NextTime | NextByRule:
+) -> NextTime | Shown:
     """Choose when to measure a system next, from the measurements so far.
 
     Parameters
@@ -258,7 +259,7 @@ def next_time(
 
     Returns
     -------
-    NextTime, or NextByRule
+    NextTime, or the answer of the rule
 
     Raises
     ------
@@ -273,8 +274,10 @@ def next_time(
         The model cannot be loaded, or a formula failed.
     """
     table = table_argument("measurements", measurements)
+    ask = asked("online.next") if rule else _next_by_plan
+    if ask is None:
+        raise ArgumentError("rule needs the plugin rule", argument="rule")
     plan = planned_run(job, results, changes, say, planned, prior, must_be=rule)
-    ask = next_by_rule if rule else _next_by_plan
     result = ask(plan, table, now, reading_of(plan.built, columns, within, say))
     for line in result._page().alarms if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)

@@ -87,6 +87,18 @@ def check_files(files: Sequence[Path], schema: pa.Schema, title: str) -> None:
         check(file)
 
 
+def next_in_words(clock: Clock, time: Time | str, *, is_last: bool = True) -> str:
+    """When to measure next; dates have weekdays, as those of a plan.
+
+    Beside sensors, the unit of time stands at the end: with later times, unless it is the last.
+    """
+    each = time.split(", ") if isinstance(time, str) else [time]
+    if clock.has_dates:
+        return f"on {', '.join(clock.in_words(each))}"
+    is_bare = isinstance(time, str) and not is_last
+    return f"at t = {time if is_bare else clock.listed(each)}"
+
+
 class PlannedRun(NamedTuple):
     """A finished run of a job if it has one, the set that was planned, and what filters need.
 

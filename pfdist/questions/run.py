@@ -25,14 +25,13 @@ from pfdist.results.stored_run import measured_of, problem_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.door import RunSession, WorkBatch, complete
-from pfdist.runner.driver import core_steps, drive, prover_of
+from pfdist.runner.driver import core_steps, drive, looks, prover_of
 from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
 from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.opponent import SHARE
 from pfdist.runner.progress import Detail, Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
-from pfdist.runner.ruling import look_at_a_rule
 from pfdist.runner.searches import RANKING
 from pfdist.store import (
     EVEN_PHASE,
@@ -222,7 +221,8 @@ def compute(
                 for phase in (EVEN_PHASE, RANKING):
                     session.store.settle(table, phase)
         if proves or is_alone:
-            yield from look_at_a_rule(session, run, SHARE * core_steps(built, prover))
+            for each in looks():
+                yield from each.look(session, run, SHARE * core_steps(built, prover))
         if prover is not None and proves:
             publish_sets(run)
             if "budget" in run.job:

@@ -93,6 +93,15 @@ class OnlineDraws:
         }
 
 
+def online_errors(run: StoredRun, draws: int | None) -> pd.DataFrame | None:
+    """The draws of a run and their errors with online times; None if it has none."""
+    if not is_online(run):
+        return None
+    found = run.table("online", draws)[["draw", "mse"]].rename(columns={"mse": "mse_online"})
+    found.attrs["labels"] = {"mse_online": "online times"}
+    return found
+
+
 def is_online(run: StoredRun) -> bool:
     """Whether a run has draws with online times that are compared."""
     return {"comparison", "online"} <= {*run.tables}

@@ -1,19 +1,21 @@
 """The driver of a run: searches, then the comparison, then online draws; it uses no pool itself."""
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pyarrow as pa
 
 from pfdist.common.measurement_times import Times
+from pfdist.common.plugins import added
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError, SearchError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import FilterWork, Result, cut
 from pfdist.problem.online_section import Online
+from pfdist.results.stored_run import StoredRun
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import (
@@ -33,13 +35,27 @@ from pfdist.runner.opponent import SHARE, best_evenly_spaced, opponent_steps
 from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover
 from pfdist.runner.row_formats import RowsByDraw
-from pfdist.runner.ruling import look_work
 from pfdist.runner.search_phase import is_too_long, run_search, search_steps
 from pfdist.runner.searches import planning_of
 from pfdist.runner.smoothed_budget import budget_of_smoothed, budget_steps, is_smoothed_budget
 from pfdist.store import Store, schema
 
 COMPARED = "search"
+
+
+class QuickLook(NamedTuple):
+    """Quick work of a plan beside its proof, by which its answer has a further sentence."""
+
+    part: Part  # what it is for
+    # the number of draws, and of particle-steps, for which so many particle-steps are allowed
+    work: Callable[[Built, float], tuple[int, float]]
+    # the driver for a run, with the particle-steps that are allowed
+    look: Callable[[RunSession, StoredRun, float], Generator[WorkBatch, None, None]]
+
+
+def looks() -> list[QuickLook]:
+    """The quick work of all plugins."""
+    return [*added("looks")]
 
 
 def drive(session: RunSession) -> Generator[WorkBatch, None, None]:
@@ -93,7 +109,8 @@ def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, f
     if prover is not None:
         foreseen["proof"], foreseen["likelihood"] = prover.steps, prover.rank_steps
         foreseen["scan"] = scan_steps(built, SHARE * core_steps(built, prover))
-        _, foreseen["rule"] = look_work(built, SHARE * core_steps(built, prover))
+        for look in looks():
+            _, foreseen[look.part] = look.work(built, SHARE * core_steps(built, prover))
     return {part: steps for part, steps in foreseen.items() if steps}
 
 

@@ -12,7 +12,7 @@ import pytest
 import pfdist
 from oracles.in_turn import in_turn
 from pfdist.cli.commands import COMMANDS
-from pfdist.cli.words import WORDS, Word
+from pfdist.cli.words import _PYTHON_ALONE, word_of
 from pfdist.common.arguments import address_fault, path_argument
 from pfdist.errors import ArgumentError, PfdistError
 
@@ -31,11 +31,6 @@ NEEDED = {
 """Options that a command needs."""
 
 
-def _word(command: str, name: str) -> Word | None:
-    found = WORDS.get(f"{command}.{name}") or WORDS.get(name)
-    return found if isinstance(found, Word) else None
-
-
 def _parameters(command: str) -> dict[str, inspect.Parameter]:
     return dict(inspect.signature(pkgutil.resolve_name(COMMANDS[command].function)).parameters)
 
@@ -43,9 +38,8 @@ def _parameters(command: str) -> dict[str, inspect.Parameter]:
 def _paths() -> Iterator[tuple[str, str]]:
     """All arguments of all commands that are paths."""
     for command in COMMANDS:
-        for name in _parameters(command):
-            word = _word(command, name)
-            if word is not None and "Path" in str(word.kind):
+        for name, parameter in _parameters(command).items():
+            if name not in _PYTHON_ALONE and "Path" in str(word_of(command, parameter).kind):
                 yield command, name
 
 
@@ -78,9 +72,9 @@ def test_an_address_is_refused_wherever_a_command_takes_a_path(
     given |= {"job": str(SMALL)} if command in NEEDED else {}
     words = [command]
     for each, about in _parameters(command).items():
-        word = _word(command, each)
-        if word is None:
+        if each in _PYTHON_ALONE or about.kind is about.VAR_KEYWORD:
             continue
+        word = word_of(command, about)
         value = ADDRESS if each == name else given.get(each, run)
         is_needed = about.default is about.empty and about.kind is not about.KEYWORD_ONLY
         if word.stands_alone and (each == name or is_needed):

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pfdist
+from pfdist.common.parsing import parse_toml
+from pfdist.plugins import PLUGINS
 
 ROOMS = "filters", "guided", "questions", "runner"
 # Functions that make a key, that give it to noise, and that make one from a seed.
@@ -65,7 +67,6 @@ UNITS = {
     "runner/driver.py online_work": "draws: name",
     "runner/evenly_spaced.py _Scan._judged": "draws: times",
     "runner/evenly_spaced.py _Scan._look": "draws:",
-    "runner/every_strategy.py _least": "draws: role",
     "runner/gap_parts.py gap_parts": "draws:",
     "runner/gap_parts.py _per_draw": "draws: draws_stream",
     "runner/likelihood.py measured": "state: draw t component",
@@ -80,7 +81,6 @@ UNITS = {
     "runner/planning.py _Outlook.of_sets": "draws: self.stream",
     "runner/prover.py Prover._windows": "draws:",
     "runner/prover.py Prover._streams": "draws:",
-    "runner/ruling.py work_of": "draws: purpose",
     "runner/ranks.py RankWork._statistics": "draw: index t c",
 }
 
@@ -114,12 +114,17 @@ def functions(tree: ast.AST, name: str = "") -> Iterator[tuple[str, ast.Function
 
 def test_each_place_that_makes_a_key_says_over_what_it_averages() -> None:
     found = dict[str, set[str]]()
-    for room in ROOMS:
-        for file in (Path(pfdist.__file__).parent / room).glob("*.py"):
+    package = Path(pfdist.__file__).parent
+    for room in (*ROOMS, *(f"plugins/{name}" for name in PLUGINS)):
+        for file in (package / room).glob("*.py"):
             for name, function in functions(ast.parse(file.read_text(encoding="utf-8"))):
                 if (words := words_of(function)) is not None:
                     found[f"{room}/{file.name} {name}"] = words
-    assert found.keys() == UNITS.keys()
-    for place, unit in UNITS.items():
+    units = {**UNITS}
+    for keys in (Path(__file__).parents[1] / "plugins").glob("*/keys.toml"):
+        own = parse_toml(keys.read_text(encoding="utf-8"))
+        units |= {f"plugins/{keys.parent.name}/{place}": unit for place, unit in own.items()}
+    assert found.keys() == units.keys()
+    for place, unit in units.items():
         lacking = {*unit.partition(":")[2].split()} - found[place]
         assert not lacking, (place, unit)

@@ -15,10 +15,10 @@ from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, load_job
 from pfdist.errors import StoreError
+from pfdist.plugins.rule.ruling import tuned
 from pfdist.runner import comparison_phase, door, gap_parts
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.runner.pace import Pace
-from pfdist.runner.ruling import tuned
 from pfdist.store import parquet
 from pfdist.store.verify import verify_run
 
@@ -250,7 +250,7 @@ def test_an_opponent_a_proof_or_a_rule_that_goes_wrong_at_any_operation_ends_wit
 ) -> None:
     """The ranking, the evaluation from coarse to fine and the race; smoothed sums; the sweeps."""
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 10**7)
-    monkeypatch.setattr("pfdist.questions.rule.tuned", partial(tuned, draws=60))
+    monkeypatch.setattr("pfdist.plugins.rule.question.tuned", partial(tuned, draws=60))
     changes, ask = ASKS[asked]
     small = [*CHANGES, "model.name=random_walk", "problem.horizon=6", *changes]
     job, begun = small_job.with_changes(small), tmp_path / "begun"

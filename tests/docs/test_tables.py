@@ -57,6 +57,12 @@ def test_a_page_has_the_tables_that_the_declarations_make(page: Path, tables: Mo
     assert text == tables.with_tables(text), "run `python docs/tables.py`"
 
 
+def test_stubs_have_the_names_of_plugins(tables: ModuleType) -> None:
+    for stub, hook in tables.STUBS.items():
+        text = stub.read_text(encoding="utf-8")
+        assert text == tables.with_names_of_plugins(stub, hook), "run `python docs/tables.py`"
+
+
 def test_the_manual_has_every_table_once(tables: ModuleType) -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert sorted(re.findall(r"<!-- table: (\w+) -->", text)) == sorted(tables.TABLES)

@@ -15,8 +15,8 @@ from oracles.guided import sharp_walk
 from pfdist import Job, Problem
 from pfdist.filters.proposals import GUIDED, PLAIN
 from pfdist.kernels.rules import Thresholds
+from pfdist.plugins.rule.rule_file import keep_rule, rule_json
 from pfdist.problem.feasible import Feasible
-from pfdist.questions.rule_file import keep_rule, rule_json
 from pfdist.runner import build as builds
 from pfdist.runner import choice
 from pfdist.store import listing

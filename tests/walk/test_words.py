@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
+from pfdist import plots
+
 ROOT = Path(__file__).parents[2]
 FILES = sorted(
     path.relative_to(ROOT).as_posix()
@@ -118,7 +120,6 @@ def keys_in_messages(source: str) -> Iterator[str]:
 
 # A formula of a model, a function of an engine, a figure and a command have names of their kinds.
 OF_A_KIND = ("pfdist/models/library/", "pfdist/cli/own.py")
-PLOTS = (ROOT / "pfdist/pages/plots.py").read_text()
 ENGINES_HAVE = {"filter_checked_draws", "filter_checked_sets", "log_evidence", "simulate"}
 
 
@@ -132,7 +133,7 @@ def test_a_name_means_the_same_in_the_whole_package() -> None:
     for file in FILES:
         if file.startswith("pfdist/") and not file.startswith(OF_A_KIND):
             for name in public_names((ROOT / file).read_text()):
-                is_figure = file.startswith("pfdist/pages/") and f'"{name}"' in PLOTS
+                is_figure = name in plots.__all__ and "matplotlib" in (ROOT / file).read_text()
                 places[name] += [] if is_figure else [file]
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
 

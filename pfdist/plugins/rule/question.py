@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pfdist.common.changes import change_of, effect, is_clear
 from pfdist.common.estimate import Estimate
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
+from pfdist.common.plugins import asked
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
@@ -21,8 +22,19 @@ from pfdist.filters.criterion import Criterion, CriterionValue, OtherCriterion, 
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.models import StateSpaceModel
+from pfdist.plugins.rule.every_strategy import bound_of_strategies
+from pfdist.plugins.rule.needs import RULES
+from pfdist.plugins.rule.rule_file import keep_rule, rule_json
+from pfdist.plugins.rule.ruling import (
+    TUNING_DRAWS,
+    filtered_by,
+    followed,
+    rule_of_set,
+    settle_rules,
+    tuned,
+    work_of,
+)
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.needs import RULES
 from pfdist.problem.problem import JobSource
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.at_work import at_work, noted
@@ -33,11 +45,9 @@ from pfdist.questions.options import (
     following,
     with_options,
 )
-from pfdist.questions.rule_file import keep_rule, rule_json
 from pfdist.questions.run_of_job import own_store, run_and_job
 from pfdist.questions.subject import mse_cell, number_of
 from pfdist.results import Run, finite
-from pfdist.results.online import is_online
 from pfdist.results.pairs import pairs_table
 from pfdist.results.particle_loss import lost_text
 from pfdist.results.sets import recommended
@@ -45,17 +55,7 @@ from pfdist.results.stored_run import check_one_number, measured_of, provenance_
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch, complete
 from pfdist.runner.driver import core_steps
-from pfdist.runner.every_strategy import bound_of_strategies
 from pfdist.runner.opponent import SHARE
-from pfdist.runner.ruling import (
-    TUNING_DRAWS,
-    filtered_by,
-    followed,
-    rule_of_set,
-    settle_rules,
-    tuned,
-    work_of,
-)
 
 RULE = "rule"
 _DIGITS = 9  # of prices, whose sums are rounded
@@ -333,7 +333,7 @@ def rule(
 def _draw(found: Ruled, built: Built) -> list[Path]:
     """Draw the first draw with the median number of measurements."""
     # Not above: the help of the command waits for no Matplotlib.
-    from pfdist.pages.ruled import draw_rule  # noqa: PLC0415
+    from pfdist.plugins.rule.figure import draw_rule  # noqa: PLC0415
 
     numbers = found.table[found.what]
     usual = numbers[~found.table["degenerate"] & np.isfinite(found.table["mse_rule"])]
@@ -350,7 +350,7 @@ def _judge(
 ) -> Generator[WorkBatch, None, Ruled]:
     """Driver that tunes the rule, and filters the draws of the run's comparison with it."""
     built, store = session.built, session.store
-    table, plan = _compared(run, draws), recommended(run).name
+    (table, beside), plan = _compared(run, draws), recommended(run).name
     own = yield from tuned(session, measured_of(run)[plan], is_hard=is_hard)
     feasible, measured, finer = built.feasible, measured_of(run), None
     if (
@@ -372,7 +372,7 @@ def _judge(
     own_table = pd.DataFrame(what | {"degenerate": degenerate > 0, "mse_rule": mse})
     table = pd.concat([own_table, table], axis=1)
     labels = {name: phrase_of(run.labels[name]) for name in (plan, run.names[0])}
-    labels |= {"online": "online times"} if "mse_online" in table else {}
+    labels |= {name.removeprefix("mse_"): label for name, label in beside.items()}
     unit = unit_of(built.evaluator.model)
     numbers = {
         name: float(feasible.price_of(measured[name])) if name in measured else feasible.budget
@@ -407,13 +407,15 @@ def unit_of(model: StateSpaceModel) -> str:
     return "" if others or any(model.is_angle) else quantity.unit
 
 
-def _compared(run: Run, draws: int | None) -> pd.DataFrame:
-    """The errors of a run's sets with the same draws, and of its online times."""
+def _compared(run: Run, draws: int | None) -> tuple[pd.DataFrame, dict[str, str]]:
+    """The errors of a run's sets with the same draws, and labels of columns that others add."""
     table = run.table("comparison", draws).filter(regex="^(draw|mse_.*)$")
-    if is_online(run):
-        online = run.table("online", draws)[["draw", "mse"]].rename(columns={"mse": "mse_online"})
-        table = table.merge(online, on="draw")
-    return table.drop(columns="draw").reset_index(drop=True)
+    errors = asked("rule.beside")
+    beside = errors and errors(run, draws)
+    if beside is not None:
+        table = table.merge(beside, on="draw")
+    labels = {} if beside is None else beside.attrs["labels"]
+    return table.drop(columns="draw").reset_index(drop=True), labels
 
 
 def level_text(rule: Thresholds, feasible: Feasible, unit: str = "") -> str:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pfdist.pages.figure import Plot, save_plots
 from pfdist.pages.panel import label_instants, legend_above, marker, thin
 from pfdist.pages.style import BLUE, GREY, RED
+from pfdist.plugins.rule.ruling import RuledDraw
 from pfdist.problem.clock import Clock
-from pfdist.runner.ruling import RuledDraw
 
 Array = NDArray[np.float64]
 

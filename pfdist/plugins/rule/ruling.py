@@ -26,14 +26,8 @@ from pfdist.filters.work import FilterWork, Result
 from pfdist.kernels.follows import ROUNDING
 from pfdist.kernels.left import Left
 from pfdist.kernels.rules import ALWAYS, NEVER, Applied, Thresholds
-from pfdist.problem.feasible import Feasible
-from pfdist.problem.needs import RULES
-from pfdist.results import Moments
-from pfdist.results.stored_run import StoredRun, measured_of, provenance_of
-from pfdist.runner.build import Built
-from pfdist.runner.door import RunSession, WorkBatch
-from pfdist.runner.row_formats import PER_DRAW
-from pfdist.search.thresholds import (
+from pfdist.plugins.rule.needs import RULES
+from pfdist.plugins.rule.thresholds import (
     TURNS,
     Points,
     ThresholdSweep,
@@ -42,6 +36,13 @@ from pfdist.search.thresholds import (
     at_price,
     point_groups,
 )
+from pfdist.problem.feasible import Feasible
+from pfdist.results import Moments
+from pfdist.results.stored_run import StoredRun, measured_of, provenance_of
+from pfdist.runner.build import Built
+from pfdist.runner.door import RunSession, WorkBatch
+from pfdist.runner.driver import QuickLook
+from pfdist.runner.row_formats import PER_DRAW
 from pfdist.store import RULE_PHASE, Store, add_to_provenance
 
 TUNING_DRAWS = 3000
@@ -255,6 +256,9 @@ def look_at_a_rule(
     session.commit()
     settle_rules(session.store)
     add_to_provenance(run.path, {key: sentence})
+
+
+LOOK = QuickLook("rule", look_work, look_at_a_rule)
 
 
 def tuned(

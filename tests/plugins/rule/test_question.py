@@ -27,26 +27,27 @@ from pfdist.errors import ArgumentError, StoreError
 from pfdist.filters.strategy import follow
 from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
-from pfdist.problem.feasible import Feasible
-from pfdist.problem.needs import RULES
-from pfdist.problem.sections import Execution
-from pfdist.questions.next_by_rule import NextByRule
-from pfdist.questions.planned_run import filter_of
-from pfdist.questions.rule import (
+from pfdist.plugins.rule import every_strategy, ruling
+from pfdist.plugins.rule.every_strategy import bound_of_strategies
+from pfdist.plugins.rule.needs import RULES
+from pfdist.plugins.rule.next_by_rule import NextByRule
+from pfdist.plugins.rule.question import (
     Ruled,
     _draw,
     unit_of,
 )
-from pfdist.questions.rule_file import _Written, keep_rule, rule_json, rule_of
-from pfdist.runner import door, every_strategy, ruling
+from pfdist.plugins.rule.rule_file import _Written, keep_rule, rule_json, rule_of
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.sections import Execution
+from pfdist.questions.planned_run import filter_of
+from pfdist.runner import door
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.door import RunSession, complete
-from pfdist.runner.every_strategy import bound_of_strategies
 from pfdist.search.first_windows import relaxation_for
 from pfdist.store import Store, listing
 from pfdist.store.verify import verify_run
 
-SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
+SMALL = (Path(__file__).parents[2] / "small.toml").read_text()
 COUNTED = Feasible(horizon=12, measurement_budget=4)
 
 
@@ -440,7 +441,7 @@ def test_the_standard_deviation_of_an_angle_has_no_unit() -> None:
 
 
 def code_of_the_manual() -> list[str]:
-    text = (Path(__file__).parents[2] / "docs" / "rule.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "rule.md").read_text(encoding="utf-8")
     return [part.partition("```")[0] for part in text.split("```python\n")[1:]]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
-from pfdist.search.thresholds import (
+from pfdist.plugins.rule.thresholds import (
     Changes,
     ThresholdSweep,
     Trial,

@@ -12,13 +12,18 @@ from pfdist.common.parts import Facts, Page, Section, Text
 from pfdist.common.rounding import rounded
 from pfdist.common.shown import Shown
 from pfdist.kernels.rules import Thresholds
-from pfdist.problem.clock import Clock, Time
+from pfdist.plugins.rule.question import level_text
+from pfdist.plugins.rule.rule_file import rule_json, rule_of
+from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Reading, read_measurements
 from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
-from pfdist.questions.planned_run import PlannedRun, instant_now, system_of_table
-from pfdist.questions.rule import level_text
-from pfdist.questions.rule_file import rule_json, rule_of
+from pfdist.questions.planned_run import (
+    PlannedRun,
+    instant_now,
+    next_in_words,
+    system_of_table,
+)
 from pfdist.questions.subject import number_of
 from pfdist.results import finite
 
@@ -71,18 +76,6 @@ class NextByRule(Shown):
             facts.append(("predicted standard deviation", spread))
         blocks = Text(f"{said}.", prominent=True), Facts(facts)
         return Page("", "", [Section("", blocks)], alarms=self.doubts)
-
-
-def next_in_words(clock: Clock, time: Time | str, *, is_last: bool = True) -> str:
-    """When to measure next; dates have weekdays, as those of a plan.
-
-    Beside sensors, the unit of time stands at the end: with later times, unless it is the last.
-    """
-    each = time.split(", ") if isinstance(time, str) else [time]
-    if clock.has_dates:
-        return f"on {', '.join(clock.in_words(each))}"
-    is_bare = isinstance(time, str) and not is_last
-    return f"at t = {time if is_bare else clock.listed(each)}"
 
 
 def next_by_rule(
