@@ -22,7 +22,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import program
 from pfdist.cli.words import FLAGS, shown_default
 from pfdist.common.component_names import Component
-from pfdist.common.plugins import plugins
+from pfdist.common.plugins import added, plugins
 from pfdist.common.rounding import rounded, with_error
 from pfdist.common.section import JobSection, keys_of_section
 from pfdist.densities import DENSITIES
@@ -54,7 +54,6 @@ from pfdist.problem.sections import (
 )
 from pfdist.problem.sensing_section import MeasurementsSection
 from pfdist.problem.sensor_section import SensorSection
-from pfdist.problem.sweep import SweepFile
 from pfdist.problem.visits_section import VisitsSection
 from pfdist.results.columns import COLUMNS as SET_COLUMNS
 from pfdist.results.run import COMPUTED
@@ -174,9 +173,9 @@ def keys() -> str:
     return "\n\n".join(tables)
 
 
-def sweep_keys() -> str:
-    """Give the table of the keys of a sweep file."""
-    return _table_of_keys("", SweepFile.model_fields, SweepFile)
+def keys_of_files() -> str:
+    """Give the tables of the keys of files that plugins read, a table for each."""
+    return "\n\n".join(_table_of_keys("", each.model_fields, each) for each in added("files"))
 
 
 def columns() -> str:
@@ -538,7 +537,7 @@ def densities() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
-        methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
+        methods, settings, keys, keys_of_files, columns, computed_tables, filtered_columns, usage,
         gallery, genetic, backtest, guided, constants, static, designs, size,
         seconds_of_plan, rules, engines, schemes, commands, figures,
         densities, needs,

@@ -14,6 +14,8 @@ from .models.continuous import sde as sde
 from .models.library.linear_gaussian import linear_gaussian as linear_gaussian
 from .models.symbols import take as take
 from .pages import plots as plots
+from .plugins.sweep.question import Sweep as Sweep
+from .plugins.sweep.question import sweep as sweep
 from .problem.job import Job as Job
 from .problem.job import load_job as load_job
 from .problem.problem import Problem as Problem
@@ -35,8 +37,6 @@ from .questions.planner import Planner as Planner
 from .questions.report import report as report
 from .questions.run import run as run
 from .questions.simulate import simulate as simulate
-from .questions.sweep import Sweep as Sweep
-from .questions.sweep import sweep as sweep
 from .questions.table import table as table
 from .questions.why import why as why
 from .results import Run as Run

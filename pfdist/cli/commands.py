@@ -96,21 +96,6 @@ COMMANDS: dict[str, Command] = {
         },
         resumes=True,
     ),
-    "sweep": Command(
-        "pfdist.cli.own:sweep",
-        "Run a job at many values of its keys, with the same workers.",
-        {
-            "pfdist sweep jobs/plan.toml --over seed=1:3": (
-                "Plan with three seeds, with the same workers"
-            ),
-            "pfdist sweep jobs/plan.toml --over seed=1:2 --over filter.particles=100,500": (
-                "Run every combination of two keys"
-            ),
-            "pfdist sweep jobs/budgets.toml --dry-run": "List the points of a sweep file",
-            "pfdist sweep jobs/budgets.toml --part 3/12": "Compute the third of twelve parts",
-        },
-        resumes=True,
-    ),
     "bound": Command(
         "pfdist.questions.bound:bound",
         "Prove how much lower the expected MSE of any other times can be.",
@@ -297,7 +282,7 @@ COMMANDS: dict[str, Command] = {
 """All commands by name: those of the core, and those of plugins."""
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Plan": ("plan", "budget", "run", "sweep"),
+    "Plan": ("plan", "budget", "run"),
     "Ask": ("evaluate", "compare", "why", "bound", "explore"),
     "Real data": ("filter", "next", "online", "backtest"),
     "Runs": ("status", "list", "table", "report", "plot", "verify"),

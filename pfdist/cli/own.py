@@ -4,74 +4,18 @@ Each returns an answer, as the functions of `pfdist.questions` do, or yields lin
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, Unpack
+from typing import TYPE_CHECKING, Literal, Unpack
 
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, ModelError, StoreError
 from pfdist.questions.options import Options, with_options
-from pfdist.runner.progress import silent
 
 if TYPE_CHECKING:  # each command imports what it needs, and no other command waits for that
-    import pandas as pd
-
+    from pfdist.questions.foreseen import Foreseen
     from pfdist.questions.model_checks import Check
-    from pfdist.questions.sweep import Sweep
     from pfdist.results import Run
-
-
-@with_options
-def sweep(
-    job: str,
-    *,
-    over: Mapping[str, Sequence[Any]] | None = None,
-    results: str | None = None,
-    changes: Sequence[str] = (),
-    bound_draws: int = 0,
-    part: tuple[int, int] | None = None,
-    dry_run: bool = False,
-    **options: Unpack[Options],
-) -> "Sweep | pd.DataFrame":
-    """Run a job at many values of its keys, with the same workers.
-
-    Parameters
-    ----------
-    job : str
-        A sweep file, which names a job and values of its keys; or a job file, with --over.
-    over : mapping, optional
-        A key of the job with its values, as seed=1:10 or model.parameters.NAME=0.5,1; give the
-        option once for each key. Every combination is a point.
-    results : str, optional
-        Folder of the sweep; by default ``results/NAME`` of a sweep file ``NAME.toml``, or
-        ``results/NAME-sweep`` of a job.
-    changes : sequence of str, optional
-        Other values of keys of the job, at all points.
-    bound_draws : int
-        Number of draws of the lower bound that is proved at each point; 0 for no bound.
-    part : tuple of two int, optional
-        Compute every N-th point, from the K-th, and no other, as tasks of a batch array do. Then
-        the same command without --part makes the table and the figure of the whole sweep.
-    dry_run : bool
-        Print the points, their work, estimated from a few draws, and how many parts are worthwhile;
-        compute no point.
-    options
-        See `Options`.
-    """
-    from pfdist.questions.sweep import foreseen
-    from pfdist.questions.sweep import sweep as computed
-
-    if dry_run and part is not None:
-        raise ArgumentError("--part and --dry-run exclude each other: a dry run computes no point")
-    if dry_run:
-        return foreseen(
-            job, over or {}, results=results, changes=changes,
-            progress=options.get("progress"), say=options.get("say", silent),
-        )  # fmt: skip
-    return computed(
-        job, over or {}, results=results, changes=changes, bound_draws=bound_draws, part=part,
-        **options,
-    )  # fmt: skip
 
 
 @with_options
@@ -87,7 +31,7 @@ def plan(
     against: Sequence[str] | None = None,
     dry_run: bool = False,
     **options: Unpack[Options],
-) -> "Run | pd.DataFrame":
+) -> "Run | Foreseen":
     """Find measurement times for a job's problem, and prove how good they are.
 
     One search finds them. They are compared with evenly spaced times on fresh draws. A lower bound
@@ -129,7 +73,7 @@ def plan(
     from pfdist.questions.plan import plan as planned
 
     if dry_run:
-        from pfdist.questions.sweep import foreseen_work
+        from pfdist.questions.foreseen import foreseen_work
 
         return foreseen_work(job, search, changes, bound_draws, against)
     return planned(job, results, search, changes, bound_draws, reuse, export, against, **options)

@@ -85,10 +85,8 @@ def _as_json(answer: Any, line: Line) -> dict[str, Any]:
         case Run():
             return answer.as_json()
         case pd.DataFrame():
-            keys = [key for key in ("time_unit", "bytes") if key in answer.attrs]
-            known = {key: answer.attrs[key] for key in keys}
-            name = {"list": "runs", "sweep": "points"}.get(line.name, "rows")
-            return known | {name: records_of(answer)}
+            known = {key: answer.attrs[key] for key in ("time_unit",) if key in answer.attrs}
+            return known | {"runs" if line.name == "list" else "rows": records_of(answer)}
     values: dict[str, Any] = answer.as_json()
     return values
 
@@ -141,8 +139,7 @@ def _page_of(frame: pd.DataFrame, line: Line) -> Page:
 
     if line.name == "list":
         return runs.list_page(frame, *line.arguments)
-    pages = {"sweep": runs.foreseen_page, "plan": runs.foreseen_work_page}
-    return pages.get(line.name, runs.table_page)(frame)
+    return runs.table_page(frame)
 
 
 def _places(run: Run) -> dict[str, Path]:

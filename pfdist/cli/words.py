@@ -20,7 +20,6 @@ from pfdist.common.parsing import finite_number, whole_number, whole_numbers
 from pfdist.common.plugins import added
 from pfdist.errors import shown
 from pfdist.pools.kinds import AUTO, POOLS
-from pfdist.problem.sweep_points import values_by_key
 
 T = TypeVar("T")
 
@@ -54,35 +53,40 @@ class Word(NamedTuple):
     stands_alone: bool = False
 
 
-def _each(read: Callable[[str], T]) -> Callable[[Any, Sequence[Token]], T]:
+def read_each(read: Callable[[str], T]) -> Callable[[Any, Sequence[Token]], T]:
     """A converter of a parameter that is one word."""
     return lambda _, tokens: read(tokens[0].value)
 
 
-def _all(read: Callable[[list[str]], T]) -> Callable[[Any, Sequence[Token]], T]:
+def read_all(read: Callable[[list[str]], T]) -> Callable[[Any, Sequence[Token]], T]:
     """A converter of a parameter that is given once for each of its words."""
     return lambda _, tokens: read([token.value for token in tokens])
 
 
-def _file(metavar: str) -> Word:
-    return Word(Path, Parameter(metavar=metavar, converter=_each(_path)), stands_alone=True)
+def file_word(metavar: str) -> Word:
+    """A file or folder that stands alone."""
+    return Word(Path, Parameter(metavar=metavar, converter=read_each(_path)), stands_alone=True)
 
 
-def _folder(metavar: str) -> Word:
-    return Word(Path | None, Parameter(metavar=metavar, converter=_each(_path)))
+def folder_word(metavar: str) -> Word:
+    """An option that is a path."""
+    return Word(Path | None, Parameter(metavar=metavar, converter=read_each(_path)))
 
 
-def _text(metavar: str) -> Word:
+def text_word(metavar: str) -> Word:
+    """An option that is a text."""
     return Word(str | None, Parameter(metavar=metavar))
 
 
-def _number(metavar: str, read: Callable[[str], Any] = whole_number) -> Word:
-    return Word(Any, Parameter(metavar=metavar, converter=_each(read)))
+def number_word(metavar: str, read: Callable[[str], Any] = whole_number) -> Word:
+    """An option that is a number."""
+    return Word(Any, Parameter(metavar=metavar, converter=read_each(read)))
 
 
-def _texts(metavar: str, read: Callable[[list[str]], Any] = list, **settings: Any) -> Word:
+def texts_word(metavar: str, read: Callable[[list[str]], Any] = list, **settings: Any) -> Word:
+    """An option of several words."""
     settings = {"n_tokens": -1, **settings}
-    return Word(Any, Parameter(metavar=metavar, converter=_all(read), **settings))
+    return Word(Any, Parameter(metavar=metavar, converter=read_all(read), **settings))
 
 
 def _path(text: str) -> str:
@@ -104,15 +108,6 @@ def _decimal(text: str) -> int | float | str:
         return text
 
 
-def _part(text: str) -> tuple[int, int]:
-    """The numbers of ``3/200``; `SweepJob.part` checks them."""
-    number, _, parts = text.partition("/")
-    try:
-        return whole_number(number), whole_number(parts)
-    except ValueError as error:
-        raise ValueError(f"must be K/N, as 3/200, got {shown(text)}") from error
-
-
 def _sets_or_one(texts: list[str]) -> dict[str, str]:
     """Sets as `sets_argument` gives them; a single set needs no name."""
     if len(texts) > 1 or "=" in texts[0] or texts == [REGULAR]:
@@ -129,62 +124,63 @@ def _search() -> Word:
 
 _SWITCH = Word(bool, Parameter())
 WORDS: dict[str, Word | Callable[[], Word]] = {
-    "address": _text("HOST:PORT"),
-    "against": _texts("TIMES"),
-    "also": _text("CRITERIA"),
-    "block": _number("K"),
-    "bound_draws": _number("K"),
+    "address": text_word("HOST:PORT"),
+    "against": texts_word("TIMES"),
+    "also": text_word("CRITERIA"),
+    "block": number_word("K"),
+    "bound_draws": number_word("K"),
     "browser": Word(bool, Parameter(negative="--no-browser")),
-    "columns": Word(Any, Parameter(metavar="NAME=COLUMN", converter=_each(columns_argument))),
-    "changes": _texts("KEY=VALUE", name="--set", consume_multiple=1),
-    "data": _file("DATA"),
-    "draws": _number("K"),
-    "export": _folder("FILE"),
-    "folder": _file("DIR"),
-    "horizon": _number("T"),
-    "job": _file("JOB"),
-    "measurements": _file("MEASUREMENTS"),
-    "memory": _number("MIB"),
-    "model": _file("MODEL"),
+    "columns": Word(Any, Parameter(metavar="NAME=COLUMN", converter=read_each(columns_argument))),
+    "changes": texts_word("KEY=VALUE", name="--set", consume_multiple=1),
+    "data": file_word("DATA"),
+    "draws": number_word("K"),
+    "export": folder_word("FILE"),
+    "folder": file_word("DIR"),
+    "horizon": number_word("T"),
+    "job": file_word("JOB"),
+    "measurements": file_word("MEASUREMENTS"),
+    "memory": number_word("MIB"),
+    "model": file_word("MODEL"),
     "name": Word(str, Parameter(metavar="NAME"), stands_alone=True),
-    "now": _number("T", _decimal),
-    "out": _folder("PATH"),
-    "over": _texts("KEY=VALUES", values_by_key),
-    "part": Word(Any, Parameter(metavar="K/N", converter=_each(_part))),
-    "particles": _number("P"),
-    "planned": _text("NAME"),
+    "now": number_word("T", _decimal),
+    "out": folder_word("PATH"),
+    "particles": number_word("P"),
+    "planned": text_word("NAME"),
     "pool": Word(str | None, Parameter(metavar="POOL", choices=(AUTO, *POOLS))),
-    "port": _number("PORT"),
-    "prior": _folder("FILE"),
+    "port": number_word("PORT"),
+    "prior": folder_word("FILE"),
     "report": Word(bool | None, Parameter(negative="--no-report")),
-    "replicate": _text("COLUMN"),
-    "results": _folder("DIR"),
-    "reuse": Word(list[Path], Parameter(metavar="RUN", converter=_all(_paths))),
-    "run": _file("RUN"),
-    "runs": _file("RUN"),
+    "replicate": text_word("COLUMN"),
+    "results": folder_word("DIR"),
+    "reuse": Word(list[Path], Parameter(metavar="RUN", converter=read_all(_paths))),
+    "run": file_word("RUN"),
+    "runs": file_word("RUN"),
     "search": _search,
-    "seed": _number("S"),
+    "seed": number_word("S"),
     "shell": Word(
         str, Parameter(metavar="SHELL", choices=("bash", "zsh", "fish")), stands_alone=True
     ),
-    "target": _number("MSE", finite_number),
-    "times": _texts("TIMES", sets_argument),
-    "window": _number("K"),
-    "within": _number("GAP", finite_number),
-    "work": _number("STEPS", finite_number),
-    "workers": _number("N"),
-    "backtest.within": _number("TIME", finite_number),
-    "filter.within": _number("TIME", finite_number),
-    "next.within": _number("TIME", finite_number),
+    "target": number_word("MSE", finite_number),
+    "times": texts_word("TIMES", sets_argument),
+    "window": number_word("K"),
+    "within": number_word("GAP", finite_number),
+    "work": number_word("STEPS", finite_number),
+    "workers": number_word("N"),
+    "backtest.within": number_word("TIME", finite_number),
+    "filter.within": number_word("TIME", finite_number),
+    "next.within": number_word("TIME", finite_number),
     "budget.measurements": Word(
-        Any, Parameter(metavar="NUMBERS", converter=_each(lambda text: set(whole_numbers(text))))
+        Any,
+        Parameter(metavar="NUMBERS", converter=read_each(lambda text: set(whole_numbers(text)))),
     ),
     "table.runs": Word(
-        Path, Parameter(metavar="RUN", converter=_each(_path), required=True), stands_alone=True
+        Path, Parameter(metavar="RUN", converter=read_each(_path), required=True), stands_alone=True
     ),
-    "evaluate.times": _texts("TIMES", _sets_or_one),
-    "simulate.out": Word(Path, Parameter(metavar="FILE", converter=_each(_path), required=True)),
-    "check-model.times": _text("TIMES"),
+    "evaluate.times": texts_word("TIMES", _sets_or_one),
+    "simulate.out": Word(
+        Path, Parameter(metavar="FILE", converter=read_each(_path), required=True)
+    ),
+    "check-model.times": text_word("TIMES"),
 }
 """The words of each parameter by its name, or by its command and its name; others are switches."""
 

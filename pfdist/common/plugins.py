@@ -60,6 +60,9 @@ class Plugin:
         Modules that declare figures of a run. `pfdist.pages.figure` asks.
     capabilities : sequence of str
         Needs of jobs for the plugin: `pfdist.problem.needs.Capability`. That module asks.
+    files : sequence of str
+        Sections of files that are no jobs, marked by their first keys, for the JSON schema.
+        `pfdist.problem.job_schema` asks.
     looks : sequence of str
         Quick work of a plan beside its proof: `pfdist.runner.driver.QuickLook`. That module and
         `pfdist.questions.run` ask.
@@ -73,6 +76,7 @@ class Plugin:
     plots: Sequence[str] = ()
     figures: Sequence[str] = ()
     capabilities: Sequence[str] = ()
+    files: Sequence[str] = ()
     looks: Sequence[str] = ()
     others: Mapping[str, str] = field(default_factory=dict)
 

@@ -1,17 +1,18 @@
-"""The JSON schema of job files and sweep files, by which editors complete and check them."""
+"""The JSON schema of job files and of other files, by which editors complete and check them."""
 
 import inspect
 import re
 from collections.abc import Iterator
+from functools import reduce
+from operator import or_
 from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
+from pfdist.common.plugins import added
 from pfdist.common.section import JobSection
 from pfdist.problem.job import Job
-from pfdist.problem.sweep import SweepFile
 
-_ROOTS = frozenset({Job.__name__, SweepFile.__name__})
 _KEY = re.compile(r"(?m)^(\w+) : (.*)\n((?:    .*\n?)+)")
 _KEYWORDS = {"gt": "exclusiveMinimum", "lt": "exclusiveMaximum"}
 _OF_LISTS = {"minLength": "minItems", "maxLength": "maxItems"}
@@ -31,9 +32,11 @@ def documented(section: type) -> dict[str, tuple[str, str]]:
 
 
 def job_schema() -> dict[str, Any]:
-    """The JSON schema of job files and sweep files as they are written, with dates as texts."""
-    _, both = models_json_schema([(Job, "validation"), (SweepFile, "validation")], by_alias=True)
-    sections: dict[str, Any] = both["$defs"]
+    """The JSON schema of jobs and of files of plugins as they are written, with dates as texts."""
+    files = [Job, *added("files")]
+    _, all_files = models_json_schema([(each, "validation") for each in files], by_alias=True)
+    sections: dict[str, Any] = all_files["$defs"]
+    roots = {each.__name__ for each in files}
     for of_section in _below(JobSection):
         if section := sections.get(of_section.__name__):
             text = inspect.getdoc(of_section) or ""
@@ -42,16 +45,20 @@ def job_schema() -> dict[str, Any]:
             for key, (_, meaning) in documented(of_section).items():
                 if key in keys:
                     keys[key]["description"] = meaning
-    job, sweep = (sections[each.__name__]["properties"] for each in (Job, SweepFile))
+    job, *others = (sections[each.__name__]["properties"] for each in files)
+    allowed: dict[str, Any] = {
+        "propertyNames": {"enum": [*job]}, "required": sections["Job"]["required"]
+    }  # fmt: skip
+    for each in others:
+        marked = {"if": {"required": [next(iter(each))]}}
+        allowed = marked | {"then": {"propertyNames": {"enum": [*each]}}, "else": allowed}
     whole = {  # no choice at the root, so that an editor marks the wrong key and not all lines
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "A job or a sweep of pfdist",
+        "title": "A file of pfdist",
         "type": "object",
-        "properties": job | sweep,
-        "if": {"required": ["job"]},
-        "then": {"propertyNames": {"enum": [*sweep]}},
-        "else": {"propertyNames": {"enum": [*job]}, "required": sections["Job"]["required"]},
-        "$defs": {name: each for name, each in sections.items() if name not in _ROOTS},
+        "properties": reduce(or_, others, job),
+        **allowed,
+        "$defs": {name: each for name, each in sections.items() if name not in roots},
     }
     written: dict[str, Any] = _as_written(whole)
     return written

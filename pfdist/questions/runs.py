@@ -18,8 +18,6 @@ from pfdist.common.rounding import with_interval
 from pfdist.errors import one_line
 from pfdist.filters.criterion import MEAN, Criterion, WorstScenario, criterion_named
 from pfdist.problem.set_key import labels_of_sets, phrase_of
-from pfdist.problem.sweep import parts_that_pay
-from pfdist.questions.about_run import PARTS
 from pfdist.questions.list_runs import FINISHED
 from pfdist.results.columns import interval_cell
 from pfdist.results.runs_table import (
@@ -144,40 +142,3 @@ def _result(row: Mapping[Any, Any]) -> str:
         texts.append(f"{row['draws']:,} of {row['draws_wanted']:,} draws")
     texts += [row["found"]] * isinstance(row["found"], str)
     return ", ".join(texts)
-
-
-def foreseen_work_page(work: pd.DataFrame) -> Page:
-    """The work of a plan, from `pfdist.questions.plan.foreseen_work`."""
-    rows = [
-        [Cell(PARTS.get(row["part"], row["part"])), Cell(f"{row['steps']:.3g}", row["steps"]),
-         Cell(f"{row['minutes']:.2g}", row["minutes"])]
-        for row in [*work.to_dict("records"), {"part": "all", **work.sum(numeric_only=True)}]
-    ]  # fmt: skip
-    table = Table("", ("work for", "particle-steps", "minutes of a core"), rows)
-    size = f"The run takes about {formatted_size(work.attrs['bytes'])} on disk, with its report."
-    usual = (
-        "The search usually takes between half and twice as much: exchanges go on while they "
-        "improve the plan. Where many sets are almost as good, it was six times as much."
-    )
-    return Page("", "", [Section("", [table, Text(usual), Text(size)])])
-
-
-def foreseen_page(points: pd.DataFrame) -> Page:
-    """The points of a sweep and their work, from `pfdist.questions.sweep.foreseen`."""
-    billion = 1e9
-    rows = [
-        [
-            Cell(row["point"]),
-            Cell(row["state"]),
-            Cell(f"{row['steps'] / billion:.3f}", row["steps"]),
-        ]
-        for row in points.to_dict("records")
-    ]
-    left = points[["steps", "seconds"]].where(points["state"] != FINISHED, 0)
-    text = f"{len(points)} points; about {left['steps'].sum() / billion:.3f} billion particle-steps"
-    text += f" are left to do, in {formatted_seconds(left['seconds'].sum())} s of a core"
-    text += " (without compiling, figures and reports)"
-    table = Table("", ("point", "state", "billion steps"), rows)
-    parts = parts_that_pay(left["seconds"].tolist())
-    pays = f"up to {parts} parts are worthwhile, on a core each" if parts > 1 else "one part"
-    return Page("", "", [Section("", [table, Text(text), Text(pays)])])

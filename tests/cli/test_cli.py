@@ -186,10 +186,10 @@ def test_a_damaged_file_is_named_and_the_remedy_is_true(small_run: pfdist.Run, c
         ("plan {run}/job.toml", "pfdist.questions.plan.plan", True),
         ("budget {run}/job.toml --measurements 2:3", "pfdist.questions.budget.budget", True),
         ("status {run}", "pfdist.results.open_run", False),
-        ("sweep {run}/job.toml --over seed=1:2", "pfdist.questions.sweep.sweep", True),
+        ("sweep {run}/job.toml --over seed=1:2", "pfdist.plugins.sweep.question.sweep", True),
         (
             "sweep {run}/job.toml --over seed=1:2 --dry-run",
-            "pfdist.questions.sweep.foreseen",
+            "pfdist.plugins.sweep.question.foreseen",
             False,
         ),
     ],

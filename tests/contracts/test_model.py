@@ -17,9 +17,9 @@ from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
+from pfdist.plugins.sweep.question import foreseen
 from pfdist.pools.kinds import POOLS
 from pfdist.questions.model_checks import check_loaded
-from pfdist.questions.sweep import foreseen
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 FILES = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))
@@ -114,7 +114,7 @@ def test_every_point_of_a_sweep_file_can_be_built(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The speed of the model is measured in tests of sweeps."""
-    monkeypatch.setattr("pfdist.questions.sweep.seconds_a_step", lambda *_, **__: 1e-9)
+    monkeypatch.setattr("pfdist.plugins.sweep.question.seconds_a_step", lambda *_, **__: 1e-9)
     points = foreseen(path)
     assert len(points) > 1
     assert (points["steps"] > 0).all()

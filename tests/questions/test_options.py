@@ -10,8 +10,8 @@ import pfdist
 from pfdist.cli.words import WORDS, Word
 from pfdist.common.arguments import columns_argument, names_argument, paths_argument, sets_argument
 from pfdist.errors import ArgumentError, JobError
+from pfdist.plugins.sweep.sweep_file import read_sweep
 from pfdist.problem.problem import as_job
-from pfdist.problem.sweep import read_sweep
 from pfdist.questions.budget import _section
 from pfdist.questions.options import Options
 from pfdist.questions.plan import of_as_many

@@ -14,8 +14,8 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
 from pfdist.questions.about_run import PARTS
+from pfdist.questions.foreseen import foreseen_work
 from pfdist.questions.run_of_job import searched_by
-from pfdist.questions.sweep import foreseen_work
 from pfdist.results.stored_run import steps_by_part
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
@@ -116,7 +116,8 @@ def test_a_plan_is_foreseen_about_as_it_is_done(
     words = ["plan", str(small_job.path), *(f"--set={each}" for each in few)]
     assert main([*words, "--dry-run"]) == 0
     text = capsys.readouterr().out
-    rows = foreseen_work(small_job.path, "relaxation", few, None)
+    whole = foreseen_work(small_job.path, "relaxation", few, None)
+    rows = whole.work
     foreseen = dict(zip(rows["part"], rows["steps"], strict=True))
     shown = dict(re.findall(r"^(.*?)  +(\S+e\+\d+|\d+) ", text, re.MULTILINE))
     assert shown.pop("all") == f"{sum(foreseen.values()):.3g}"
@@ -134,7 +135,7 @@ def test_a_plan_is_foreseen_about_as_it_is_done(
     assert 0 < done["scan"] <= foreseen["scan"]
     size = sum(file.stat().st_size for file in run.rglob("*") if file.is_file())
     pictures = 0.7e6  # which --no-report leaves out
-    assert rows.attrs["bytes"] / 2 < size + pictures < 2 * rows.attrs["bytes"]
+    assert whole.bytes / 2 < size + pictures < 2 * whole.bytes
     assert main(["status", str(run)]) == 0
     assert f"particle-steps: {done.total():.3g} (" in capsys.readouterr().out
 
@@ -169,5 +170,5 @@ def test_a_proof_that_a_plan_leaves_to_a_question_of_its_own_is_not_foreseen(
     many = ["filter.particles=500", "comparison.draws=8000", "problem.measurement_budget=10"]
     for horizon, is_foreseen in ((20, True), (200, False)):
         changes = [f"problem.horizon={horizon}", *many]
-        rows = foreseen_work(small_job.path, "relaxation", changes, None)
+        rows = foreseen_work(small_job.path, "relaxation", changes, None).work
         assert ("proof" in set(rows["part"])) is is_foreseen

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from oracles.in_turn import in_turn
 from pfdist.errors import JobError
+from pfdist.plugins.sweep.sweep_points import MOST_POINTS, points_of, values_in
 from pfdist.problem.job import override
-from pfdist.problem.sweep_points import MOST_POINTS, points_of, values_in
 
 
 def test_every_combination_is_a_point_and_the_last_key_changes_fastest() -> None:

@@ -1,6 +1,5 @@
 """A job at many points: every point is a separate run, and all share the same workers."""
 
-import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,33 +8,30 @@ from typing import Any, Unpack
 import pandas as pd
 
 from pfdist.common.arguments import path_argument
-from pfdist.common.parts import Page, Section, Text
+from pfdist.common.formatted_sizes import formatted_seconds
+from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
-from pfdist.errors import ArgumentError, JobError, ModelError, SweepError
-from pfdist.filters.work import BLOCK
+from pfdist.errors import ArgumentError, SweepError
+from pfdist.plugins.sweep.points_at_work import PointsAtWork
+from pfdist.plugins.sweep.sweep_file import SweepJob, SweepPart, parts_that_pay, read_sweep
+from pfdist.plugins.sweep.sweep_points import Values
 from pfdist.problem.job import Job
-from pfdist.problem.problem import JobSource, as_job
-from pfdist.problem.sweep import SweepJob, SweepPart, read_sweep
-from pfdist.problem.sweep_points import Values
+from pfdist.problem.problem import JobSource
 from pfdist.questions.at_work import at_work
-from pfdist.questions.model_checks import seconds_a_step
+from pfdist.questions.foreseen import seconds_of_step
+from pfdist.questions.list_runs import FINISHED
 from pfdist.questions.options import Chosen, Options, following, with_options
-from pfdist.questions.plan import draws_of_bound, of_as_many
-from pfdist.questions.points_at_work import PointsAtWork
 from pfdist.questions.report import tried, try_report
-from pfdist.questions.run import PATIENCE, minutes_of_bound
-from pfdist.questions.run_of_job import folder_of, searched_by
 from pfdist.questions.runs import lowest_text, table_page
 from pfdist.questions.subject import Subject
 from pfdist.questions.table import table
 from pfdist.results import Run, open_run, read_recorded
 from pfdist.results.columns import records_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
-from pfdist.runner.build import Built, build, check_pool, say_model_files
-from pfdist.runner.comparison_phase import TRAJECTORIES
+from pfdist.runner.build import build, check_pool, say_model_files
 from pfdist.runner.door import Loop
-from pfdist.runner.driver import foreseen_by_part, foreseen_steps, prover_of
+from pfdist.runner.driver import foreseen_steps
 from pfdist.runner.progress import Progress, Say, Show, silent
 from pfdist.store import holds_run, listed_pages
 from pfdist.store.folder import REPORT, figures_in
@@ -43,7 +39,6 @@ from pfdist.store.folder import REPORT, figures_in
 TABLE = "points.csv"
 """Name of the file in a sweep's folder that has the table of its points."""
 _SHOWN = 3  # failures in an error
-_BYTES, _A_NUMBER = 1.5e6, 8  # of report, figures and other tables; of a number in a table
 _NOTHING: Mapping[str, object] = {}
 
 
@@ -93,6 +88,45 @@ class Sweep(Shown):
         doubts = ((name, Subject(run).alarms) for name, run in self.runs.items())
         alarms = [f"{name}: {said[0]}" for name, said in doubts if said][:1]
         return Page("", "", [answer, *table_page(frame).sections], busy, alarms=alarms)
+
+
+@dataclass(frozen=True, repr=False)
+class ForeseenPoints(Shown):
+    """The points of a sweep and the work of each.
+
+    Parameters
+    ----------
+    points : DataFrame
+        A row for each point: its name, its values, the state of its run ("none" if it has not
+        begun, "other run" if its folder holds a different run), ``steps``, the particle-steps of
+        the whole run, and ``seconds``, about how long a worker takes for them.
+    """
+
+    points: pd.DataFrame
+
+    def as_json(self) -> dict[str, Any]:
+        """The result as JSON values."""
+        return {"points": records_of(self.points)}
+
+    def _page(self) -> Page:
+        billion = 1e9
+        rows = [
+            [
+                Cell(row["point"]),
+                Cell(row["state"]),
+                Cell(f"{row['steps'] / billion:.3f}", row["steps"]),
+            ]
+            for row in self.points.to_dict("records")
+        ]
+        left = self.points[["steps", "seconds"]].where(self.points["state"] != FINISHED, 0)
+        steps = f"{left['steps'].sum() / billion:.3f} billion particle-steps"
+        text = f"{len(self.points)} points; about {steps}"
+        text += f" are left to do, in {formatted_seconds(left['seconds'].sum())} s of a core"
+        text += " (without compiling, figures and reports)"
+        table = Table("", ("point", "state", "billion steps"), rows)
+        parts = parts_that_pay(left["seconds"].tolist())
+        pays = f"up to {parts} parts are worthwhile, on a core each" if parts > 1 else "one part"
+        return Page("", "", [Section("", [table, Text(text), Text(pays)])])
 
 
 @with_options
@@ -207,7 +241,7 @@ def foreseen(
     changes: Iterable[str] = (),
     progress: Show | bool | None = None,
     say: Say = silent,
-) -> pd.DataFrame:
+) -> ForeseenPoints:
     """The points of a sweep and the work of each, estimated from the speed of a few draws.
 
     Parameters
@@ -217,10 +251,7 @@ def foreseen(
 
     Returns
     -------
-    DataFrame
-        A row for each point: its name, its values, the state of its run ("none" if it has not
-        begun, "other run" if its folder holds a different run), ``steps``, the particle-steps of
-        the whole run, and ``seconds``, about how long a worker takes for them.
+    ForeseenPoints
 
     Raises
     ------
@@ -236,53 +267,9 @@ def foreseen(
             built = build(sweep_job.jobs[point.name], folder)
             state = _state(folder, built.job)
             steps = foreseen_steps(built)
-            work = {"steps": steps, "seconds": steps * _seconds_a_step(built)}
+            work = {"steps": steps, "seconds": steps * seconds_of_step(built)}
             rows.append({"point": point.name, **point.chosen, "state": state, **work})
-    return pd.DataFrame(rows)
-
-
-def foreseen_work(
-    job: JobSource,
-    search: str,
-    changes: Iterable[str],
-    bound_draws: int | None,
-    against: Any = None,
-) -> pd.DataFrame:
-    """The particle-steps of a plan by what they are for, and minutes of a core of this machine.
-
-    The attribute ``bytes`` of the table is about how much the run takes on disk. The arguments are
-    those of `pfdist.plan`, and the errors, too.
-    """
-    wanted = as_job(job, changes, sections=searched_by(search))
-    wanted = wanted if against is None else of_as_many(wanted, against)
-    built, prover = build(wanted, folder_of(wanted, None)), None
-    with contextlib.suppress(JobError, ModelError):  # no bound is known
-        if draws := draws_of_bound(wanted, bound_draws):
-            prover = prover_of(built, BoundSettings(draws=draws))
-            prover = prover if minutes_of_bound(built, prover) <= PATIENCE else None
-    minutes = _seconds_a_step(built) / 60
-    work = foreseen_by_part(built, prover).items()
-    rows = [{"part": part, "steps": steps, "minutes": steps * minutes} for part, steps in work]
-    frame = pd.DataFrame(rows)
-    frame.attrs["bytes"] = _bytes(built, frame.set_index("part")["steps"])
-    return frame
-
-
-def _bytes(built: Built, steps: "pd.Series[float]") -> int:
-    """About how many bytes a run has; seven plans had 0.6 to 1.2 times as many."""
-    each = built.comparing  # a sum of errors at an instant is stored for each block of draws
-    sums = (
-        steps.get("search", 0.0) / each.steps_an_instant + steps.get("proof", 0.0) / each.particles
-    )
-    draws, instants = built.job.comparison.draws, built.evaluator.horizon + 1
-    return int(_BYTES + _A_NUMBER * (sums / BLOCK + 2 * draws + 5 * TRAJECTORIES * instants))
-
-
-def _seconds_a_step(built: Built) -> float:
-    """Seconds of a particle-step, measured on a few draws; a guess if there are no particles."""
-    if not built.evaluator.has_particles:
-        return built.evaluator.seconds_a_step
-    return seconds_a_step(built.evaluator, built.feasible.regular(), built.comparing)
+    return ForeseenPoints(pd.DataFrame(rows))
 
 
 def _state(folder: Path, job: Job) -> str:

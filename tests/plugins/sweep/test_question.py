@@ -17,9 +17,9 @@ from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork, Result
-from pfdist.problem.sweep import START_SECONDS, parts_that_pay
+from pfdist.plugins.sweep.question import foreseen
+from pfdist.plugins.sweep.sweep_file import START_SECONDS, parts_that_pay
 from pfdist.questions.at_work import release_the_lock
-from pfdist.questions.sweep import foreseen
 from pfdist.runner.progress import Progress
 from pfdist.store import held
 
@@ -89,7 +89,7 @@ def test_every_point_has_the_bytes_of_its_own_run(
     sweep_file: Path, finished: Finished, tmp_path: Path
 ) -> None:
     """Before, its points can be listed with the work that they will be."""
-    points = foreseen(sweep_file, results=tmp_path / "sweep")
+    points = foreseen(sweep_file, results=tmp_path / "sweep").points
     assert points["state"].tolist() == ["none"] * 3
     assert (points["steps"] > 0).all()
     assert (points["seconds"] > 0).all()
@@ -98,7 +98,7 @@ def test_every_point_has_the_bytes_of_its_own_run(
     assert [sweep.path / point for point in points["point"]] == [
         run.path for run in sweep.runs.values()
     ]
-    assert set(foreseen(sweep_file, results=tmp_path / "sweep")["state"]) == {"finished"}
+    assert set(foreseen(sweep_file, results=tmp_path / "sweep").points["state"]) == {"finished"}
     few = ["comparison.draws=60", "search.genetic.generations=1"]
     changes = ["problem.measurement_budget=5", "model.parameters.process_sd=1.0"]
     changes.append("model.filter.parameters.process_sd=2.0")
@@ -168,7 +168,9 @@ def test_parts_look_at_no_other_point_and_together_are_the_sweep(
     start = partial(pfdist.sweep, small_job, {"seed": [1, 2, 3]}, changes=EXACT)
     whole = start(results=tmp_path / "whole", figures=False)
     reported = list[object]()
-    monkeypatch.setattr("pfdist.questions.sweep.try_report", lambda run, *_: reported.append(run))
+    monkeypatch.setattr(
+        "pfdist.plugins.sweep.question.try_report", lambda run, *_: reported.append(run)
+    )
     for number in (1, 2):
         with contextlib.ExitStack() as others:
             for name in [*whole.runs][2 - number :: 2]:
@@ -274,7 +276,7 @@ def test_the_work_is_foreseen_by_the_measured_speed_of_the_model(
     )
     seen = list[Progress]()
     options: Any = {"results": tmp_path / "sweep", "changes": ["model.name=slow.py:model"]}
-    points = foreseen(small_job, SEEDS, **options, progress=seen.append)
+    points = foreseen(small_job, SEEDS, **options, progress=seen.append).points
     assert (points["seconds"] / points["steps"]).between(2e-8, 1e-3).all()
     assert [(each.done, each.total) for each in seen] == [(0, 2), (1, 2)]
     assert [each.doing for each in seen] == ["measuring seed=1", "measuring seed=2"]
@@ -288,10 +290,10 @@ def test_a_folder_of_another_run_fails_its_point_alone(
 ) -> None:
     folder = tmp_path / "sweep"
     pfdist.run(small_job, folder / "seed=1", changes=EXACT, figures=False)
-    few = foreseen(small_job, SEEDS, results=folder, changes=EXACT)
+    few = foreseen(small_job, SEEDS, results=folder, changes=EXACT).points
     assert list(few["state"]) == ["finished", "none"]
     other = [*EXACT, "problem.measurement_budget=3"]
-    assert list(foreseen(small_job, SEEDS, results=folder, changes=other)["state"]) == [
+    assert list(foreseen(small_job, SEEDS, results=folder, changes=other).points["state"]) == [
         "other run",
         "none",
     ]

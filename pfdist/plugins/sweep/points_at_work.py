@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pfdist.errors import BusyError, PfdistError, StoreError, one_line
+from pfdist.plugins.sweep.sweep_file import SweepJob
 from pfdist.pools.cores import usable_cores
-from pfdist.problem.sweep import SweepJob
 from pfdist.questions.list_runs import FINISHED
 from pfdist.questions.run import compute
 from pfdist.results import Run, open_run

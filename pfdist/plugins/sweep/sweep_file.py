@@ -11,10 +11,10 @@ from pydantic import Field, ValidationError
 from pfdist.common.arguments import address_fault, path_argument, texts_argument
 from pfdist.common.section import JobSection, Listed, Whole, explained
 from pfdist.errors import ArgumentError, JobError, shown, shown_text
+from pfdist.plugins.sweep.sweep_points import Point, Values, dotted, points_of, values_by_key
 from pfdist.problem.job import Job, toml_of_file
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sections import Execution
-from pfdist.problem.sweep_points import Point, Values, dotted, points_of, values_by_key
 from pfdist.store import folder_of_run
 
 START_SECONDS = 10.0
