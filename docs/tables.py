@@ -77,6 +77,9 @@ STUBS = {
     FOLDER.parent / "pfdist" / "__init__.pyi": "names",
     FOLDER.parent / "pfdist" / "pages" / "plots.pyi": "plots",
 }
+LISTED = {name: method for name, method in METHODS.items() if method.listed}
+"""The search methods that the manual offers."""
+UNLISTED = METHODS.keys() - LISTED
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 _SHARED = 2  # commands that have an option with the same words
@@ -138,7 +141,7 @@ _ROWS = {
 def methods() -> str:
     """Give the table of search methods."""
     rows = []
-    for name, method in METHODS.items():
+    for name, method in LISTED.items():
         section = method.section()
         noise = section.evaluation.noise or "as the job"
         rows.append(
@@ -156,7 +159,7 @@ def settings() -> str:
     """Give the table of the settings of all search methods, with defaults and bounds."""
     rows = [
         [f"`{name}`", f"`{key}`", _value(field.default), _bounds(field), described[key]]
-        for name, method in METHODS.items()
+        for name, method in LISTED.items()
         for described in (_described(method.optimiser),)
         for key, field in method.section.model_fields.items()
         if key not in _COMMON
@@ -184,8 +187,6 @@ def columns() -> str:
         "compared": schema(
             "compared", "tried", "exact_mse", "exact_information", "exact_other_mse"
         ),
-        "timings": schema("timings", "part", "particle_steps"),
-        "evenly_spaced": schema("evenly_spaced", "plan_mse"),
         "bound": schema("bound", "shares"),
         "comparison": comparison_schema(["SET"], with_control=True, with_scenarios=True),
         **{each.table: schema_of_aspect(each, ["SET"]) for each in ASPECTS},
@@ -232,7 +233,8 @@ def arguments_of(name: str) -> Iterator[tuple[str, str]]:
         if argument.name.removeprefix("--") in FLAGS:
             continue
         meaning = " ".join((argument.parameter.help or "").replace("``", "`").split())
-        choices = f" Choices: {', '.join(each)}." if (each := argument.get_choices()) else ""
+        each = [choice for choice in argument.get_choices() or () if choice not in UNLISTED]
+        choices = f" Choices: {', '.join(each)}." if each else ""
         default = shown_default(argument.field_info.default)
         yield (
             ", ".join(_spelling(argument)),

@@ -10,7 +10,6 @@ from cyclopts.exceptions import UnknownCommandError, UnknownOptionError, UnusedC
 
 import pfdist
 from pfdist.cli.commands import COMMANDS, GROUPS
-from pfdist.common.gone import gone
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import one_line, shown, shown_text
 from pfdist.pages.terminal import line_width
@@ -117,7 +116,7 @@ def _reason(error: CycloptsError) -> str:
     match error:
         case UnknownCommandError(unused_tokens=[word, *_]):
             meant = did_you_mean(word, [*COMMANDS, "--help", "--version"])
-            return gone(word) or f"unknown command {shown_text(word)}{meant}"
+            return f"unknown command {shown_text(word)}{meant}"
         case UnknownOptionError(token=token, argument_collection=arguments):
             word = token.keyword or token.value
             known = {name for each in arguments for name in each.names}
@@ -125,7 +124,7 @@ def _reason(error: CycloptsError) -> str:
                 return "unknown option --out: --results FOLDER is where the run is written"
             has_keys = "--set" in known
             keys = " (--set KEY=VALUE changes a key of the job)" * has_keys
-            return gone(word) or f"{shown_text(str(error)).rstrip('.')}{keys}"
+            return f"{shown_text(str(error)).rstrip('.')}{keys}"
         case UnusedCliTokensError(unused_tokens=[word, *_]):
             is_number = word.replace(",", "").replace(":", "").isdigit()
             hint = " (a list is one word, as 0,6,12)" if is_number else ""

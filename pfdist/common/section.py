@@ -25,7 +25,6 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, cr
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from pfdist.common.gone import gone
 from pfdist.common.nearest import allowed_names, did_you_mean, must_be, quoted_names
 from pfdist.errors import ArgumentError, PfdistError, shown
 
@@ -190,7 +189,7 @@ def _sentence(
         where = f" in [{'.'.join(section)}]" if section else ""
         keys = _allowed_keys(place[:-1], model)
         meant = did_you_mean(name, keys) or _did_you_mean_elsewhere(name, model)
-        return gone(key) or f"unknown key {shown(name)}{where}{allowed_names(keys, meant)}"
+        return f"unknown key {shown(name)}{where}{allowed_names(keys, meant)}"
     if kind == "missing":
         return f"{key} must be given"
     if kind in ("union_tag_invalid", "union_tag_not_found"):

@@ -293,7 +293,7 @@ def error_unit(run: Run) -> str:
     It is empty if z has no unit or several, or if errors are not squares, or are weighted or
     scaled.
     """
-    names = provenance_of(run).get("names", {}).get("z", [])
+    names = provenance_of(run)["names"]["z"]
     units, angles = {named_component(name).unit for name in names}, angles_of(run)
     if len(units) != 1 or not angles or any(angles):
         return ""

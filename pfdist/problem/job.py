@@ -13,7 +13,6 @@ import tomli_w
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.arguments import path_argument, texts_argument
-from pfdist.common.gone import without_gone
 from pfdist.common.measurement_times import EVEN, LINEARIZED, REGULAR, Times
 from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text, with_texts
@@ -471,19 +470,17 @@ def load_job(
         The file cannot be read or is not TOML, a value is wrong, or values contradict each other.
     """
     path = path_argument("job", path)
-    is_of_run = False
     if path.is_dir() or path.name == "job.toml":
         # Imported here, because most jobs are other files.
         from pfdist.store import check_entries, holds_run, is_job_of_run  # noqa: PLC0415
+        from pfdist.store.about import check_version_of  # noqa: PLC0415
 
         if path.is_dir() and holds_run(path):
             check_entries(path)
             path /= "job.toml"
-        is_of_run = is_job_of_run(path)
+        if is_job_of_run(path):
+            check_version_of(path.parent)
     data = toml_of_file(path)
-    if is_of_run:  # keys of an earlier version are right if they say what every job means now
-        kept, differing = without_gone(data)
-        data = data if differing else kept
     if "job" in data:
         raise JobError(f"{path} is a sweep file, not a job: run it by `pfdist sweep {path}`")
     origin = Origin(path, "search" in data, "online" in data)

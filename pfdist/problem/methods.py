@@ -37,6 +37,7 @@ class Method:
     curve: Curve  # in the figure ``searches``, which shows expected MSE by evaluation
     online: bool  # whether the method can plan the remaining measurements
     additive: bool  # whether the method adds errors of instants, so that an error must be a mean
+    listed: bool  # whether the manual offers the method
 
     @property
     def description(self) -> str:
@@ -81,6 +82,7 @@ def method(
     curve: Curve = "generations",
     online: bool = True,
     additive: bool = False,
+    listed: bool = True,
 ) -> Callable[[C], C]:
     """A decorator that declares an optimiser as a search method.
 
@@ -106,6 +108,8 @@ def method(
         each instant cannot, because it takes a whole number of blocks of 24 draws.
     additive : bool
         Whether the method adds errors of instants or prefixes, so that errors must be means.
+    listed : bool
+        Whether the manual offers the method; otherwise it is the base of a better one.
     """
 
     def declare(optimiser: C) -> C:
@@ -132,7 +136,7 @@ def method(
         )
         # Workers get the sections of online draws pickled, so their module must have the class.
         setattr(sys.modules[optimiser.__module__], section.__name__, section)
-        METHODS.declare(name, Method(name, optimiser, section, curve, online, additive))
+        METHODS.declare(name, Method(name, optimiser, section, curve, online, additive, listed))
         return optimiser
 
     return declare

@@ -46,7 +46,7 @@ from pfdist.problem.sections import (
     is_list_of,
 )
 from pfdist.problem.sensing_section import Finite, MeasurementsSection, Sensings, SensingSection
-from pfdist.problem.sensor_section import SensorSection, priced
+from pfdist.problem.sensor_section import SensorSection
 from pfdist.problem.shared import Groups, Limit, OfSensors, Others, Shared
 from pfdist.problem.visits import Installs
 from pfdist.problem.visits_section import VisitsSection
@@ -141,10 +141,8 @@ class ProblemSection(JobSection):
     allowed: MomentsAndRanges | None = None
     required: MomentsAndRanges | None = None
     minimum_spacing: Annotated[Moment, Written] | None = None
-    price: Annotated[Finite | Prices, AfterValidator(plain_time)] | None = priced("price", "cost")
-    total_price: Annotated[Moment, Field(gt=0, lt=2**63)] | None = priced(
-        "total_price", "total_cost"
-    )
+    price: Annotated[Finite | Prices, AfterValidator(plain_time)] | None = None
+    total_price: Annotated[Moment, Field(gt=0, lt=2**63)] | None = None
     sensors: (
         Annotated[dict[str, SensorSection], Field(min_length=1, json_schema_extra=_OR_NAMES)] | None
     ) = None

@@ -1,18 +1,13 @@
 """The sections of a job file about sensors, `[problem.sensor]` and `[problem.sensors.NAME]`."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import AfterValidator, AliasChoices, Field
+from pydantic import AfterValidator, Field
 
 from pfdist.problem.clock import Time, plain_time
 from pfdist.problem.limits_section import MeasurementBudget, MostWithinSection, Price, Prices
 from pfdist.problem.sections import MomentsAndRanges, Written
 from pfdist.problem.sensing_section import Finite, SensingSection
-
-
-def priced(name: str, former: str) -> Any:
-    """A key about money; its former name is still allowed."""
-    return Field(None, validation_alias=AliasChoices(name, former))
 
 
 class SensorSection(SensingSection):
@@ -40,7 +35,7 @@ class SensorSection(SensingSection):
         The most of its measurements in any stretch of time; see ``[problem.most_within]``.
     """
 
-    price: Annotated[Finite | Prices, AfterValidator(plain_time)] | None = priced("price", "cost")
+    price: Annotated[Finite | Prices, AfterValidator(plain_time)] | None = None
     install: Annotated[Price, Field(gt=0)] | None = None
     together: Annotated[str, Field(min_length=1, max_length=40)] | None = None
     forbidden: MomentsAndRanges | None = None

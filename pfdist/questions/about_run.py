@@ -92,9 +92,9 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "system", without_folder(job["model"]["name"])
     if job["model"].get("filter", {}).get("name"):
         yield "model of the filter", without_folder(job["model"]["filter"]["name"])
-    names = provenance_of(subject.run).get("names", {})
+    names = provenance_of(subject.run)["names"]
     for key, what in (("z", "quantity of interest"), ("y", "what is measured")):
-        if names.get(key):
+        if names[key]:
             yield what, ", ".join(names[key])
     section = problem_of(subject.run)
     if section.weights is not None:

@@ -11,7 +11,6 @@ from typing import Annotated, Any, ParamSpec, TypedDict, TypeVar
 from pydantic import Field
 
 from pfdist.common.arguments import names_argument
-from pfdist.common.gone import gone
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.section import Arguments, Whole
 from pfdist.errors import ArgumentError
@@ -159,8 +158,7 @@ def with_options(function: Callable[P, R], without: str = "") -> Callable[P, R]:
                 nearest = did_you_mean(name, names)
                 keys = " (changes=['KEY=VALUE'] changes a key of the job)"
                 raise ArgumentError(
-                    gone(name)
-                    or f"{function.__name__} takes {', '.join(names)}, got {name}{nearest}"
+                    f"{function.__name__} takes {', '.join(names)}, got {name}{nearest}"
                     f"{keys if 'changes' in names else ''}"
                 )
         return function(*arguments, **named)

@@ -44,7 +44,6 @@ from pfdist.questions.subject import (
     all_sets,
     as_good_text,
     number_of,
-    without_folder,
 )
 from pfdist.questions.why_page import worth_section
 from pfdist.results import Run
@@ -118,9 +117,7 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
     folded = [problem, *others, searches_section, computed, methods, using]
     last = _sections(subject, [make for make in folded if make not in chapters])
     sections = [*_sections(subject, chapters), *(replace(each, folded=True) for each in last)]
-    # The name in the model; in an older run, the name in the job.
-    model = provenance_of(run).get("name_of_model")
-    title = f"{title}: {one_line(model or without_folder(run.job['model']['name']))}"
+    title = f"{title}: {one_line(provenance_of(run)['name_of_model'])}"
     about = f"{question(subject)} {made_by(subject)}"
     return Page(title, about, sections, warnings, seconds, alarms=subject.alarms)
 

@@ -209,7 +209,7 @@ class Subject:
     @cached_property
     def quantities(self) -> tuple[Component, ...]:
         """The components of z, with their names and units."""
-        names = provenance_of(self.run).get("names", {}).get("z", [])
+        names = provenance_of(self.run)["names"]["z"]
         count = len(angles_of(self.run))
         return named_components(names, len(names) or count)
 

@@ -12,7 +12,6 @@ import pandas as pd
 import pyarrow as pa
 
 from pfdist.common.arguments import path_argument
-from pfdist.common.gone import gone
 from pfdist.errors import ArgumentError, PfdistWarning, reason_of, relative, shown
 from pfdist.results import Run, open_run
 from pfdist.results.runs_table import CRITERION, RESULTS, formatted_value, is_missing, runs_table
@@ -84,7 +83,7 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     path = None if out is None else path_argument("out", out)
     if path is not None and path.suffix.lower() not in _KINDS:
         rule = f"a file of a table must end in one of {', '.join(_KINDS)}, got {shown(str(path))}"
-        raise ArgumentError(gone(path.suffix.lower()) or rule, argument="out")
+        raise ArgumentError(rule, argument="out")
     try:
         frame = runs_table(_opened(runs))
     except Exception:  # runs that were found in folders may come from elsewhere, and hold anything

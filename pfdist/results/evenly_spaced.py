@@ -77,9 +77,9 @@ def columns_of_even_times(run: StoredRun, errors: Mapping[str, float]) -> dict[s
     if "budget" in run.job:
         on_the_curve = _on_the_curve(run)
         return {name: doing_as_well(on_the_curve[name], error) for name, error in errors.items()}
-    rows = run.table("evenly_spaced") if run._store.has("evenly_spaced") else None
-    if rows is None or "plan_mse" not in rows or not errors:  # of an older version
+    if not (errors and run._store.has("evenly_spaced")):
         return {}
+    rows = run.table("evenly_spaced")
     each = zip(rows["difference"], rows["difference_error"], strict=True)
     differences = dict(zip(rows["measurements"], (Estimate(*own) for own in each), strict=True))
     return {next(iter(errors)): doing_as_well(differences, float(rows["plan_mse"].iloc[0]))}

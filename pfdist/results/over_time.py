@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.results.stored_run import StoredRun, measured_of, problem_of, schema_version_of
+from pfdist.results.stored_run import StoredRun, measured_of, problem_of
 from pfdist.store.tables import first_occurrences
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 
 RANGE_SUMS = "range_sums"
 """Name of the table."""
-_UNWEIGHTED_SINCE = 4  # schema version
 _FEWEST = 32  # ranges of a comparison, if it has so many draws: standard errors are as good as that
 
 
@@ -99,12 +98,8 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
 
 
 def ranges_of(run: StoredRun) -> list[Range]:
-    """The ranges of a comparison; the sums in a run of schema version 3 are weighted."""
-    ranges, weights = read_ranges(run._store.rows(RANGE_SUMS)), problem_of(run).weights
-    if weights is None or schema_version_of(run) >= _UNWEIGHTED_SINCE:
-        return ranges
-    with np.errstate(divide="ignore", invalid="ignore"):  # weight 0: the error is unknown
-        return [each._replace(sums=each.sums / np.array(weights)) for each in ranges]
+    """The ranges of a comparison."""
+    return read_ranges(run._store.rows(RANGE_SUMS))
 
 
 def profile_of(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from copy import deepcopy
@@ -16,9 +15,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
-from pfdist.common.gone import without_gone
 from pfdist.common.measurement_times import Times
-from pfdist.errors import JobError, PfdistWarning, StoreError
+from pfdist.errors import JobError, StoreError
 from pfdist.filters.criterion import MEAN, Criterion, WorstScenario, criterion_named
 from pfdist.filters.engines import AUTO
 from pfdist.kernels.estimators import SQUARED_ERROR
@@ -119,8 +117,6 @@ def read_recorded(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The content of run.json, and the validated job of job.toml, or from which the run was made.
 
-    Keys that are gone are ignored, with a warning unless their values are the former defaults.
-
     Raises
     ------
     StoreError
@@ -132,13 +128,6 @@ def read_recorded(
         made_from.filter.proposal,
     ):
         return run, made_from.identity()
-    job, ignored = without_gone(job)
-    if ignored:
-        warnings.warn(
-            f"{path / 'job.toml'}: keys of an earlier version are ignored: {', '.join(ignored)}",
-            PfdistWarning,
-            stacklevel=2,
-        )
     lacking, known = [*_lacking_searches(job)], deepcopy(job)
     for section, key, search in lacking:
         known[section][key] = {"method": "random", "name": search.get("name")}
@@ -179,7 +168,7 @@ def angles_of(run: StoredRun) -> list[bool]:
     errors are scaled.
     """
     is_scaled = run.job.get("scenarios", {}).get("scales")
-    return [] if is_scaled else [*run._about["provenance"].get("angles", ())]
+    return [] if is_scaled else [*run._about["provenance"]["angles"]]
 
 
 def about_of(run: StoredRun) -> dict[str, Any]:
@@ -196,11 +185,6 @@ def provenance_of(run: StoredRun) -> dict[str, Any]:
 def version_of(run: StoredRun) -> str:
     """Version of pfdist that started the run."""
     return str(run._about["pfdist"])
-
-
-def schema_version_of(run: StoredRun) -> int:
-    """Version of the schema of the run's tables."""
-    return int(run._about["schema_version"])
 
 
 def problem_of(run: StoredRun) -> ProblemSection:
@@ -265,13 +249,13 @@ def evaluations_of(run: StoredRun) -> int:
 def steps_by_part(run: StoredRun) -> dict[str, int]:
     """The particle-steps of all tasks that were computed, by what they are for; most first.
 
-    With an exact engine, the instants of sets. Empty for a run of a version that did not count.
+    With an exact engine, the instants of sets.
     """
     store, done = run._store, Counter[str]()
     rows = store.rows("timings").to_pydict() if store.has("timings") else {}
     for part, steps in zip(rows.get("part", ()), rows.get("particle_steps", ()), strict=True):
-        done[part or ""] += steps or 0
-    return {part: steps for part, steps in done.most_common() if part}
+        done[part] += steps
+    return dict(done.most_common())
 
 
 def unproved(run: StoredRun) -> str:

@@ -372,7 +372,7 @@ class RunSession:
             }
             for outcome, part, steps in outcomes
         ]
-        return pa.Table.from_pylist(rows, schema=schema("timings", "part", "particle_steps"))
+        return pa.Table.from_pylist(rows, schema=schema("timings"))
 
 
 class Loop:

@@ -83,7 +83,7 @@ def compare_evenly_spaced(
         }
         for number, difference in sorted(scan.judged.items())
     ]
-    table = pa.Table.from_pylist(rows, schema=schema("evenly_spaced", "plan_mse"))
+    table = pa.Table.from_pylist(rows, schema=schema("evenly_spaced"))
     session.store.renew("evenly_spaced", EVEN_PHASE, table)
 
 

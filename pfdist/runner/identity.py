@@ -74,7 +74,6 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
                     argument="results",
                 )
             _check_same(path, built, identity, 0)
-            key = run_key(path) or recorded_key(path) or key  # its job has keys that are gone
         store = store_of(built, path, key)
         store.recover()
         committed = _committed(store)
@@ -188,7 +187,7 @@ def check_same_models(path: Path, built: Built) -> None:
 def changed_models(path: Path, built: Built) -> dict[str, str]:
     """The differences between the built models and those of a run, by the name of the part."""
     run, evaluator = read_run(path)[0], built.evaluator
-    if (run.get("model"), run.get("filter_model")) == evaluator.keys:
+    if (run["model"], run["filter_model"]) == evaluator.keys:
         return {}
     truth, believed = read_models(path)
     of_clock = (*CLOCK, *DATES) if evaluator.times is not None else ()  # the job's
@@ -230,9 +229,9 @@ def _check_free(path: Path, key: str) -> None:
 
 
 def _check_same(path: Path, built: Built, identity: dict[str, Any], committed: int) -> None:
-    (run, old_job), job = read_recorded(path), built.job
+    (run, old_job), job = read_run(path), built.job
     others = identity.keys() - {"model", "filter_model"}
-    old = {"job": old_job, **{name: run.get(name) for name in sorted(others)}}
+    old = {"job": old_job, **{name: run[name] for name in sorted(others)}}
     new = {"job": job.identity(), **{name: identity[name] for name in sorted(others)}}
     changes = changed_models(path, built)
     for key, was, is_now in _changes(old, new):

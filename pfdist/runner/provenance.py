@@ -113,8 +113,7 @@ def lender(path: Path, built: Built | None = None) -> Store:
     is damaged, or if there is no run.
     """
     about = read_run(path)[0]["provenance"]
-    # A run of version 0.4 has the processors alone.
-    processors = [each.get("processor", each) for each in (about, *about.get(CONTINUED, []))]
+    processors = [each["processor"] for each in (about, *about.get(CONTINUED, []))]
     here = all(each == processor() for each in processors)
     differs = "the last digits may differ" if built is None else what_may_differ(built)
     if differs and not here:

@@ -56,7 +56,7 @@ class SurvivorState:
     round: int = 0  # number of sets around which measurements were tried before
 
 
-@method("survivors", polish=True, curve="best so far", additive=True)
+@method("survivors", polish=True, curve="best so far", additive=True, listed=False)
 @dataclass(frozen=True)
 class Survivors:
     """Survivor dynamic programming (beam search): extends prefixes, keeps the best at each time.

@@ -35,8 +35,7 @@ from pfdist.store.tables import REMEDY
 if TYPE_CHECKING:
     from pfdist.models import StateSpaceModel
 
-# Keys that may change; only runs of earlier versions have "until".
-_GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}
+_GROWS = {"comparison": ("draws",), "online": ("draws",)}  # keys that may change
 
 
 class _Recorded(BaseModel):
@@ -57,8 +56,8 @@ class _Machine(_Recorded):
 
 
 class _Names(_Recorded):
-    z: list[Annotated[str, Field(min_length=1)]] = []
-    y: list[Annotated[str, Field(min_length=1)]] = []
+    z: list[Annotated[str, Field(min_length=1)]]
+    y: list[Annotated[str, Field(min_length=1)]]
 
 
 def _instant(text: str) -> str:
@@ -69,20 +68,25 @@ def _instant(text: str) -> str:
     return text
 
 
-class _Provenance(_Recorded):
-    """The values that pages show; those without a default are in every run."""
+class _Computed(_Recorded):
+    """By what a run was computed."""
 
-    started: Annotated[str, AfterValidator(_instant)]
-    command: list[str]
     python: str
     libraries: dict[str, str]
     machine: _Machine
     processor: _Processor
+
+
+class _Provenance(_Computed):
+    """The values that pages show; those without a default are in every run."""
+
+    started: Annotated[str, AfterValidator(_instant)]
+    command: list[str]
     execution: dict[str, str | int]
-    continued_on: list[dict[str, Any]] = []
-    name_of_model: str = ""
-    names: _Names = _Names()
-    angles: list[bool] = []
+    name_of_model: str
+    names: _Names
+    angles: list[bool]
+    continued_on: list[_Computed] = []
     declared: dict[str, str] = {}
     unproved: str = ""
     few_lines: str = ""
@@ -108,7 +112,7 @@ def _checked(path: Path, text: str) -> dict[str, Any]:
         run: dict[str, Any] = parse_json(text)
         _Run.model_validate(run)
     except ValidationError as error:
-        raise unreadable(path, "run.json", explained(error, _Run)) from error
+        raise unusable(path, "run.json", explained(error, _Run)) from error
     except ValueError as error:
         raise unreadable(path, "run.json", str(error)) from error
     return run
@@ -261,4 +265,4 @@ def check_version_of(path: Path) -> None:
     with contextlib.suppress(StoreError, OSError, ValueError):  # `read_run` reports such a file
         run = parse_json(text_of(files.read_plain(path / "run.json", MOST_BYTES)))
     if isinstance(run, dict):
-        check_schema_version(path, run.get("schema_version"))
+        check_schema_version(path, run.get("schema_version"), run.get("pfdist"))

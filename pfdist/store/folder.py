@@ -15,7 +15,7 @@ from pathlib import Path
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
 from pfdist.store.files import begins_with, check_replaceable, reading
-from pfdist.store.schema import TABLES
+from pfdist.store.schema import KEYS
 
 MODELS = "model.json"
 ABOUT = ("job.toml", "run.json", MODELS)
@@ -102,7 +102,7 @@ def check_entries(folder: Path) -> None:
 
     Entries with other names belong to the user.
     """
-    below = [f"{place}/{table}" for place in ("tables", "parts") for table in TABLES]
+    below = [f"{place}/{table}" for place in ("tables", "parts") for table in KEYS]
     for is_right, what, names in (
         (stat.S_ISREG, "file", (*LISTED, FILES, REPORT)),
         (stat.S_ISDIR, "folder", ("tables", "parts", FIGURES_FOLDER, *below)),

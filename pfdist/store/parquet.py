@@ -31,7 +31,7 @@ from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.about import run_key as folder_key
 from pfdist.store.listing import change_listing, read_listing
-from pfdist.store.schema import KEYS, QUESTIONS, TABLES, TimeColumns, frame_of, keys_of, schema
+from pfdist.store.schema import KEYS, QUESTIONS, TimeColumns, frame_of, keys_of, schema
 from pfdist.store.tables import (
     HASH_DIGITS,
     NAME,
@@ -460,9 +460,8 @@ class Store:
 
 def _files_in(folder: Path, table: str, start: str = "") -> Iterator[Path]:
     """Files of a table, or of all (``*``), by their names; other files belong to the user."""
-    known = TABLES if folder.name == "tables" else KEYS  # no command publishes parts of the others
     for name in _names_in(folder) if table == "*" else [table]:
-        for file in _names_in(folder / name) if name in known else ():
+        for file in _names_in(folder / name) if name in KEYS else ():
             if file.startswith(start) and NAME.fullmatch(file):
                 yield folder / name / file
 

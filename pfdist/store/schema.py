@@ -15,15 +15,13 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.common.component_names import Component
-from pfdist.errors import StoreError
+from pfdist.errors import StoreError, shown_text
 
 if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA_VERSION = 4
-_READ = (3, SCHEMA_VERSION)
-"""Versions that are read; a run of the former version is not resumed."""
-_RELEASES = {1: "0.1", 2: "0.2"}  # releases that read and write former schema versions
+"""The only version of runs and their files that is read and written."""
 RUN_KEY = b"pfdist_run"
 """Name of the entry of a file's metadata with the key of its run."""
 
@@ -65,8 +63,6 @@ KEYS: dict[str, list[str]] = {
     "sampling_windows": ["position", "t", "moved_to"],
 }
 """Columns that identify a row of each table."""
-
-TABLES = (*KEYS, "repeated")  # a table of older runs that nothing reads
 
 BOUND_PHASE, WHY_PHASE, EVEN_PHASE = "bound.proof", "why.measurements", "evenly.spaced"
 RULE_PHASE = "rule.draws"
@@ -169,6 +165,8 @@ _SCHEMAS = {
         _column("node", "host name", pa.string()),
         _column("failures", "1: the task failed", pa.int32()),
         _column("error", "traceback, if it failed", pa.string()),
+        _column("part", "what the work is for, as search or comparison", pa.string()),
+        _column("particle_steps", "that were computed; instants of sets if exact", pa.int64()),
     ],
     "bound": [
         *_OF_A_SET,
@@ -208,6 +206,7 @@ _SCHEMAS = {
         _TIMES,
         _column("draws", "the first draws of the comparison; 0: exact", pa.int64()),
         *_estimate("difference", "expected MSE less that of the plan, on the same draws"),
+        _column("plan_mse", "expected MSE of the plan, on the same draws", unit=_MSE),
     ],
     "profile": [
         *_OF_A_SET,
@@ -252,7 +251,6 @@ _SCHEMAS = {
 
 
 _OPTIONAL_COLUMNS = [
-    _column("plan_mse", "expected MSE of the plan, on the same draws", unit=_MSE),
     _column("exact_mse", "if the engine is exact", unit=_MSE),
     _column("exact_information", "of the measurements, if the engine is exact", unit="nats"),
     _column("exact_other_mse", "of the other estimate, if the engine is exact", unit=_MSE),
@@ -262,8 +260,6 @@ _OPTIONAL_COLUMNS = [
         pa.int16(),
     ),
     _column("tried", "evenly spaced sets that were looked at; 0: all that there are", pa.int64()),
-    _column("part", "what the work is for, as search or comparison", pa.string()),
-    _column("particle_steps", "that were computed; instants of sets if exact", pa.int64()),
     _column(
         "shares",
         "of scenarios or instants in the bound, if the worst decides",
@@ -279,29 +275,24 @@ _KINDS = {
     "degenerate": pa.bool_(),
     "sensor": pa.string(),
     "date": pa.string(),
-    "distrust": pa.string(),
-}  # of columns that sets or sensors name, or that former versions had
+}  # of columns that sets or sensors name
 _TIMED = (pa.float64(), pa.list_(pa.float64()), pa.list_(pa.string()))
 
 
-def check_schema_version(path: Path, version: object) -> None:
-    """Raise `StoreError` if a run or a file has an older or newer schema version.
+def check_schema_version(path: Path, version: object, wrote: object = None) -> None:
+    """Raise `StoreError` if a run or a file has another schema version.
 
-    `path` is the run's folder or the file, for the error. If the version is not a number, nothing
-    is raised.
+    `path` is the run's folder or the file, and `wrote` the version of pfdist that wrote it, for the
+    error. If the schema version is not a number, nothing is raised.
     """
-    if not isinstance(version, int) or version in _READ:
+    if not isinstance(version, int) or version == SCHEMA_VERSION:
         return
-    if version > SCHEMA_VERSION:
-        raise StoreError(
-            f"{path} is of schema version {version}; this pfdist reads version {SCHEMA_VERSION}: "
-            "use the newer pfdist that wrote it"
-        )
-    if version in _RELEASES:
-        raise StoreError(
-            f"{path} is of schema version {version}, which pfdist {_RELEASES[version]} reads and "
-            f"writes; this pfdist reads version {SCHEMA_VERSION}"
-        )
+    age = "an earlier version" if version < SCHEMA_VERSION else "a newer version"
+    writer = f"pfdist {shown_text(wrote)}" if isinstance(wrote, str) else f"{age} of pfdist"
+    raise StoreError(
+        f"{path} is of schema version {version}, which {writer} reads and writes; "
+        f"this pfdist reads version {SCHEMA_VERSION}"
+    )
 
 
 def schema(table: str, *optional: str) -> pa.Schema:

@@ -12,14 +12,10 @@ from typing import Any
 
 import pytest
 
-import pfdist
 from oracles.in_turn import in_turn
 from pfdist import Job
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
-from pfdist.cli.words import WORDS
-from pfdist.common.gone import GONE
-from pfdist.errors import PfdistError
 
 JOB = (Path(__file__).parents[1] / "small.toml").read_text()
 KEPT = Path(__file__).parents[2] / "results" / "example" / "job.toml"
@@ -189,25 +185,6 @@ def test_a_misspelt_word_is_followed_by_the_nearest_one(
     assert given == code
     wanted = re.escape(meant.format(**names))
     assert re.search(rf"[Dd]id you mean ['\"]?{wanted}\b", told), told
-
-
-@pytest.mark.parametrize("word", GONE)
-def test_a_word_of_an_earlier_version_is_told_with_what_replaces_it(
-    word: str, run: Path, tmp_path: Path, refused: Refused
-) -> None:
-    """As a key of a job or a sweep file, an option, a command, an argument, or an ending."""
-    told, job, sweep = f"{word} is gone: {GONE[word]}", run / "job.toml", tmp_path / "sweep.toml"
-    sweep.write_text(f'job = "{job}"\n"{word}" = 1\nover = {{seed = [1]}}\n')
-    lines = [f"run {job} --set {word}=1", f"sweep {sweep}"]
-    if word.startswith("."):
-        lines = [f"table {run} --out t{word}"]
-    elif "." not in word:
-        lines += [f"run {job} --{word.replace('_', '-')}", word.replace("_", "-")]
-        assert word not in {*COMMANDS, *WORDS}
-        with pytest.raises(PfdistError, match=f"^{re.escape(told)}$"):
-            pfdist.run(job, **{word: True})
-    for line in lines:
-        assert told.replace("_", "-") in refused(line.split())[1].replace("_", "-"), line
 
 
 def test_online_search_lists_and_suggests_only_methods_that_can_plan_online(

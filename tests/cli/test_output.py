@@ -18,7 +18,7 @@ from pfdist.questions.display import Display
 from pfdist.runner.progress import Detail, Progress, SetGain
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic")
-ASSET = Path(__file__).parents[1] / "assets" / "schema-4"
+ASSET = Path(__file__).parents[1] / "assets" / "kept"
 SAYS = """
 import os, sys
 from pfdist.cli.streams import make_harmless

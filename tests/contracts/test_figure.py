@@ -22,7 +22,7 @@ every = pytest.mark.parametrize("name", FIGURES)
 def runs(tmp_path_factory: pytest.TempPathFactory, finished: Callable[..., Path]) -> list[Run]:
     """A kept run; runs with a bound and online times, several numbers, why, and named sets."""
     folder = tmp_path_factory.mktemp("figures")
-    shutil.copytree(ROOT / "assets" / "schema-4", folder / "run")
+    shutil.copytree(ROOT / "assets" / "kept", folder / "run")
     job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
     several = pfdist.budget(job, (2, 3), folder / "budget", draws=20, figures=False)
     proved = shutil.copytree(finished(*EXACT, "online.draws=20"), folder / "proved")

@@ -411,7 +411,7 @@ def test_the_page_about_python_draws_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(ROOT / "tests" / "assets" / "schema-4", "results/quick")
+    shutil.copytree(ROOT / "tests" / "assets" / "kept", "results/quick")
     over = {"problem.measurement_budget": [3, 4], "filter.particles": [20, 40], "seed": [1, 2]}
     exact = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=20"]
     pfdist.sweep(ROOT / "tests/small.toml", over, results="results/budgets", changes=exact)

@@ -16,7 +16,7 @@ EXACT = ["model.name=random_walk", "filter.engine=kalman"]  # compiles no filter
 @pytest.fixture(scope="session")
 def plain() -> Run:
     """A run of two searches, one of which estimates otherwise than the comparison."""
-    return pfdist.open_run(ROOT / "assets" / "schema-4")
+    return pfdist.open_run(ROOT / "assets" / "kept")
 
 
 @pytest.fixture(scope="session")

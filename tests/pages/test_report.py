@@ -439,10 +439,6 @@ def test_a_report_has_the_models_own_name_and_no_folder_of_the_machine(
     run = pfdist.run(job, tmp_path / "run", figures=False)
     assert str(tmp_path) not in _text(run)
     assert "When to measure: a <walk> in the park" in _text(run)
-    about = json.loads((run.path / "run.json").read_text())
-    del about["provenance"]["name_of_model"]  # as in a run of an earlier version
-    rewrite(run.path / "run.json", json.dumps(about))
-    assert "When to measure: walk.py:model" in _text(pfdist.open_run(run.path))
 
 
 def test_a_run_with_quotes_in_its_name_is_loaded_as_the_report_says(make: Make) -> None:

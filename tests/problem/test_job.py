@@ -196,15 +196,6 @@ def test_the_most_telling_mistake_of_a_file_is_told(write, old, new, overrides, 
         load_job(path, overrides)
 
 
-@pytest.mark.parametrize("section", ["evaluation", "search.genetic.evaluation"])
-def test_how_an_error_is_estimated_is_no_key(write, section):
-    """It was one before 0.4. Now a search chooses by its model."""
-    message = r"estimator is gone: each search estimates errors as docs/searches.md says .*\.toml"
-    with pytest.raises(JobError, match=message) as error:
-        load_job(write(), [f"{section}.estimator=filter_variance"])
-    assert "\n" not in str(error.value)
-
-
 def test_a_file_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(JobError, match=r"cannot read .*none\.toml: No such file"):
         load_job(tmp_path / "none.toml")

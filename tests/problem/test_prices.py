@@ -61,19 +61,6 @@ def test_whole_prices_with_points_are_whole_prices() -> None:
     assert str(jobs[1].identity()["problem"]["price"]) == "[1, 2, 1, 1]"
 
 
-def test_the_former_keys_about_money_mean_the_same() -> None:
-    former, now = (
-        Job(seed=1, problem={"horizon": 3, price: [1, 2, 1, 1], total: 3})
-        for price, total in (("cost", "total_cost"), ("price", "total_price"))
-    )
-    assert former.identity() == now.identity()
-    sensors = {"near": {"cost": 1}, "far": {"price": 2}}
-    job = Job(seed=1, problem={"horizon": 3, "sensors": sensors, "total_cost": 3})
-    assert job.problem.feasible.price == (1, 2) * 4
-    with pytest.raises(JobError, match=r"^unknown key 'cost' in \[problem\], allowed: .*price"):
-        Job(seed=1, problem={"horizon": 1, "price": [1, 1], "cost": [1, 1], "total_price": 2})
-
-
 def test_sentences_have_the_money_as_it_is_written() -> None:
     feasible = priced((0.5, 1.25, 2.0), 2.5)
     assert feasible.broken((0, 1, 2)) == ["total_price is 2.5, got times with the price 3.75"]

@@ -190,7 +190,7 @@ def test_measurements_need_no_run_that_cannot_be_read(
     older = json.dumps({**content, "schema_version": 2})
     for write, why in (
         (lambda: file.write_text("{"), "results/small/run.json is damaged: "),
-        (lambda: rewrite(file, older), "results/small is of schema version 2, which pfdist 0.2 r"),
+        (lambda: rewrite(file, older), "results/small is of schema version 2, which pfdist 0.4"),
     ):
         write()
         lines.clear()

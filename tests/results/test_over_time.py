@@ -13,7 +13,6 @@ import pfdist
 from oracles.three_sensors import SYSTEMS
 from pfdist.filters.kalman import expected_errors
 from pfdist.filters.work import ranges_of_draws
-from pfdist.results import over_time
 from pfdist.results.moments import controlled_mse
 from pfdist.results.over_time import (
     Range,
@@ -51,19 +50,6 @@ def test_its_mean_over_time_is_the_expected_mse(
     exact = "filter.engine=kalman" in changes
     assert (table["draws"] == (0 if exact else run.draws_compared)).all()
     assert (table["standard_error"] == 0).all() == exact
-
-
-def test_sums_of_the_former_schema_are_weighted(
-    finished: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """They are divided by the weights; an error of weight 0 is unknown."""
-    run = pfdist.open_run(finished(WALK, "filter.engine=kalman", WEIGHTS))
-    today = run.table("error_over_time")
-    monkeypatch.setattr(over_time, "schema_version_of", lambda _: 3)
-    error = run.table("error_over_time")["error"] * today["weight"]
-    counts = today["weight"] > 0
-    np.testing.assert_allclose(error[counts], today["error"][counts])
-    assert error[~counts].isna().all()
 
 
 def test_an_exact_engine_has_the_variances_of_the_kalman_filter(

@@ -209,7 +209,7 @@ def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Ru
 
 
 def test_a_run_without_the_section_has_none() -> None:
-    run = pfdist.open_run(ASSETS / "schema-4")
+    run = pfdist.open_run(ASSETS / "kept")
     assert "online" not in run.tables
     assert run.as_json()["online"] is None
 

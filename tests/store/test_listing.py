@@ -19,7 +19,7 @@ from pfdist.store.listing import change_listing, read_listing, record_pages
 from pfdist.store.lock import check_not_held, held
 
 KEY = "0123456789abcdef"
-RUN = json.loads((Path(__file__).parents[1] / "assets" / "schema-3" / "run.json").read_text())
+RUN = json.loads((Path(__file__).parents[1] / "assets" / "kept" / "run.json").read_text())
 
 
 def _draws(evaluation: str, first: int, last: int) -> pa.Table:

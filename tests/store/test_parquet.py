@@ -250,7 +250,7 @@ def test_what_cannot_be_read_is_an_error_that_says_why(store: Store) -> None:
     rows = compared_rows(0, 1)
     newer = {**rows.schema.metadata, b"pfdist_schema_version": str(SCHEMA_VERSION + 1).encode()}
     store.publish("comparison", "comparison", [rows.replace_schema_metadata(newer)])
-    with pytest.raises(StoreError, match="use the newer pfdist"):
+    with pytest.raises(StoreError, match="which a newer version of pfdist reads"):
         store.read("comparison")
 
 

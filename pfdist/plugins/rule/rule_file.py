@@ -73,7 +73,7 @@ class Rule:
             written = _Written.read(answer["rule"])
             limits = TypeAdapter(StepLimits).validate_python(answer["constraints"])
             each = written.threshold.values()
-            instants = max((len(own) for own in each if isinstance(own, list)), default=0)
+            instants = max(map(len, each), default=0)
             _check_sizes(limits, len(written.threshold), instants)
             return cls(written.rule([*written.threshold], instants), limits, [
                 name or ALONE for name in written.threshold
@@ -139,7 +139,7 @@ Level = Annotated[float, Field(ge=ALWAYS, allow_inf_nan=False)]
 class _Written(JobSection):
     """A rule as `rule_json` writes it."""
 
-    threshold: dict[str, list[Level | None] | Level | None]  # of each sensor
+    threshold: dict[str, list[Level | None]]  # of each sensor
     exponent: Positive
     limit: Positive
 
@@ -150,9 +150,7 @@ class _Written(JobSection):
         return cls.model_validate({**rule, "threshold": each})
 
     def rule(self, sensors: Sequence[str], instants: int) -> Thresholds:
-        """The rule; a single threshold, in older files, is that of all instants."""
-        each = [self.threshold[name] for name in sensors]
-        columns = [own if isinstance(own, list) else [own] * instants for own in each]
+        columns = [self.threshold[name] for name in sensors]
         if {*map(len, columns)} != {instants}:
             raise ValueError(f"thresholds of {len(columns[0])} instants, not of {instants}")
         rows = zip(*columns, strict=True)
