@@ -21,7 +21,7 @@ from pfdist.filters.predicted import predicted
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, GREY, OCHRE, PURPLE, RED
-from pfdist.results.promise import (
+from pfdist.plugins.backtest.promise import (
     HALF,
     KEPT,
     NOT_DECIDED,

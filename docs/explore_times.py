@@ -11,7 +11,7 @@ import numpy as np
 
 from pfdist import load_job
 from pfdist.errors import JobError
-from pfdist.explorer.session import FIRST_DRAWS, ExplorerSession, reply
+from pfdist.plugins.explorer.session import FIRST_DRAWS, ExplorerSession, reply
 
 JOBS = Path(__file__).parent.parent / "jobs"
 MOVES = 9

@@ -230,23 +230,23 @@ def _explore() -> Pictures:
 
 
 _EXPLORER = (
-    "explorer/session.py",
-    "explorer/explore.css",
-    "explorer/explore.html",
-    "explorer/explore.js",
+    "plugins/explorer/session.py",
+    "plugins/explorer/explore.css",
+    "plugins/explorer/explore.html",
+    "plugins/explorer/explore.js",
 )
 _RUN = ("pages/system.py", "pages/gains.py", "pages/searches.py")
 _PAGE = ("questions/report.py", "pages/page.html", "pages/style.css")
 GROUPS = {
     "blood": Group(_blood, ("pages/system.py",)),
     "example": Group(_example, _RUN),
-    "plan": Group(_plan, ("pages/bounds.py", "pages/why.py", "pages/searches.py")),
+    "plan": Group(_plan, ("pages/bounds.py", "plugins/why/figures.py", "pages/searches.py")),
     "paper": Group(_paper, ("pages/searches.py", "pages/gains.py", "pages/online.py")),
     "sensors": Group(_sensors, ("pages/times_axis.py",)),
     "lake": Group(_lake, ("pages/filtered.py",)),
-    "real-data": Group(_real_data, ("pages/backtested.py",)),
-    "particles": Group(_particles, ("pages/why.py",)),
-    "gallery": Group(_script("gallery"), ("pages/why.py", "pages/times_axis.py")),
+    "real-data": Group(_real_data, ("plugins/backtest/figures.py",)),
+    "particles": Group(_particles, ("pages/particles.py",)),
+    "gallery": Group(_script("gallery"), ("pages/particles.py", "pages/times_axis.py")),
     "notebook": Group(_script("notebook_page"), _RUN),
     "report": Group(_script("report_picture"), (*_PAGE, "pages/system.py", "pages/bounds.py")),
     "explore": Group(_explore, _EXPLORER),

@@ -2,7 +2,6 @@ from . import densities as densities
 from .elementwise import clip as clip
 from .elementwise import where as where
 from .errors import PfdistError as PfdistError
-from .explorer.widget import explore as explore
 from .filters.cloud import Cloud as Cloud
 from .filters.estimate import Evaluation as Evaluation
 from .models import Sensor as Sensor
@@ -14,19 +13,15 @@ from .models.continuous import sde as sde
 from .models.library.linear_gaussian import linear_gaussian as linear_gaussian
 from .models.symbols import take as take
 from .pages import plots as plots
-from .plugins.sweep.question import Sweep as Sweep
-from .plugins.sweep.question import sweep as sweep
 from .problem.job import Job as Job
 from .problem.job import load_job as load_job
 from .problem.problem import Problem as Problem
-from .questions.backtest import backtest as backtest
 from .questions.bound import bound as bound
 from .questions.budget import budget as budget
 from .questions.check_model import check_model as check_model
 from .questions.compare import compare as compare
 from .questions.evaluate import evaluate as evaluate
 from .questions.filter_measurements import filter_measurements as filter_measurements
-from .questions.fit import fit as fit
 from .questions.list_runs import list_runs as list_runs
 from .questions.next_time import next_time as next_time
 from .questions.online import online as online
@@ -38,15 +33,20 @@ from .questions.report import report as report
 from .questions.run import run as run
 from .questions.simulate import simulate as simulate
 from .questions.table import table as table
-from .questions.why import why as why
 from .results import Run as Run
 from .results import open_run as open_run
 from .runner.filter import Filter as Filter
 
 # isort: split
 # Names of plugins, written by docs/tables.py
+from .plugins.backtest.question import backtest as backtest
+from .plugins.explorer.widget import explore as explore
+from .plugins.fit.question import fit as fit
 from .plugins.rule.question import rule as rule
 from .plugins.rule.rule_file import Rule as Rule
+from .plugins.sweep.question import Sweep as Sweep
+from .plugins.sweep.question import sweep as sweep
+from .plugins.why.question import why as why
 
 __all__: list[str]
 __version__: str

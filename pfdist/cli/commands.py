@@ -105,25 +105,6 @@ COMMANDS: dict[str, Command] = {
         },
         resumes=True,
     ),
-    "why": Command(
-        "pfdist.questions.why:why",
-        "Show what each measurement of a run is worth, and how exactly it must be kept.",
-        {
-            "pfdist why jobs/plan.toml": "Show what each measurement of the plan is worth",
-            "pfdist why jobs/plan.toml --draws 20000": "Show it more precisely",
-            "pfdist why results/plan": "Name the run by its folder",
-        },
-    ),
-    "explore": Command(
-        "pfdist.cli.own:explore",
-        "Move the measurements by hand in a local page, and see the error at once.",
-        {
-            "pfdist explore jobs/plan.toml": "Open the page of a job, with the plan if it has one",
-            "pfdist explore results/plan --no-browser": (
-                "Only print the address of the page of a run"
-            ),
-        },
-    ),
     "evaluate": Command(
         "pfdist.questions.evaluate:evaluated",
         "Estimate the expected MSE of a set of measurement times, or of several.",
@@ -150,18 +131,6 @@ COMMANDS: dict[str, Command] = {
             "pfdist filter jobs/plan.toml patient.csv": "Filter the measurements of one system",
             "pfdist filter jobs/plan.toml patient.csv --planned evenly_spaced --out new": (
                 "Compare them with evenly spaced times, and write to another folder"
-            ),
-        },
-    ),
-    "backtest": Command(
-        "pfdist.questions.backtest:backtest",
-        "Judge by real measurements whether a plan keeps its promise.",
-        {
-            "pfdist backtest jobs/plan.toml patients.csv": (
-                "Compare the plan with two grids of evenly spaced times on real patients"
-            ),
-            "pfdist backtest jobs/plan.toml patients.csv --replicate patient --plan-each": (
-                "Plan for each patient among the measurements that there are"
             ),
         },
     ),
@@ -283,8 +252,8 @@ COMMANDS: dict[str, Command] = {
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "Plan": ("plan", "budget", "run"),
-    "Ask": ("evaluate", "compare", "why", "bound", "explore"),
-    "Real data": ("filter", "next", "online", "backtest"),
+    "Ask": ("evaluate", "compare", "bound"),
+    "Real data": ("filter", "next", "online"),
     "Runs": ("status", "list", "table", "report", "plot", "verify"),
     "Models": ("init", "check-model", "simulate", "models", "schema", "completion"),
 }

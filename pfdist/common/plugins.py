@@ -63,6 +63,9 @@ class Plugin:
     files : sequence of str
         Sections of files that are no jobs, marked by their first keys, for the JSON schema.
         `pfdist.problem.job_schema` asks.
+    chapters : sequence of str
+        Sections of the report of a run, functions of `pfdist.questions.subject.Subject` that may
+        return None. `pfdist.questions.run_page` asks.
     looks : sequence of str
         Quick work of a plan beside its proof: `pfdist.runner.driver.QuickLook`. That module and
         `pfdist.questions.run` ask.
@@ -77,6 +80,7 @@ class Plugin:
     figures: Sequence[str] = ()
     capabilities: Sequence[str] = ()
     files: Sequence[str] = ()
+    chapters: Sequence[str] = ()
     looks: Sequence[str] = ()
     others: Mapping[str, str] = field(default_factory=dict)
 

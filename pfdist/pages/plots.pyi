@@ -1,4 +1,3 @@
-from .backtested import likelihood_profile as likelihood_profile
 from .bounds import bound as bound
 from .bounds import budget as budget
 from .figure import draw_figures as draw_figures
@@ -9,18 +8,19 @@ from .filtered import filtered_plot as filtered_plot
 from .gains import gain as gain
 from .gains import one_draw as one_draw
 from .online import online_shares as online_shares
+from .particles import effective_sample_size as effective_sample_size
+from .particles import particle_losses as particle_losses
 from .searches import comparison as comparison
 from .searches import searches as searches
 from .sweeps import against as against
 from .sweeps import draw_points as draw_points
 from .system import system as system
 from .times_axis import times as times
-from .why import effective_sample_size as effective_sample_size
-from .why import error_profile as error_profile
-from .why import particle_losses as particle_losses
-from .why import worth as worth
 
 # isort: split
 # Names of plugins, written by docs/tables.py
+from ..plugins.fit.figure import likelihood_profile as likelihood_profile
+from ..plugins.why.figures import error_profile as error_profile
+from ..plugins.why.figures import worth as worth
 
 __all__: list[str]

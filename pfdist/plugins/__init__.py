@@ -4,4 +4,4 @@ To remove a plugin, delete its folder here, its folder in ``tests/plugins``, its
 and its line below, and call ``python docs/tables.py``. To add one, see CONTRIBUTING.md.
 """
 
-PLUGINS = ("rule", "sweep")
+PLUGINS = ("sweep", "why", "explorer", "rule", "backtest", "fit")

@@ -239,8 +239,6 @@ ON_THE_WAY = Capability(
     },
     lambda job: "online" * (job.online is not None),
 )  # fmt: skip
-WHY = Capability("`pfdist why`", {ONE_NUMBER: "", MEAN_OF_SCENARIOS: ""})
-EXPLORE = Capability("`pfdist explore`", {EXPECTED_MSE: ""})
 BOUND = Capability(
     "a lower bound of the error", {SQUARED_NORM: "0 draws of the bound leave it out"}
 )
@@ -250,13 +248,9 @@ LOSS = Capability(
 REAL_DATA = Capability(
     "`pfdist filter`, `next`, `backtest`", {NOT_TOLD: "nobody knows the scenario of a real system"}
 )
-PLAN_EACH = Capability(
-    "`plan_each` of `pfdist backtest`",
-    {A_NUMBER: "without plan_each, the plan of the run is judged", LEARNED: ""},
-)
 _CAPABILITIES = (
     BUDGET, ON_THE_WAY, CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, EXACT,
-    WRONG_FILTER, LEARNING, WHY, EXPLORE, BOUND, LOSS, REAL_DATA, PLAN_EACH,
+    WRONG_FILTER, LEARNING, BOUND, LOSS, REAL_DATA,
 )  # fmt: skip
 
 

@@ -516,7 +516,7 @@ def _belief(answer: FilteredMeasurements) -> Section:
 def _fit(answer: FilteredMeasurements) -> Section:
     """The fit of the measurements to the model, and the effective sample size."""
     from pfdist.pages.figure import Plot  # noqa: PLC0415  as in _belief
-    from pfdist.pages.why import effective_sample_size  # noqa: PLC0415
+    from pfdist.pages.particles import effective_sample_size  # noqa: PLC0415
     from pfdist.questions.pictures import picture  # noqa: PLC0415
 
     blocks: list[Block] = []

@@ -36,10 +36,10 @@ from pfdist.questions.run_of_job import built_for_run, path_of_run, run_and_job
 from pfdist.results import Run, open_run
 from pfdist.results.sets import recommended
 from pfdist.results.stored_run import job_of, measured_of
-from pfdist.runner.backtesting import evaluator_on, follows_clock
 from pfdist.runner.build import Built, build, say_model_files
 from pfdist.runner.filter import Filter, settings_of_job
 from pfdist.runner.progress import Say, heard
+from pfdist.runner.replicates import evaluator_on, follows_clock
 from pfdist.store.folder import check_page_replaceable
 from pfdist.store.user_tables import check_table_replaceable, is_parquet
 

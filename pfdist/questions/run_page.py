@@ -22,6 +22,7 @@ from pfdist.common.percent import (
     percent_with_interval,
     relaxed_sentence,
 )
+from pfdist.common.plugins import added
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
 from pfdist.filters.aspects import ErrorBeside
@@ -45,7 +46,6 @@ from pfdist.questions.subject import (
     as_good_text,
     number_of,
 )
-from pfdist.questions.why_page import worth_section
 from pfdist.results import Run
 from pfdist.results.columns import COLUMNS, CRITERIA_SHOWN, ERRORS_SHOWN, Row, sets_table
 from pfdist.results.particle_loss import TOO_FEW
@@ -101,7 +101,7 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
     """
     subject = Subject(run, target=target)
     title = "When to measure"
-    chapters: tuple[Chapter, ...] = (answer, online_section, scenarios, proof, worth_section)
+    chapters: tuple[Chapter, ...] = (answer, online_section, scenarios, proof, *added("chapters"))
     if "budget" in run.job:
         title, chapters = "How many measurements are enough", (budget_section,)
     elif run.job.get("online"):

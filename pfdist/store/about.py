@@ -69,7 +69,7 @@ def _instant(text: str) -> str:
 
 
 class _Computed(_Recorded):
-    """By what a run was computed."""
+    """The versions by which a run was computed."""
 
     python: str
     libraries: dict[str, str]

@@ -43,19 +43,11 @@ UNITS = {
     "questions/filter_measurements.py filter_measurements": "nothing, it is one system:",
     # Replicates with the same parameters have numbers. Groups of them share the numbers, which
     # changes neither the mean of the log evidence nor clearly its error.
-    "questions/fit.py _evidence": "replicate of a group: part.first",
-    "questions/fit.py _Fitting.fitted": "starts of one fit: starts",
-    "questions/fit.py _Fitting._likelihood": "repetition: repeat",
     "questions/next_time.py _next_by_plan": "nothing, it is one system:",
     "questions/planned_run.py system_of_table": "nothing, it is one system:",
     "questions/planned_run.py filter_of": "system: draw",
     "questions/planner.py Planner.__init__": "system: draw",  # `plan` gives it to the Replanner
     "questions/simulate.py _simulated": "draws:",
-    "questions/thinned.py plans_of": "replicate: each.name",
-    "questions/thinned.py judged_errors": "replicate: each.replicate.name",
-    "questions/worth.py _work": "draws: name",
-    "runner/backtesting.py _surprises": "replicate: work.streams",
-    "runner/backtesting.py plan_of": "replicate: work.stream",
     "runner/block_sums.py grown": "draws:",
     "runner/choice.py with_long_gap": "nothing, it is one choice:",
     "runner/choice.py steps_a_particle": "draws: pilot",

@@ -22,7 +22,7 @@ def job_of(*changes: str) -> Job:
 @contextlib.contextmanager
 def served(session: Any, port: int = 0) -> Iterator[str]:
     """The address of the page of a session, as long as it is served."""
-    from pfdist.explorer.server import ADDRESS, server_of  # it needs the extra `explore`
+    from pfdist.plugins.explorer.server import ADDRESS, server_of  # it needs the extra `explore`
 
     listening = socket.create_server((ADDRESS, port))
     port = listening.getsockname()[1]

@@ -10,11 +10,11 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).parents[2]
 MODULES = {
     "pfdist/accelerator": "jax",
-    "pfdist/explorer/server.py": "explore",
+    "pfdist/plugins/explorer/server.py": "explore",
     "tests/accelerator": "jax",
     "tests/crash/test_job_submission.py": "cluster",
-    "tests/explorer/test_browser.py": "explore",
-    "tests/explorer/test_server.py": "explore",
+    "tests/plugins/explorer/test_browser.py": "explore",
+    "tests/plugins/explorer/test_server.py": "explore",
 }
 """Modules and folders that need an extra; single tests have the mark ``needs``."""
 

@@ -20,8 +20,8 @@ from pfdist.cli.main import main
 from pfdist.errors import PfdistError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, FilterWork
+from pfdist.plugins.why.question import Why
 from pfdist.questions.run_page import page_of
-from pfdist.questions.why import Why
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 

@@ -14,10 +14,10 @@ from oracles.late import LATE, late_walk, meter_and_laboratory, of_delays, of_la
 from oracles.three_sensors import SYSTEMS
 from pfdist import Problem
 from pfdist.errors import MeasurementsError
-from pfdist.explorer.session import ExplorerSession
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.pages.terminal import lines_of
+from pfdist.plugins.explorer.session import ExplorerSession
 from pfdist.runner.build import build
 
 

@@ -18,8 +18,8 @@ from pfdist import Problem, StateSpaceModel
 from pfdist.models.twin import twin_of
 from pfdist.problem.sensing_section import SensingSection
 from pfdist.problem.sensor_section import SensorSection
-from pfdist.runner.backtesting import evaluator_on
 from pfdist.runner.build import build
+from pfdist.runner.replicates import evaluator_on
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 

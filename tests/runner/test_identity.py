@@ -12,7 +12,7 @@ from oracles.model_text import MEASURED
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError
-from pfdist.questions.why import why
+from pfdist.plugins.why.question import why
 from pfdist.runner.build import build
 
 MODEL = (
@@ -76,7 +76,9 @@ def test_a_run_goes_on_where_words_alone_have_changed_and_not_with_another_model
     change, says = OTHER_MODELS[0]
     with pytest.raises(RunMismatchError, match=says):
         why(written(small_job, **change), draws=2, results=path, figures=False)
-    monkeypatch.setattr("pfdist.questions.why.release_the_lock", lambda _: True)  # starts threads
+    monkeypatch.setattr(
+        "pfdist.plugins.why.question.release_the_lock", lambda _: True
+    )  # starts threads
     assert why(path, draws=2, figures=False).run == path  # its own model
 
 

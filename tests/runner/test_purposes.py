@@ -14,8 +14,8 @@ from pfdist.common.streams import CHOOSING, PROVING, stream_of
 from pfdist.filters.criterion import MEAN
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import FilterWork
+from pfdist.plugins.why.question import why
 from pfdist.problem.sections import DEFAULT_METHOD
-from pfdist.questions.why import why
 from pfdist.runner.build import build
 from pfdist.runner.door import WorkBatch
 from pfdist.runner.phase import Phase

@@ -1,0 +1,430 @@
+"""Judge a plan by real measurements: whether the gain that the model foresees is found in them."""
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, Unpack
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from numpy.typing import NDArray
+from pydantic import Field
+
+from pfdist.common.arguments import sets_argument
+from pfdist.common.component_names import Component
+from pfdist.common.measurement_times import EVEN
+from pfdist.common.parts import Page
+from pfdist.common.section import Number, Whole, checked
+from pfdist.common.shown import Shown
+from pfdist.errors import (
+    ArgumentError,
+    JobError,
+    MeasurementsError,
+    PfdistWarning,
+)
+from pfdist.models import StateSpaceModel
+from pfdist.models.base import within_half_turn
+from pfdist.models.sensed import known_values, when_made
+from pfdist.plugins.backtest.backtesting import ReplicateErrors
+from pfdist.plugins.backtest.promise import Promise, RelativeErrors, promise, real_over_foreseen
+from pfdist.plugins.backtest.thinned import (
+    CENTRED,
+    FROM_START,
+    PLAN,
+    Matched,
+    judged_errors,
+    matched_of,
+    plans_of,
+)
+from pfdist.problem.clock import Clock, Time
+from pfdist.problem.needs import REAL_DATA
+from pfdist.problem.points import Points
+from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.replicates import USED, Replicate, read_replicates
+from pfdist.questions.at_work import at_work
+from pfdist.questions.evaluate import OneSet, instants_evaluated
+from pfdist.questions.filter_measurements import IMPROBABLE
+from pfdist.questions.options import Chosen, Names, Options, following, with_options
+from pfdist.questions.planned_run import (
+    Columns,
+    UserTable,
+    check_files,
+    files_beside,
+    planned_run,
+    reading_of,
+    table_argument,
+)
+from pfdist.questions.report import write_page
+from pfdist.results import Run, finite
+from pfdist.results.stored_run import measured_of
+from pfdist.runner.build import Built, build
+from pfdist.runner.progress import silent
+from pfdist.store import backtest_schema
+from pfdist.store.user_tables import write_user_table
+
+Array = NDArray[np.float64]
+BEST = "the best evenly spaced times"
+SHOWN = 4
+"""Replicates that a report shows in full."""
+
+
+class ShownReplicate(NamedTuple):
+    """A replicate that a report shows in full."""
+
+    name: str
+    times: Array  # (T+1,)
+    measured: Array  # (T+1, q): what could be judged
+    used: tuple[int, ...]  # the instants of the plan
+    errors: ReplicateErrors
+
+
+@dataclass(frozen=True, repr=False)
+class Backtest(Shown):
+    """Result of `backtest`.
+
+    Parameters
+    ----------
+    data : Path
+        The file with the measurements.
+    plan : tuple of int, float or str
+        The planned times on the clock of the job; empty with `plan_each`.
+    sets : mapping of str to str
+        The compared sets with their names in sentences; the first is the plan.
+    promises : mapping of str to Promise
+        For each set but the plan, whether the foreseen gain of the plan over it was found.
+    ratios : mapping of str to (float, (float, float))
+        For each set the real error over the foreseen error, with an interval; all intervals hold
+        together with 95 % confidence.
+    table : DataFrame
+        A row for each judged replicate and set, with the columns of `pfdist.store.backtest_schema`.
+        Errors are relative to the variance of what is judged.
+    noise : float
+        The part of all errors that the noise of the judged measurements causes, by the model.
+    improbable : float
+        Share of the plan's measurements whose p-value is below 1 %.
+    left_out : mapping of str to str
+        Replicates that are not judged, and why.
+    is_checked : bool
+        Whether a column says to which replicates the model was fitted.
+    within : float
+        Largest distance from a wanted time to the measurement that is used instead.
+    impossible : int
+        Number of filters for which a measurement is impossible.
+    collapsed : int
+        Number of filters, one for each replicate and set, whose effective sample size falls below
+        5. Their estimates are those of a few particles, not the model's.
+    files : tuple of Path
+        The table, the figure, and the report if it was wanted; none for a DataFrame without `out`.
+    shown : tuple of ShownReplicate
+    quantities : tuple of Component
+        The components of what is judged.
+    clock : Clock
+        That of the job.
+    """
+
+    data: Path
+    plan: tuple[Time | str, ...]
+    sets: Mapping[str, str]
+    promises: Mapping[str, Promise]
+    ratios: Mapping[str, tuple[float, tuple[float, float]]]
+    table: pd.DataFrame
+    noise: float
+    improbable: float
+    left_out: Mapping[str, str]
+    is_checked: bool
+    within: float
+    impossible: int
+    collapsed: int
+    files: tuple[Path, ...]
+    shown: tuple[ShownReplicate, ...]
+    quantities: tuple[Component, ...]
+    clock: Clock
+
+    @property
+    def wrong(self) -> list[str]:
+        """Names of the sets whose real error clearly differs from the foreseen error."""
+        return [name for name, (_, (low, high)) in self.ratios.items() if low > 1.0 or high < 1.0]
+
+    @property
+    def means(self) -> pd.DataFrame:
+        """Means over the replicates by set: real, foreseen, covered."""
+        columns = ["real", "foreseen", "covered"]
+        return self.table.groupby("set", sort=False)[columns].mean()
+
+    @property
+    def judged(self) -> int:
+        """Number of judged values."""
+        return int(self.table[self.table["set"] == PLAN]["judged"].sum())
+
+    def as_json(self) -> dict[str, Any]:
+        """The result as JSON values, with the table as the path of its file."""
+        files = dict(zip(("table", "figure", "report"), map(str, self.files), strict=False))
+        means = self.means.to_dict("index")
+        sets = {
+            name: {**means[name], "ratio": ratio, "interval": interval,
+                   "is_wrong": name in self.wrong}
+            for name, (ratio, interval) in self.ratios.items()
+        }  # fmt: skip
+        return finite(
+            {
+                "data": str(self.data),
+                "plan": self.plan,
+                "replicates": len(self.table) // len(self.sets),
+                "judged": self.judged,
+                "promises": {
+                    name: {"verdict": each.verdict, **vars(each)}
+                    for name, each in self.promises.items()
+                },
+                "sets": sets,
+                "noise": self.noise,
+                "improbable": self.improbable,
+                "collapsed": self.collapsed,
+                "left_out": dict(self.left_out),
+                "is_checked": self.is_checked,
+                **{name: files.get(name) for name in ("table", "figure", "report")},
+            }
+        )
+
+    def _page(self) -> Page:
+        # Not above: it is made of this result.
+        from pfdist.plugins.backtest.page import backtest_answer  # noqa: PLC0415
+
+        return backtest_answer(self)
+
+
+@with_options
+@checked
+def backtest(
+    job: JobSource | Run,
+    data: UserTable,
+    *,
+    replicate: str = "",
+    times: Mapping[str, OneSet] | Names | None = None,
+    planned: str = "",
+    plan_each: bool = False,
+    columns: Columns | None = None,
+    within: Annotated[Number, Field(ge=0.0, allow_inf_nan=False)] | None = None,
+    block: Annotated[Whole, Field(ge=1, le=10_000)] = 1,
+    out: str | Path = "",
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
+    **options: Unpack[Options],
+) -> Backtest:
+    """Judge by real measurements whether a plan keeps its promise.
+
+    The table has more measurements of each system, a replicate, than the plan needs. Each replicate
+    is filtered with its measurements at the times of the plan, at two grids of evenly spaced times,
+    at the best evenly spaced times of the run, and at sets of your own. The predictions are judged
+    by the measurements that no set uses. The model foresees these errors by simulated systems that
+    are measured and judged at the same times.
+
+    A table, ``NAME.backtest.csv`` or ``.parquet`` as the data are, a figure, ``NAME.backtest.png``,
+    and a report, ``NAME.backtest.html``, are written. They replace those of an earlier call, and no
+    other file.
+
+    Parameters
+    ----------
+    job : Problem, Job, str, Path or Run
+        A job file, whose run is meant, or the folder of a run.
+    data : str, Path or DataFrame
+        Table in CSV or Parquet with a row for each replicate and time: a column with the
+        replicate's name, t, y0, y1, ... (or ``y_NAME``), and sensor if the model has sensors.
+        Further columns may be z0, z1, ... (known quantities of interest, judged instead), train (1
+        for a replicate to which the model was fitted; it is not judged), and parameters.
+    replicate : str, optional
+        Column with the name of the replicate; by default the first.
+    times : mapping of str to iterable or str, optional
+        Further sets to compare, as ``clinic=0,6,12,24``; give the option once for each set.
+    planned : str, optional
+        Name of the compared set that was planned; by default the found set with the lowest expected
+        MSE.
+    plan_each : bool
+        Plan for each replicate among its own measurements; then no run is needed.
+    columns : mapping of str to str, or list of str, optional
+        Names of the table's columns that have other names there, as ``t=time,y0=conc``.
+    within : float, optional
+        Largest distance from a wanted time to the nearest measured time, which is used instead, and
+        from a measured time to the nearest instant if the model's step does not read p.dt; by
+        default half a step of the clock.
+    block : int
+        Number of consecutive replicates that may depend on each other, such as 7 days.
+    out : str or Path, optional
+        Folder of the table, the figure and the report; by default that of the given table.
+    results : str or Path, optional
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if only that holds a run.
+    changes : iterable of str, optional
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
+    options
+        See `Options`.
+
+    Returns
+    -------
+    Backtest
+
+    Raises
+    ------
+    StoreError
+        There is no finished run of the job, or a file cannot be written.
+    MeasurementsError
+        The table is wrong, or no replicate can be judged.
+    JobError, ModelError
+        The job or a parameter does not fit.
+    """
+    # Not above: the help of the command waits for no Matplotlib.
+    from pfdist.pages import backtested  # noqa: PLC0415
+    from pfdist.pages.figure import save_plot  # noqa: PLC0415
+
+    chosen, table = Chosen(**options), table_argument("data", data)
+    files = files_beside(table, out, "data", "backtest")[: 3 if chosen.report is not False else 2]
+    check_files(files, backtest_schema(), backtested.TITLE)
+    with following(chosen.progress, chosen.say) as (show, tell):
+        if plan_each:
+            source: Any = job.path if isinstance(job, Run) else job
+            built, plan, even = build(as_job(source, changes)), None, {}
+        else:
+            found = planned_run(job, results, changes, tell, planned, "", must_be=True)
+            built, plan = found.built, found.times
+            measured = measured_of(found.run) if found.run else {}
+            even = {EVEN: measured[EVEN]} if EVEN in measured else {}
+        _check_filter(built)
+        execution = built.job.with_changes(settings={"execution": chosen.execution}).execution
+        model, clock = built.evaluator.model, built.job.problem.clock
+        names = [*clock.without({**model.parameters, **built.evaluator.believed.parameters})]
+        reading = reading_of(built, columns, within, chosen.say)
+        replicates = read_replicates(table, replicate, model, clock, names, reading)
+        _check_columns(built, replicates)
+        if within is None:
+            within = (clock.times[-1] - clock.times[0]) / clock.horizon / 2
+        own = {
+            name: instants_evaluated(built.job, name, each)
+            for name, each in sets_argument(times or {}).items()
+        }
+        for name in {*own} & {PLAN, FROM_START, CENTRED, EVEN}:
+            raise ArgumentError(f"times: {name!r} is the name of another set; choose another name")
+        own = even | own
+        with at_work(execution, [built.evaluator.engine], tell) as pool:
+            plans = plans_of(built, replicates, pool, show) if plan is None else plan
+            matched, left_out = matched_of(built, replicates, plans, own, within)
+            if not matched:
+                why = next((f"{name}: {each}" for name, each in left_out.items()), "no rows")
+                more = "; --within allows more" * (" within " in why and USED not in why)
+                raise MeasurementsError(f"no replicate can be judged ({why}){more}")
+            errors = judged_errors(built, matched, pool, show)
+    first = f"evenly spaced times from t = {clock.formatted(0)}"
+    sets = {PLAN: "the plan", FROM_START: first, CENTRED: "centred evenly spaced times"}
+    sets |= {name: f"the set {name}" for name in own} | dict.fromkeys(even, BEST)
+    result = _result(
+        sets,
+        model,
+        built.job.problem.points,
+        matched,
+        errors,
+        block,
+        data=Path("data") if isinstance(table, pd.DataFrame) else table,
+        plan=() if plan is None else tuple(built.job.problem.points.written_of(plan)),
+        left_out=left_out,
+        is_checked=any(each.is_training for each in replicates),
+        within=within,
+        files=files,
+        quantities=model.named("y") if matched[0].is_predicted else model.named("z"),
+        clock=clock,
+    )
+    if files:
+        from pfdist.plugins.backtest.page import report_of  # noqa: PLC0415  as in Backtest
+
+        rows = pa.Table.from_pandas(result.table, schema=backtest_schema(), preserve_index=False)
+        write_user_table(files[0], rows)
+        plot = backtested.by_replicate(result.table, result.sets)
+        save_plot(files[1], plot, backtested.TITLE)
+        for file in files[2:]:
+            write_page(report_of(result), file)
+    page = result._page()
+    for line in (*page.alarms, *page.warnings) if chosen.say is silent else ():
+        warnings.warn(line, PfdistWarning, stacklevel=3)
+    return result
+
+
+def _check_filter(built: Built) -> None:
+    """Raise `JobError` if the job's filter cannot filter real systems here."""
+    scenarios, delays = built.job.scenarios, built.job.problem.points.delays
+    REAL_DATA.check("a real system", built.job)
+    if delays and scenarios is not None and scenarios.is_learned:
+        raise JobError(
+            "scenarios.filter must be 'nominal' with sensors that have a delay, got 'learned': or "
+            "leave out the delay, and give the times at which values arrive"
+        )
+
+
+def _check_columns(built: Built, replicates: Iterable[Replicate]) -> None:
+    """Raise `MeasurementsError` if a column has a parameter of which the job has scenarios."""
+    given = () if built.job.scenarios is None else built.job.scenarios.parameters
+    varied = {*given} if isinstance(given, Mapping) else {*chain(*given)}
+    for each in replicates:
+        for name in varied & {*each.parameters}:
+            raise MeasurementsError(
+                f"column {name}: a parameter with scenarios or a distribution in the job must have "
+                "no column"
+            )
+
+
+def _result(
+    sets: Mapping[str, str],
+    model: StateSpaceModel,
+    points: Points,
+    matched: Sequence[Matched],
+    errors: Sequence[ReplicateErrors],
+    block: int,
+    **known: Any,
+) -> Backtest:
+    """The result, given the fields that are known before it."""
+    of_sets = {
+        name: RelativeErrors(
+            np.array([each.real[k] for each in errors]),
+            np.stack([
+                np.where(np.isfinite(each.foreseen[k]), each.foreseen[k], np.nan)
+                for each in errors
+            ]),
+        )
+        for k, name in enumerate(sets)
+    }  # fmt: skip
+    rows = [
+        {
+            "replicate": each.replicate.name,
+            "set": name,
+            "judged": int(np.sum(~np.isnan(each.judged))),
+            "real": one_set.real[place],
+            "foreseen": one_set.means[place],
+            "covered": errors[place].covered[k],
+        }
+        for place, each in enumerate(matched)
+        for k, (name, one_set) in enumerate(of_sets.items())
+    ]
+    plan, others = of_sets[PLAN], [*of_sets.items()][1:]
+    order = np.argsort(of_sets[FROM_START].real - plan.real)
+    places = [int(order[round(share * (len(order) - 1))]) for share in np.linspace(0.1, 0.9, SHOWN)]
+    shown = list[ShownReplicate]()
+    for place in dict.fromkeys(places):
+        (replicate, used, known_z), found = matched[place], errors[place]
+        if matched[place].is_predicted:
+            y = known_values(replicate.y[:, : model.components[1]])
+            known_z = when_made(y, model, points.delays)
+        near = within_half_turn(known_z, found.estimates[0], found.is_angle)
+        times = np.array(replicate.clock.times, np.float64)
+        shown.append(ShownReplicate(replicate.name, times, near, points.made(used[0]), found))
+    surprises = np.concatenate([each.surprises for each in errors])
+    return Backtest(
+        sets=sets,
+        promises={name: promise(plan, each, block) for name, each in others},
+        ratios={name: real_over_foreseen(each, len(sets), block) for name, each in of_sets.items()},
+        table=pd.DataFrame(rows),
+        noise=float(np.mean([each.noise for each in errors])),
+        improbable=float(np.mean(surprises < IMPROBABLE)),
+        impossible=sum(each.impossible for each in errors),
+        collapsed=sum(each.collapsed for each in errors),
+        shown=tuple(shown),
+        **known,
+    )
