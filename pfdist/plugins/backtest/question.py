@@ -275,12 +275,12 @@ def backtest(
         The job or a parameter does not fit.
     """
     # Not above: the help of the command waits for no Matplotlib.
-    from pfdist.pages import backtested  # noqa: PLC0415
+    from pfdist.plugins.backtest import figures  # noqa: PLC0415
     from pfdist.pages.figure import save_plot  # noqa: PLC0415
 
     chosen, table = Chosen(**options), table_argument("data", data)
     files = files_beside(table, out, "data", "backtest")[: 3 if chosen.report is not False else 2]
-    check_files(files, backtest_schema(), backtested.TITLE)
+    check_files(files, backtest_schema(), figures.TITLE)
     with following(chosen.progress, chosen.say) as (show, tell):
         if plan_each:
             source: Any = job.path if isinstance(job, Run) else job
@@ -338,8 +338,8 @@ def backtest(
 
         rows = pa.Table.from_pandas(result.table, schema=backtest_schema(), preserve_index=False)
         write_user_table(files[0], rows)
-        plot = backtested.by_replicate(result.table, result.sets)
-        save_plot(files[1], plot, backtested.TITLE)
+        plot = figures.by_replicate(result.table, result.sets)
+        save_plot(files[1], plot, figures.TITLE)
         for file in files[2:]:
             write_page(report_of(result), file)
     page = result._page()
