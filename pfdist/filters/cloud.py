@@ -107,7 +107,11 @@ def _of_first(instants: int, parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 def _formulas_of(model: StateSpaceModel) -> list[Any]:
     """The formulas on which a path and its likelihood depend, as the user wrote them."""
-    likelihoods = [part.model.log_likelihood for part in model.parts]
+    parts = [part.model for part in model.parts]
+    likelihoods: list[Any] = [
+        *(each.log_likelihood for each in parts),
+        *(each.works for each in parts),
+    ]
     return [*map(unwrap, (model.initial, model.transition, *likelihoods))]
 
 

@@ -45,6 +45,16 @@ def sensed(
     may_work = any(callable(part.model.works) for part in model.parts)
     if all(each == PLAIN for each in sensings.values()) and not may_work:
         return model
+    # Kept, because lines that a filter hands to another need the same formulas.
+    result: StateSpaceModel = model.kept(
+        ("sensed", tuple(sensings.items())), lambda: _sensed_model(model, sensings, may_work)
+    )
+    return result
+
+
+def _sensed_model(
+    model: StateSpaceModel, sensings: Mapping[str, Sensing], may_work: bool
+) -> StateSpaceModel:
     remembered = max((each.delay for each in sensings.values()), default=0)
     model = _with_failures(model, sensings)
     parts = {

@@ -220,6 +220,29 @@ def test_an_instant_that_lines_have_measured_is_not_measured_again() -> None:
     assert np.array_equal(second.update(5, 0.9).mean, first.now.mean)
 
 
+def test_lines_of_a_sensor_that_works_or_not_go_on_with_the_same_formula_alone() -> None:
+    """Failures say something about x by `works`; any other would change what has happened."""
+
+    def half_of(x: Any, t: Any, p: Any) -> Any:
+        return 0.5 + 0.4 * (x[0] > 0.0)
+
+    model = replace(level_and_slope(0.1, 0.05), works=half_of, linear_gaussian=False)
+    known: dict[str, Any] = {"seed": 1, "horizon": 12, "proposal": "moving", "particles": 48}
+    first = Filter(model, **known)
+    first.update(2, 0.5)
+    first.update(5, np.nan)
+    second = Filter(model, **known, prior=first.cloud)
+    first.update(8, 0.9)
+    assert np.array_equal(second.update(8, 0.9).mean, first.now.mean)
+    cloud = second.cloud
+    assert isinstance(cloud, Cloud)
+    assert cloud.lines_for(second.model) is not None
+    for works in (lambda x, t, p: 0.5 + 0.4 * (x[0] > 0.5), False):
+        other = replace(model, works=works)
+        assert cloud.lines_for(Filter(other, **known).model) is None
+        assert replace(cloud, lines=replace(cloud.lines, model=model)).lines_for(other) is None
+
+
 def test_a_table_off_the_clock_is_planned_from_particles_without_lines() -> None:
     # The filter has an instant for each time of the table, so its lines have other steps.
     model = StateSpaceModel(
