@@ -1,7 +1,7 @@
 """Covariates: parameters of a job's models from columns of tables, a value for each instant.
 
-Tables of events are read alike. The job then holds the values, and so does its identity. A run no
-longer needs the table.
+Prices and what else varies with time may be columns, too, and tables of events are read alike. The
+job then holds the values, and so does its identity. A run no longer needs the table.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,6 +17,7 @@ from pfdist.errors import JobError, MeasurementTimesError, shown
 from pfdist.problem.points import Points
 
 _KEYS = {"file", "column"}
+_BY_TIME = {"price", "fails", "income", "instant_weights"}
 _EVENT = ("time", "amount", "state")
 
 
@@ -42,18 +43,20 @@ def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
     return read
 
 
-def with_income(section: Any, folder: Path) -> Any:
-    """A section [problem] of a job, with values instead of a column of the income of its store.
+def with_columns_by_time(section: Any, folder: Path, key: str = "problem") -> Any:
+    """A section [problem] of a job, with values instead of columns of what varies with time.
 
-    Errors are those of `with_columns`.
+    Paths and errors are those of `with_columns`.
     """
-    store = section.get("store") if isinstance(section, dict) else None
-    if not (isinstance(store, dict) and isinstance(store.get("income"), dict)):
+    if not isinstance(section, dict):
         return section
-    if not store["income"].keys() & _KEYS:
-        return section
-    income = _column(store["income"], folder, "problem.store.income")
-    return {**section, "store": {**store, "income": income}}
+    read = dict(section)
+    for name, value in section.items():
+        if name in _BY_TIME and isinstance(value, dict) and value.keys() & _KEYS:
+            read[name] = _column(value, folder, f"{key}.{name}")
+        else:
+            read[name] = with_columns_by_time(value, folder, f"{key}.{name}")
+    return read
 
 
 def times_of_file(

@@ -26,7 +26,7 @@ from pfdist.filters.criterion import (
     other_criteria_of,
 )
 from pfdist.filters.engines import is_exact
-from pfdist.problem.covariates import times_of_file, with_columns, with_income
+from pfdist.problem.covariates import times_of_file, with_columns, with_columns_by_time
 from pfdist.problem.even_sets import has_even_sets
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
@@ -223,7 +223,7 @@ class Job(JobSection):
         if "model" in data:
             data["model"] = with_columns(data["model"], origin.path.parent)
         if "problem" in data:
-            data["problem"] = with_income(data["problem"], origin.path.parent)
+            data["problem"] = with_columns_by_time(data["problem"], origin.path.parent)
         if "comparison" in data:
             given = _with_times(data["comparison"], "comparison", data, origin.path.parent)
             data["comparison"] = given

@@ -8,11 +8,11 @@ from pfdist.common.section import JobSection, Listed
 from pfdist.constraints.most_within import MostWithin
 from pfdist.errors import MeasurementTimesError
 from pfdist.problem.clock import Clock, plain_time
-from pfdist.problem.sections import Moment, Written
+from pfdist.problem.sections import Moment, Written, ranges_or_column
 from pfdist.problem.sensing_section import Finite
 
 Price = Annotated[Finite, AfterValidator(plain_time)]
-Prices = Listed[Price] | dict[str, Price]
+Prices = Listed[Price] | Annotated[dict[str, Price], ranges_or_column()]
 MeasurementBudget = Annotated[int, Field(ge=1, lt=2**63)]
 Amount = Annotated[Price, Field(ge=0)]
 
@@ -31,8 +31,7 @@ class StoreSection(JobSection):
     start : number, that of price
         The level at first; by default it is full.
     income : number or list or section of ranges
-        The amount that arrives at each instant, or in each range; or a column of a table with a row
-        for each instant, as ``{ file = "sun.csv", column = "income" }``.
+        The amount that arrives at an instant; by time as `price` of ``[problem]``.
     """
 
     capacity: Annotated[Price, Field(gt=0, le=1e12)]

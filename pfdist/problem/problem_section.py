@@ -44,6 +44,7 @@ from pfdist.problem.sections import (
     MomentsAndRanges,
     Written,
     is_list_of,
+    ranges_or_column,
 )
 from pfdist.problem.sensing_section import Finite, MeasurementsSection, Sensings, SensingSection
 from pfdist.problem.sensor_section import SensorSection
@@ -103,7 +104,8 @@ class ProblemSection(JobSection):
     minimum_spacing : number, clock
         Smallest difference of two measurement times, as 2 or "2 h".
     price : number or list or section of ranges
-        Price of a measurement, or at each instant, or in each range: numbers above 0.
+        Price of a measurement, above 0, or at each instant, or in each range; or a column of a
+        table with a row for each instant, as ``{ file = "prices.csv", column = "price" }``.
     total_price : number, that of price
         Largest sum of the prices of a set, instead of ``measurement_budget``.
     sensors : section of sections
@@ -131,7 +133,12 @@ class ProblemSection(JobSection):
     times: (
         Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS), ListWritten] | None
     ) = None
-    instant_weights: Literal["first", "last"] | _Numbers | dict[str, Moment] | None = None
+    instant_weights: (
+        Literal["first", "last"]
+        | _Numbers
+        | Annotated[dict[str, Moment], ranges_or_column()]
+        | None
+    ) = None
     lag: Annotated[Moment, Written] | None = None
     # None stands for "filtered", which is not written into a job
     estimate: Literal["filtered", "smoothed"] | None = None

@@ -66,19 +66,30 @@ Written = WithJsonSchema(_NUMBER_OR_TEXT)
 """How a job file has a date, or a span of time such as "2 h"."""
 ListWritten = WithJsonSchema({"type": "array", "items": _NUMBER_OR_TEXT})
 """How a job file has dates."""
-_OF_TABLE: Final = {
+OF_TABLE: Final = {
     "type": "object",
     "properties": {"file": {"type": "string"}, "column": {"type": "string"}},
     "required": ["file"],
     "additionalProperties": False,
 }
+"""How a job file names a column of a table, which `pfdist.problem.covariates` reads."""
+
+
+def ranges_or_column(**number: float) -> WithJsonSchema:
+    """How a job file has a number for each range of times, or a column of a table."""
+    of_range = {"type": "number", **number}
+    return WithJsonSchema(
+        {"anyOf": [{"type": "object", "additionalProperties": of_range}, OF_TABLE]}
+    )
+
+
 MomentsAndRanges = Listed[Annotated[Time | str, AfterValidator(plain_time)]]
 """Times and ranges as a job stores them."""
 Parameter = Annotated[
     float | Annotated[tuple[float, ...], Field(min_length=1)],
     BeforeValidator(_plain_parameter),
     WithJsonSchema(
-        {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}, _OF_TABLE]}
+        {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}, OF_TABLE]}
     ),
 ]
 """A number, or a number for each instant; `covariates.with_columns` reads a column of a table."""
@@ -110,7 +121,7 @@ def _as_event(row: Any) -> Any:
 
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
-_OfEvents = WithJsonSchema({"anyOf": [{"type": "array", "items": {"type": "array"}}, _OF_TABLE]})
+_OfEvents = WithJsonSchema({"anyOf": [{"type": "array", "items": {"type": "array"}}, OF_TABLE]})
 _Event = Annotated[
     tuple[_Finite, _Finite | str, Annotated[int, Field(ge=0)]],
     BeforeValidator(_as_event),

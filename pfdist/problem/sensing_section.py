@@ -13,7 +13,7 @@ from pfdist.common.section import JobSection, Listed
 from pfdist.common.sensing import PLAIN, REPEATS, Sensing
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.problem.clock import Clock
-from pfdist.problem.sections import Moment, Written
+from pfdist.problem.sections import Moment, Written, ranges_or_column
 from pfdist.problem.written import by_instant
 
 _Chance = Annotated[float, Field(ge=0.0, lt=1.0, strict=False)]
@@ -30,7 +30,7 @@ class SensingSection(JobSection):
     limits : list of two numbers, that of y
         Readings below the first, and above the second, are known to be so.
     fails : number or list or section of ranges
-        Probability that a planned measurement gives nothing, or at each instant, or in each range.
+        Probability that a planned measurement gives nothing; by time as `price`.
     repeats : int
         Largest number of measurements at one instant, each with its own noise and price.
     delay : number, clock
@@ -42,7 +42,7 @@ class SensingSection(JobSection):
     fails: (
         Annotated[float, Field(gt=0.0, lt=1.0, strict=False)]
         | Listed[_Chance]
-        | dict[str, _Chance]
+        | Annotated[dict[str, _Chance], ranges_or_column(minimum=0, exclusiveMaximum=1)]
         | None
     ) = None
     repeats: Annotated[int, Field(ge=2, le=len(REPEATS))] | None = None

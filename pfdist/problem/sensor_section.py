@@ -18,7 +18,7 @@ class SensorSection(SensingSection):
     Parameters
     ----------
     price : number or list or section of ranges
-        Price of a measurement by this sensor, or at each instant, or in each range.
+        Price of a measurement by this sensor; by time as that of ``[problem]``.
     install : number, that of price
         Price that is paid once if this sensor measures at all.
     together : str

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,6 +12,7 @@ import pfdist
 from oracles.model_text import MEASURED
 from pfdist import Problem, load_job, load_model
 from pfdist.errors import JobError, ModelError
+from pfdist.problem.job_schema import job_schema
 
 RAIN = [0.0, 2.5, 0.5, 1.0, 0.0, 0.25, 4.0]
 SUN = [7.0, 1.0, 3.0, 3.5, 8.0, 6.0, 0.0]
@@ -104,6 +106,60 @@ def test_a_model_takes_columns_of_a_data_frame(folder: Path, given: Any) -> None
 def test_a_section_in_python_takes_a_series(folder: Path) -> None:
     settings = {"model": {"parameters": {"rain": pd.Series(RAIN)}}}
     assert load_job(folder / "csv.toml", settings=settings).model.parameters["rain"] == tuple(RAIN)
+
+
+OF_SENSOR = ("fails", "price")
+
+
+@pytest.mark.parametrize(
+    ("key", "column"),
+    [
+        ("price", "open"),
+        ("store.income", "rain"),
+        ("sensor.fails", "cloudy"),
+        ("instant_weights", "open"),
+        *((f"sensors.price.{name}", "cloudy") for name in OF_SENSOR),
+        ("sensors.other.fails", "cloudy"),
+    ],
+)
+def test_what_varies_with_time_may_be_a_column(folder: Path, key: str, column: str) -> None:
+    """As the numbers in the job; by default the column has the name of the key."""
+    values = {"open": [2, 1, 1, 3, 1, 1, 2], "rain": RAIN, "cloudy": [0.1, 0.5, 0.9] + [0.2] * 4}
+    own = key.rpartition(".")[2]
+    pd.DataFrame({**values, own: values[column]}).to_csv(folder / "data" / "times.csv", index=False)
+    problem: dict[str, Any] = {"horizon": 6, "measurement_budget": 2}
+    if "price" in key:
+        problem = {"horizon": 6, "total_price": 3}
+    if key == "store.income":
+        problem["store"] = {"capacity": 3}
+    if key.startswith("sensors"):
+        sensors = {
+            "price": {} if key.endswith("price.price") else {"price": 1},
+            "other": {"price": 1},
+        }
+        problem = {"horizon": 6, "total_price": 3, "sensors": sensors}
+    (folder / "bare.toml").write_text("seed = 1\n")
+    given = {"problem": problem}
+    file = 'file = "data/times.csv"'
+    found = [
+        load_job(folder / "bare.toml", [f"problem.{key}={value}"], settings=given).identity()
+        for value in (f'{{{file}, column = "{column}"}}', f"{{{file}}}", values[column])
+    ]
+    assert found[0] == found[1] == found[2]
+    assert str(values[column][1]) in str(found[0]["problem"])
+    wrong = f'problem.{key}={{{file}, column = "clouds"}}'
+    message = rf"^problem\.{key}: the table has no column 'clouds'"
+    with pytest.raises(JobError, match=message):
+        load_job(folder / "bare.toml", [wrong], settings=given)
+    editors = jsonschema.Draft202012Validator(job_schema())
+    part = given["problem"]
+    *sections, name = key.split(".")
+    for section in sections:
+        part = part.setdefault(section, {})
+    part[name] = {"file": "times.csv", "column": column}
+    assert editors.is_valid({"seed": 1, **given})
+    part[name] = {"file": "times.csv", "colum": column}
+    assert not editors.is_valid({"seed": 1, **given})
 
 
 RAIN_OF = "model.parameters.rain="
