@@ -141,6 +141,11 @@ def _points(inputs: int) -> Array:
 
 
 def _check_declared(model: StateSpaceModel) -> None:
+    if any(part.model.works for part in model.parts):
+        raise ModelError(
+            f"the Kalman filter needs sensors without works, got {model.name}: other engines take "
+            "them"
+        )
     if not model.linear_gaussian:
         raise ModelError(
             f"the Kalman filter needs a model with linear_gaussian=True, got {model.name}, which "

@@ -124,7 +124,7 @@ PARTICLES = Fact(
     lambda job, _: not is_exact(job.filter.engine),
 )
 LINEAR_SENSORS = Fact(
-    "sensors without `fails` and limits",
+    "sensors without `fails`, `works` and limits",
     "sensors without fails and limits",
     lambda job, _: all(each.is_linear for each in job.problem.sensings.values()),
 )

@@ -504,7 +504,7 @@ def test_check_model_finds_sensors_right_that_work_or_not() -> None:
 
 def test_what_cannot_be_is_refused() -> None:
     linear = replace(pfdist.load_model("random_walk"), works=lambda x, t, p: x[0] > 0.0)
-    with pytest.raises((JobError, ModelError), match="linear"):
+    with pytest.raises((JobError, ModelError), match="sensors without works, got random_walk"):
         pfdist.evaluate(Problem(linear, horizon=5, measurement_budget=2, engine="kalman"), [1, 2])
     with pytest.raises(ModelError, match=r"works must be a function of \(x, t, p\)"):
         replace(trial(), works=lambda x: x)
