@@ -79,6 +79,8 @@ class NextTime(Shown):
         Times of measurements whose values arrive after `now`.
     always : tuple of int or float
         Planned times of sensors that measure at required times alone: those that are always on.
+    failed : tuple of int or float
+        Times of measurements that were made without a value, which are spent, too.
     """
 
     run: Path | None
@@ -95,6 +97,7 @@ class NextTime(Shown):
     collapsed: Time | None = None
     in_flight: tuple[Time, ...] = ()
     always: tuple[Time, ...] = ()
+    failed: tuple[Time, ...] = ()
 
     @property
     def difference(self) -> Estimate | None:
@@ -133,6 +136,7 @@ class NextTime(Shown):
             "run": self.run and str(self.run),
             "planned": self.name or None,
             "measured": self.measured,
+            **({"failed": self.failed} if self.failed else {}),
             **({"in_flight": self.in_flight} if self.in_flight else {}),
             "now": self.now,
             "next": self.next,
@@ -171,15 +175,22 @@ class NextTime(Shown):
             to_come = f"of t = {clock.listed(self.in_flight)}"
             waiting = [("values to come", to_come)] * bool(self.in_flight)
             on = [("required", f"t = {clock.listed(self.always)}")] * bool(self.always)
-            facts = [("measured", where), *waiting, *on, *facts, *self._before()]
+            facts = [("measured", where), *self._failures(), *waiting, *on, *facts, *self._before()]
         elif self.left == 0:
             said = f"The budget is spent: {number}"
+            facts = [*self._failures(), *facts]
         else:
             said = f"No further measurement is possible after {number}"
         blocks = Text(f"{said}.", prominent=True), Facts(every, detail=True), Facts(facts)
         section = Section("", blocks)
         alarms = [*few_at(self.collapsed, clock), *[SEE_SURPRISE] * self.is_improbable]
         return Page("", "", [section], alarms=alarms)
+
+    def _failures(self) -> list[tuple[str, str]]:
+        """The measurements that failed, among all that are spent."""
+        made = len(self.failed) + len(self.measured)
+        failed = f"{len(self.failed)} of {made}, t = {self.clock.listed(self.failed)}"
+        return [("failed", failed)] * bool(self.failed)
 
     def _listed(self, times: Iterable[Time]) -> str:
         is_dated = self.clock.has_dates
@@ -341,6 +352,7 @@ def _next_by_plan(
         planner.estimate().collapsed,
         planner.in_flight,
         tuple(points.written_of(always)),
+        tuple(replace(points, clock=rows.clock).written_of(rows.failed)),
     )
 
 

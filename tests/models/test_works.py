@@ -370,6 +370,10 @@ def test_next_counts_failures_as_spent_and_knows_what_they_tell() -> None:
     exact = exactly(READINGS, 14)[0][12]
     found = pfdist.next_time(problem, table(), say=print)
     assert found.left == 2
+    assert found.failed == (3, 5, 9)
+    spent = pfdist.next_time(problem.with_changes(measurement_budget=7), table(), say=print)
+    for answer in (found, spent):
+        assert "<td>3 of 7, t = 3, 5, 9</td>" in answer._repr_html_()
     planner = pfdist.Planner(problem, [*READINGS, 13, 14])
     for t, y in READINGS.items():
         estimate = planner.update(math.nan if math.isinf(y) else y, t)
