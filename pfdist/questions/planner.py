@@ -169,11 +169,33 @@ class Planner:
                 f"taken is for a value that arrives later, got {shown(given)}: give its value to "
                 "update"
             )
-        before, rest.in_flight = rest.in_flight, points.canonical((*rest.in_flight, point))
-        (point,) = {*rest.in_flight} - {*before} or {point}  # the next of alike repeats
-        if point not in rest.plan:
+        in_flight = points.canonical((*rest.in_flight, point))
+        (point,) = {*in_flight} - {*rest.in_flight} or {point}  # the next of alike repeats
+        is_planned = point in rest.plan
+        if not is_planned:
+            self._check_fits(point)
+        rest.in_flight = in_flight
+        if not is_planned:
             rest.plan = tuple(sorted({*rest.plan, point}))
             rest.again(rest.now)
+
+    def _check_fits(self, point: int) -> None:
+        """Raise `MeasurementTimesError` if a measurement breaks a constraint after those made."""
+        rest, feasible = self.rest, self.feasible
+        if feasible.left(rest.taken, rest.now.first, rest.in_flight).may(point)[0]:
+            return
+        made = (*rest.taken, *rest.in_flight)
+        known = feasible.broken(made, fewer=True)
+        broken = [
+            each
+            for each in feasible.broken((*made, point), fewer=True)
+            if each not in known and not each.startswith("required")
+        ]
+        (why, *_) = [*broken, "required times to come no longer fit"]
+        raise MeasurementTimesError(
+            f"a measurement that is taken must keep the constraints, got "
+            f"{feasible.formatted(point)}: {why}"
+        )
 
     def decide(self, belief: Filter, t: int) -> list[str]:
         """Decide whether to measure at an instant; what is chosen counts as made.

@@ -3,6 +3,7 @@
 import math
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from oracles.in_turn import in_turn
 from oracles.late import LATE, late_walk, meter_and_laboratory, of_delays, of_late_walk
 from oracles.three_sensors import SYSTEMS
 from pfdist import Problem
-from pfdist.errors import MeasurementsError
+from pfdist.errors import MeasurementsError, MeasurementTimesError
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.pages.terminal import lines_of
@@ -89,6 +90,42 @@ def test_a_measurement_that_was_not_planned_is_spent() -> None:
     for wrong in ("5 bedside", "0 lab"):
         with pytest.raises(MeasurementsError, match="taken is for a value that arrives later"):
             planner.taken(wrong)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"most_within": {"number": 1, "time": 3}}, "got 3: most_within"),
+        ({"minimum_spacing": 3}, "minimum_spacing is 3, got 1 and 3"),
+        ({"forbidden": [3]}, "forbidden: 3 is measured"),
+        ({"required": [5, 7]}, "got 3: required times to come no longer fit"),
+    ],
+)
+def test_a_measurement_that_breaks_a_constraint_is_not_taken(
+    keys: dict[str, Any], message: str
+) -> None:
+    problem = Problem(
+        "random_walk", horizon=9, measurement_budget=3, sensor={"delay": 2}, engine="kalman", **keys
+    )
+    planner = pfdist.Planner(problem, [1, 5, 7] if "required" in keys else [1, 4, 7])
+    if "forbidden" not in keys:
+        planner.taken(1)
+    before = planner.plan(), planner.in_flight
+    with pytest.raises(MeasurementTimesError, match=message):
+        planner.taken(3)
+    assert (planner.plan(), planner.in_flight) == before
+    planner.taken(before[0][0])
+
+
+def test_a_measurement_beyond_the_budget_is_not_taken() -> None:
+    keys = {"sensor": {"delay": 2}, "engine": "kalman"}
+    planner = pfdist.Planner(
+        Problem("random_walk", horizon=9, measurement_budget=2, **keys), [1, 4]
+    )
+    planner.taken()
+    planner.taken(2)
+    with pytest.raises(MeasurementTimesError, match="measurement_budget is 2, got 3 times"):
+        planner.taken(3)
 
 
 def test_next_keeps_measurements_without_a_value_yet(tmp_path: Path) -> None:
