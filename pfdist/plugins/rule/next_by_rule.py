@@ -11,7 +11,8 @@ import pandas as pd
 from pfdist.common.parts import Facts, Page, Section, Text
 from pfdist.common.rounding import rounded
 from pfdist.common.shown import Shown
-from pfdist.kernels.rules import Thresholds
+from pfdist.kernels.follows import ROUNDING
+from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.plugins.rule.question import level_text
 from pfdist.plugins.rule.rule_file import rule_json, rule_of
 from pfdist.problem.clock import Time
@@ -26,6 +27,11 @@ from pfdist.questions.planned_run import (
 )
 from pfdist.questions.subject import number_of
 from pfdist.results import finite
+
+_BEYOND = (
+    "The budget is spent: this rule keeps it on average alone, and one of `pfdist rule --hard` in "
+    "each system."
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,7 +100,9 @@ def next_by_rule(
     if now is not None:
         passed = instant_now(now, max(passed, start), clock, reading.note)
     waiting = tuple(point for point in rows.in_flight if points.instant(point) > passed)
-    left = feasible.left(taken, passed + 1, waiting, rule.limit)
+    # A rule that is a set of times measures as often in each system, whatever was measured before.
+    is_set = {*rule.thresholds} <= {ALWAYS, NEVER}
+    left = feasible.left(taken, passed + 1, waiting, None if is_set else rule.limit)
     following, spread, level = None, math.nan, math.nan
     for k in range(passed + 1, len(clock.times)):
         left.wait(k)
@@ -112,4 +120,6 @@ def next_by_rule(
     few = next((each.collapsed for each in estimates if each.collapsed is not None), None)
     doubts = few_at(None if few is None else rows.clock.time(few), clock)
     doubts += [SEE_SURPRISE] * (surprise is not None and surprise < IMPROBABLE)
+    is_beyond = float(left.spent[0]) > (1 + ROUNDING) * feasible.budget
+    doubts += [_BEYOND] * (following is not None and is_beyond)
     return NextByRule(run, rule, measured, following, spread, level, feasible, doubts)

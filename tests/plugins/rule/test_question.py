@@ -697,6 +697,24 @@ def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacin
     assert pfdist.next_time(run, table, now=5, rule=True).next == 7  # within the spacing
 
 
+def test_next_by_rule_says_when_the_budget_is_spent(run: Run) -> None:
+    """Off the plan, a rule that is a set of times would measure too often."""
+    table = pd.DataFrame({"t": [0, 1, 2, 3], "y0": 0.5})
+    levels = tuple(ALWAYS if t in (1, 4, 7, 10) else NEVER for t in range(13))
+    for rule, next_times in (
+        (Thresholds(levels), [1, 4, 4, None]),
+        (Thresholds((1e-9,), 1.0, 4), [1, 2, 3, None]),
+        (Thresholds((1e-9,)), [1, 2, 3, 4]),
+    ):
+        keep_rule(run.path, {"rule": rule_json(rule, COUNTED)})
+        for number, following in enumerate(next_times, 1):
+            found = pfdist.next_time(run, table[:number], rule=True, say=print)
+            assert isinstance(found, NextByRule)
+            assert found.next == following
+            is_beyond = any("The budget is spent" in each for each in found.doubts)
+            assert is_beyond == (following is not None and number == 4)
+
+
 def test_required_times_and_visits_hold_in_each_draw(
     finished: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
