@@ -305,6 +305,38 @@ def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 100
 
 
+def test_a_reviewer_finds_what_the_page_about_claims_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Callable[..., str]
+) -> None:
+    """On a copy of the run that is committed; the same bytes are found by the files' hashes."""
+    [(_, block)] = _blocks(DOCS / "claims.md", "console")
+    typed = [line.partition(" #")[0].removeprefix("$ ").split() for line in block.splitlines()]
+    by_name = {line[1]: line[1:] for line in typed if line[0] == "pfdist"}
+    assert [*by_name] == ["verify", "run", "compare", "bound"]
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "results" / "example", "RUN")
+    assert "all files are unchanged" in said(*by_name["verify"])
+    said(*by_name["run"], "--no-report")
+    found, again = (
+        {
+            file.name: file.read_bytes()
+            for file in Path(run, "tables").rglob("*.parquet")
+            if file.parent.name != "timings"
+        }
+        for run in ("RUN", "again")
+    )
+    assert found == again
+    fresh = said(*by_name["compare"], "--no-report")
+    assert "the set relaxation" in fresh
+    means = [pd.read_parquet(f"{run}/tables/comparison").mean() for run in ("RUN", "fresh")]
+    assert means[0]["mse_relaxation"] != means[1]["mse_relaxation"]
+    assert means[1]["mse_relaxation"] < 0.87 * means[1]["mse_evenly_spaced"]
+    assert "Proved: no other 21 times" in said(*by_name["bound"], "--draws", "480")
+    paragraph = " ".join(said("status", "RUN", "--verbose").split())
+    assert "We looked for the measurement times" in paragraph
+    assert "Nothing was proved" not in paragraph
+
+
 def test_the_tables_of_a_run_are_read_without_pfdist(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     [code, *_] = [text for _, text in _blocks(DOCS / "python.md", "python", "Tables")]
