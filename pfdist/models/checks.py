@@ -213,7 +213,12 @@ def count_components(model: Any, parameters: Mapping[str, Parameter]) -> tuple[i
         _call(model, "log_likelihood", y, x, 0, parameters)
         _call(model, "error", z, z, 0, parameters)
     if not isinstance(model.works, bool):
-        _call(model, "works", x, 0, parameters)
+        chance = np.asarray(1.0 * _call(model, "works", x, 0, parameters))
+        if (chance > 1.0).any() or (chance < 0.0).any():  # as 80 for 80 %
+            raise ModelError(
+                f"model {model.name}: works must give a probability, 0 to 1, got "
+                f"{chance.flat[0]:g} at t = 0{place_of_function(model.works)}"
+            )
     return len(x), len(y), len(z)
 
 

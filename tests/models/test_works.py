@@ -518,6 +518,11 @@ def test_what_cannot_be_is_refused() -> None:
         (lambda x, t, p: x[7] > 0.5, "works failed: IndexError"),
         (lambda x, t, p: (x[2] > 0.5,), "works must give one number a particle"),
         (lambda x, t, p: p.nothing, "works failed: AttributeError"),
+        (
+            lambda x, t, p: 80.0 + 0.0 * x[0],
+            "works must give a probability, 0 to 1, got 80 at t = 0",
+        ),
+        (lambda x, t, p: -0.1, "works must give a probability, 0 to 1, got -0.1 at t = 0"),
     ):
         with pytest.raises(ModelError, match=message):
             replace(trial(), works=works)
