@@ -69,7 +69,7 @@ def _instant(text: str) -> str:
 
 
 class _Computed(_Recorded):
-    """The versions by which a run was computed."""
+    """The machine and the versions that computed a run."""
 
     python: str
     libraries: dict[str, str]
