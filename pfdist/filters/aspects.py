@@ -6,19 +6,16 @@ tables, samples and exact engines. None of them knows an aspect by name.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
+from pfdist.common.measurement_times import Lag
+from pfdist.filters.work import Estimation, FilterWork
 from pfdist.kernels.estimators import FILTER_NOISE, FILTER_VARIANCE
 from pfdist.kernels.schemes import CONDITIONAL
-
-if TYPE_CHECKING:
-    from pfdist.common.measurement_times import Lag
-    from pfdist.filters.evaluator import Evaluator
-    from pfdist.filters.work import Estimation, FilterWork
 
 Array = NDArray[np.float64]
 
@@ -56,7 +53,7 @@ class Aspect:
 
     table: str
     description: str
-    estimation: Callable[["Estimation"], "Estimation"]
+    estimation: Callable[[Estimation], Estimation]
     start: str = ""
     exact: str = ""
     unit: str = ""
@@ -76,7 +73,7 @@ class Aspect:
         """The column of the table ``compared`` that has its exact values."""
         return self.exact or f"exact_{self.named}"
 
-    def work(self, errors: "FilterWork", draws: int) -> "FilterWork":
+    def work(self, errors: FilterWork, draws: int) -> FilterWork:
         """The work that gives it on the first draws, from that of the errors."""
         return replace(
             errors,
@@ -92,6 +89,16 @@ class Aspect:
         return self.sign * (errors - control if self.is_controlled else errors)
 
 
+class FilterTraits(Protocol):
+    """What the estimation of another error depends on; see `pfdist.filters.evaluator.Evaluator`."""
+
+    @property
+    def has_particle_loss(self) -> bool: ...  # noqa: D102
+
+    @property
+    def variance_is_error(self) -> bool: ...  # noqa: D102
+
+
 @dataclass(frozen=True, kw_only=True)
 class ErrorBeside(Aspect):
     """Another error of a set, which answers show beside that of the job, from fewer draws.
@@ -102,8 +109,10 @@ class ErrorBeside(Aspect):
     ----------
     fits : callable
         Whether a job shows it, from the lag of its estimate.
-    evaluator, settings : callable
-        The evaluator of the error, from that of the job, and its estimation, from both of the job.
+    is_smoothed : bool
+        Whether it is that of the estimate from all measurements, else that at the moment.
+    settings : callable
+        Its estimation, from the evaluator and the estimation of the job.
     head : str
         Head of its column, without an error.
     meaning : str
@@ -116,11 +125,11 @@ class ErrorBeside(Aspect):
         A sentence that says how to plan for it, after one that begins with `alone`; or empty.
     """
 
-    estimation: Callable[["Estimation"], "Estimation"] = lambda own: own
+    estimation: Callable[[Estimation], Estimation] = lambda own: own
     knows_truth: bool = False
-    fits: Callable[["Lag"], bool]
-    evaluator: Callable[["Evaluator"], "Evaluator"]
-    settings: Callable[["Evaluator", "Estimation"], "Estimation"] = lambda _, own: own
+    fits: Callable[[Lag], bool]
+    is_smoothed: bool = False
+    settings: Callable[[FilterTraits, Estimation], Estimation] = lambda _, own: own
     head: str
     meaning: str
     is_raised: bool = False
@@ -146,13 +155,13 @@ class ErrorBeside(Aspect):
         """The head of its column, which says whether it is an upper limit."""
         return f"{self.head}{', at most' * is_limit} ± standard error"
 
-    def beside(self, evaluator: "Evaluator", errors: "FilterWork", draws: int) -> "FilterWork":
+    def beside(self, evaluator: FilterTraits, errors: FilterWork, draws: int) -> FilterWork:
         """The work that gives it on the first draws, from that of an evaluator's errors."""
         estimation = self.settings(evaluator, errors.estimation)
         return replace(self.work(errors, draws), beside=self.named, estimation=estimation)
 
 
-def _beside_truth(own: "Estimation") -> "Estimation":
+def _beside_truth(own: Estimation) -> Estimation:
     return own.with_truth(CONDITIONAL.name, FILTER_VARIANCE.name)
 
 

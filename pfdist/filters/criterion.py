@@ -4,14 +4,14 @@ A criterion also says which searches can find its least value, which lower bound
 words. Whatever computes, searches or answers asks the criterion, so a new one is a new file in
 `pfdist.filters.criteria`.
 
-Searches compare `Evaluation`s. Answers have a `Sample` of each set, on fresh draws, and print its
-number with a 95 % interval.
+Searches compare the `Errors` of sets. Answers have a `Sample` of each set, on fresh draws, and
+print its number with a 95 % interval.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,6 @@ from pfdist.common.percent import gap_sentence, range_of
 from pfdist.common.registry import Registry
 from pfdist.common.rounding import with_interval
 from pfdist.filters.aspects import Aspect
-
-if TYPE_CHECKING:
-    from pfdist.filters.estimate import Evaluation
 
 Array = NDArray[np.float64]
 Bound = Literal["mean", "mixture", "submodular", "none"]
@@ -54,6 +51,25 @@ class CriterionValue(NamedTuple):
     def columns(self, name: str) -> dict[str, float]:
         """The number and the ends as columns of a table."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
+
+
+class Errors(Protocol):
+    """The errors of a set that searches compare; see `pfdist.filters.estimate.Evaluation`."""
+
+    @property
+    def mse(self) -> Array: ...  # noqa: D102
+
+    @property
+    def groups(self) -> Array: ...  # noqa: D102
+
+    @property
+    def scenarios(self) -> NDArray[np.int64] | None: ...  # noqa: D102
+
+    @property
+    def clouds(self) -> int: ...  # noqa: D102
+
+    @property
+    def estimate(self) -> Estimate: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -161,15 +177,15 @@ class Criterion:
         """The verb for a number of answers that gets worse."""
         return "falls" if self.sign < 0 else "rises"
 
-    def deciding(self, errors: "Evaluation") -> ChosenDraws:
+    def deciding(self, errors: Errors) -> ChosenDraws:
         """The draws whose errors decide."""
         return slice(None)
 
-    def common(self, first: "Evaluation", second: "Evaluation") -> ChosenDraws | None:
+    def common(self, first: Errors, second: Errors) -> ChosenDraws | None:
         """The draws that decide for both sets; None if other draws decide for each."""
         return slice(None)
 
-    def value(self, errors: "Evaluation") -> Estimate:
+    def value(self, errors: Errors) -> Estimate:
         """The number that is minimised; infinite if it is unknown."""
         values = errors.mse[self.deciding(errors)]
         mean = float(np.mean(values)) if values.size else math.nan
@@ -177,7 +193,7 @@ class Criterion:
             return Estimate(math.inf if math.isnan(mean) else mean, math.inf)
         return replace(Estimate.of_mean(values, errors.clouds), value=mean)
 
-    def difference(self, first: "Evaluation", second: "Evaluation") -> Estimate:
+    def difference(self, first: Errors, second: Errors) -> Estimate:
         """The value of the first set less that of the second, on the same draws.
 
         Errors common to both sets cancel in each draw, and with them most of the variance. If other
@@ -245,14 +261,14 @@ class WorstScenario(Criterion):
     bound: Bound = "mixture"
     of_each_draw: bool = False
 
-    def deciding(self, errors: "Evaluation") -> NDArray[np.bool_]:
+    def deciding(self, errors: Errors) -> NDArray[np.bool_]:
         """The draws of the worst scenario; one of infinite or unknown errors is the worst."""
         numbers = np.zeros(errors.mse.size) if errors.scenarios is None else errors.scenarios
         each = numbers == np.unique(numbers)[:, None]
         worst: NDArray[np.bool_] = each[np.argmax([np.mean(errors.mse[own]) for own in each])]
         return worst
 
-    def common(self, first: "Evaluation", second: "Evaluation") -> ChosenDraws | None:
+    def common(self, first: Errors, second: Errors) -> ChosenDraws | None:
         """The draws of the worst scenario, if it is the same for both sets."""
         own, other = self.deciding(first), self.deciding(second)
         return own if np.array_equal(own, other) else None
@@ -268,10 +284,10 @@ class Exact(Criterion):
 
     error: float = math.nan
 
-    def common(self, first: "Evaluation", second: "Evaluation") -> None:
+    def common(self, first: Errors, second: Errors) -> None:
         """There are no draws."""
 
-    def value(self, errors: "Evaluation") -> Estimate:
+    def value(self, errors: Errors) -> Estimate:
         """The exact value."""
         return Estimate(self.error)
 

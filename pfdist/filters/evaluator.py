@@ -154,12 +154,20 @@ class Evaluator:
     @cached_property
     def beside(self) -> dict[str, "Evaluator"]:
         """The evaluators of the errors that answers show beside this one's, by name."""
-        return {each.named: each.evaluator(self) for each in self.errors_beside}
+        return {
+            each.named: self.afterwards if each.is_smoothed else self.at_the_moment
+            for each in self.errors_beside
+        }
 
     @property
     def errors_beside(self) -> list[ErrorBeside]:
         """The errors that answers show beside this one's."""
         return errors_beside(self.lag, self.weights, self.delays)
+
+    @property
+    def afterwards(self) -> "Evaluator":
+        """The evaluator of the estimate from all measurements."""
+        return replace(self, lag=self.horizon, estimations=())
 
     @cached_property
     def at_the_moment(self) -> "Evaluator":

@@ -5,19 +5,15 @@ with all measurements; another one that of the filter.
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from pfdist.filters.aspects import ErrorBeside
+from pfdist.filters.aspects import ErrorBeside, FilterTraits
+from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import TWO_CLOUDS, TWO_ERRORS
-
-if TYPE_CHECKING:
-    from pfdist.filters.evaluator import Evaluator
-    from pfdist.filters.work import Estimation
 
 _MORE = 4  # times the particles
 
 
-def _by_two_filters(evaluator: "Evaluator", own: "Estimation") -> "Estimation":
+def _by_two_filters(evaluator: FilterTraits, own: Estimation) -> Estimation:
     """The estimation of the smoothed error.
 
     A smoothed estimate comes from few ancestors, whose part two filters take out of its error. The
@@ -37,7 +33,7 @@ SMOOTHED = ErrorBeside(
     description="MSE of the smoothed estimate with this set",
     settings=_by_two_filters,
     fits=lambda lag: not lag,
-    evaluator=lambda own: replace(own, lag=own.horizon, estimations=()),
+    is_smoothed=True,
     exact="exact_other_mse",
     head="afterwards",
     meaning="expected MSE of the smoothed estimate, if the job's own estimate is filtered; on at "
@@ -52,7 +48,6 @@ FILTERED = ErrorBeside(
     start="filtered",
     description="MSE of the filtered estimate with this set",
     fits=bool,
-    evaluator=lambda own: own.at_the_moment,
     exact="exact_other_mse",
     head="at the moment",
     meaning="expected MSE of the filtered estimate, if the job's own estimate uses later "

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, reduce
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,9 +24,6 @@ from pfdist.kernels.estimators import (
 from pfdist.kernels.prefixes import plan_prefixes
 from pfdist.kernels.rules import Applied
 from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL, Resampling
-
-if TYPE_CHECKING:
-    from pfdist.filters.evaluator import Evaluator
 
 BLOCK = 24
 """Draws over which errors are added up.
@@ -144,12 +141,13 @@ class FilterWork:
     over_time: int = 0
     together: int = 1  # draws whose particles a function of arrays gets in one array
 
-    def result(self, evaluator: "Evaluator") -> "Result":
-        """The result of an evaluator, with arguments that the caller has checked.
+    def result(self, evaluator: Any) -> "Result":
+        """The result of an `Evaluator`, with arguments that the caller has checked.
 
         Raises `ModelError` if a formula failed.
         """
-        return evaluator.filtered(self)
+        result: Result = evaluator.filtered(self)
+        return result
 
     def part(self, draws: tuple[int, int], sets: Sequence[int] = ()) -> "FilterWork":
         """The same work on other draws, with all sets or only those at the given places."""

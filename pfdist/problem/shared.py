@@ -6,7 +6,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 from pfdist.common.measurement_times import Times
 from pfdist.constraints.apart import Apart
@@ -15,10 +15,6 @@ from pfdist.constraints.spacing import Spacing
 from pfdist.constraints.step import Step
 from pfdist.constraints.together import Together
 from pfdist.problem.points import Points
-
-if TYPE_CHECKING:
-    from pfdist.problem.even_sets import EvenSets
-    from pfdist.problem.feasible import Feasible
 
 
 @dataclass(frozen=True)
@@ -72,12 +68,12 @@ class Shared:
         """When a set measures, by its parts; empty without them."""
         return ""
 
-    def regular(self, feasible: "Feasible") -> Times | None:
-        """The regular set, if parts are spaced."""
+    def regular(self, feasible: Any) -> Times | None:
+        """The regular set of a `Feasible`, if parts are spaced."""
         return None
 
-    def even_sets(self, feasible: "Feasible") -> "EvenSets | None":
-        """The evenly spaced sets, if parts are spaced."""
+    def even_sets(self, feasible: Any) -> Any:
+        """The `EvenSets` of a `Feasible`, if parts are spaced; else None."""
         return None
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pfdist.common.arguments import path_argument
 from pfdist.common.measurement_times import Times
@@ -12,12 +12,9 @@ from pfdist.common.rounding import unrounded
 from pfdist.errors import ArgumentError, one_line, shown
 from pfdist.problem.clock import Clock
 from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, windows_of
-from pfdist.results.stored_run import measured_of, problem_of, provenance_of
+from pfdist.results.stored_run import StoredRun, measured_of, problem_of, provenance_of
 from pfdist.store import run_key
 from pfdist.store.files import begins_with, check_replaceable, write_file
-
-if TYPE_CHECKING:
-    from pfdist.results.run import Run
 
 _KINDS = {".csv": b"measurement,t", ".ics": b"PRODID:-//pfdist//"}  # and the beginnings of files
 _START = 100  # bytes that hold these
@@ -43,16 +40,16 @@ def checked_export(path: str | Path, clock: Clock) -> Path:
     return file
 
 
-def export_plan(run: "Run", path: str | Path) -> Path:
-    """Write the plan of a run, with its sampling windows where `pfdist.why` was asked."""
+def export_plan(run: StoredRun, name: str, path: str | Path) -> Path:
+    """Write a set of a run, its plan, with its sampling windows where `pfdist.why` was asked."""
     # A run is opened without pandas.
     import pandas as pd  # noqa: PLC0415
 
     from pfdist.store.user_tables import csv_of  # noqa: PLC0415
 
     points = problem_of(run).points
-    clock, measured = points.clock, measured_of(run)[run.best.name]
-    file, rows = checked_export(path, clock), _rows(run, measured)
+    clock, measured = points.clock, measured_of(run)[name]
+    file, rows = checked_export(path, clock), _rows(run, name, measured)
     if file.suffix.lower() == ".ics" and clock.calendar:
         dates = [clock.dates[points.made_at(each)] for each in measured]
         content = _in_icalendar(run, rows, dates, clock.calendar.by_days).encode()
@@ -63,14 +60,14 @@ def export_plan(run: "Run", path: str | Path) -> Path:
     return file
 
 
-def _rows(run: "Run", measured: Times) -> _Rows:
+def _rows(run: StoredRun, name: str, measured: Times) -> _Rows:
     """A row for each measurement of the plan, in order of time."""
-    best, rows, problem = run.best, _Rows(), problem_of(run)
+    rows, problem = _Rows(), problem_of(run)
     points, clock = problem.points, problem.clock
     windows = dict[int, dict[str, Any]]()
     if "sampling_windows" in run.tables:
         moved = run.table("sampling_windows")
-        of_plan = moved[moved["name"] == best.name].to_dict("records")
+        of_plan = moved[moved["name"] == name].to_dict("records")
         allowed = points.made(problem.feasible.allowed)
         order = {instant: place for place, instant in enumerate(allowed)}
         for percent in (STRICT, WIDE):
@@ -93,7 +90,7 @@ def _rows(run: "Run", measured: Times) -> _Rows:
 # --- iCalendar ------------------------------------------------------------------------------------
 
 
-def _in_icalendar(run: "Run", rows: _Rows, dates: Sequence[datetime], by_days: bool) -> str:
+def _in_icalendar(run: StoredRun, rows: _Rows, dates: Sequence[datetime], by_days: bool) -> str:
     started = datetime.fromisoformat(provenance_of(run)["started"])
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//pfdist//plan//EN"]
     for row, moment in zip(rows, dates, strict=True):
@@ -117,7 +114,7 @@ def _in_icalendar(run: "Run", rows: _Rows, dates: Sequence[datetime], by_days: b
     return "".join(f"{_folded(line)}\r\n" for line in lines)
 
 
-def _description(run: "Run", row: Mapping[str, Any]) -> str:
+def _description(run: StoredRun, row: Mapping[str, Any]) -> str:
     ends = {
         percent: (row[f"earliest_{percent}"], row[f"latest_{percent}"])
         for percent in (STRICT, WIDE)

@@ -150,7 +150,7 @@ class Run(StoredRun, Shown):
         StoreError
             The comparison has not begun, or the file cannot be written or is no earlier export.
         """
-        return export_plan(self, path)
+        return export_plan(self, self.best.name, path)
 
     def as_json(self) -> dict[str, Any]:
         """How far the run is, and what it has found, as JSON values.

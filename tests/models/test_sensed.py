@@ -354,7 +354,7 @@ def test_tables_pages_and_exports_have_the_times_at_which_a_single_late_sensor_m
     assert not run.table("bound")["reason"].any()
     text = " ".join(lines_of(answer_of(run)))
     assert f"Measure at t = {best[0] * size}, {best[1] * size}" in text
-    export_plan(run, tmp_path / "plan.csv")
+    export_plan(run, run.best.name, tmp_path / "plan.csv")
     assert (tmp_path / "plan.csv").read_text().splitlines()[2] == f"2,{best[1] * size}"
     assert forbidden_times(run) == [size * t for t in range(9) if t not in times]
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,11 @@ from pfdist.filters.criterion import (
     SIDES,
     Array,
     CriterionValue,
+    Errors,
     OtherCriterion,
     Sample,
     criterion,
 )
-
-if TYPE_CHECKING:
-    from pfdist.filters.estimate import Evaluation
 
 _SHARE = re.compile(r"quantile ?(0?\.\d{1,6})")
 _KEPT = 50_000_000  # bytes of resamples
@@ -55,14 +53,14 @@ class Quantile(OtherCriterion):
         label = f"{100 * share:g} % quantile of the MSE"
         return cls(label=label, fewest=fewest, share=share)
 
-    def value(self, errors: "Evaluation") -> Estimate:
+    def value(self, errors: Errors) -> Estimate:
         """The quantile; its standard error is that of a normal variate with the same interval."""
         found = self.of_sample(Sample(errors.mse))
         if not math.isfinite(found.value):
             return Estimate(math.inf, math.inf)
         return Estimate(found.value, found.standard_error)
 
-    def difference(self, first: "Evaluation", second: "Evaluation") -> Estimate:
+    def difference(self, first: Errors, second: Errors) -> Estimate:
         """The difference of two quantiles on the same draws, by a paired bootstrap."""
         both = np.stack([first.mse, second.mse])
         differences = -np.diff(self._again(both, _FEW_RESAMPLES), axis=0)[0]

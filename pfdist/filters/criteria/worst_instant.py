@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,13 +10,11 @@ from pfdist.filters.criterion import (
     Array,
     Bound,
     CriterionValue,
+    Errors,
     OtherCriterion,
     Sample,
     criterion,
 )
-
-if TYPE_CHECKING:
-    from pfdist.filters.estimate import Evaluation
 
 
 @criterion
@@ -36,14 +33,14 @@ class WorstInstant(OtherCriterion):
     of_each_draw: bool = False
     fewest: int = 240  # ten groups of a block of draws
 
-    def value(self, errors: "Evaluation") -> Estimate:
+    def value(self, errors: Errors) -> Estimate:
         """The largest error, with its standard error at that instant."""
         groups = errors.groups
         if not (groups.size and np.isfinite(groups).all()):
             return Estimate(math.inf, math.inf)
         return Estimate.of_mean(groups[:, groups.mean(axis=0).argmax()])
 
-    def difference(self, first: "Evaluation", second: "Evaluation") -> Estimate:
+    def difference(self, first: Errors, second: Errors) -> Estimate:
         """The difference of the largest errors of two sets, by the jackknife over groups."""
         both = np.stack([first.groups, second.groups])
         count, total = both.shape[1], both.sum(axis=1, keepdims=True)
