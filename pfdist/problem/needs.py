@@ -6,35 +6,59 @@ manual prints the table of all of them (docs/limits.md).
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
 from pfdist.common.plugins import added
 from pfdist.errors import JobError
-from pfdist.filters.criterion import MEAN
+from pfdist.filters.criterion import MEAN, Criterion, OtherCriterion
 from pfdist.filters.engines import NUMPY, is_exact
 from pfdist.problem.methods import METHODS
+from pfdist.problem.online_section import Online, Search
+from pfdist.problem.problem_section import ProblemSection
+from pfdist.problem.scenarios_section import Scenarios
+from pfdist.problem.sections import Budget, Comparison, FilterSection, Model
 
-if TYPE_CHECKING:
-    from pfdist.problem.job import Job
+
+class JobParts(Protocol):
+    """The parts of a job on which needs depend; see `pfdist.problem.job.Job`."""
+
+    model: Model
+    problem: ProblemSection
+    filter: FilterSection
+    scenarios: Scenarios | None
+    search: tuple[Search, ...]
+    comparison: Comparison
+    budget: Budget | None
+    online: Online | None
+
+    @property
+    def path(self) -> Path: ...  # noqa: D102
+
+    @property
+    def criterion(self) -> Criterion: ...  # noqa: D102
+
+    @property
+    def other_criteria(self) -> dict[str, OtherCriterion]: ...  # noqa: D102
 
 
 class Fact(NamedTuple):
     """A fact about a job, or about the evaluator of its models once they are built."""
 
     head: str  # of its column in the manual
-    needed: str | Callable[["Job"], str]  # the end of "... needs", with what the job has
-    holds: Callable[["Job", Any], bool]
+    needed: str | Callable[[JobParts], str]  # the end of "... needs", with what the job has
+    holds: Callable[[JobParts, Any], bool]
 
 
-def _got(needed: str, got: Callable[["Job"], object]) -> Callable[["Job"], str]:
+def _got(needed: str, got: Callable[[JobParts], object]) -> Callable[[JobParts], str]:
     return lambda job: f"{needed}, got {got(job)}"
 
 
-def _of_scenarios(job: "Job", name: str) -> Any:
+def _of_scenarios(job: JobParts, name: str) -> Any:
     return getattr(job.scenarios, name, None)
 
 
-def _criterion(job: "Job") -> str:
+def _criterion(job: JobParts) -> str:
     return f"the {job.criterion.label} (problem.criterion, scenarios.criterion)"
 
 
@@ -43,18 +67,18 @@ def _only_adds(method: Any) -> bool:
     return bool(method.additive > method.takes_lag)
 
 
-def _adding(job: "Job") -> list[str]:
+def _adding(job: JobParts) -> list[str]:
     """The methods of the searches that never compare whole sets."""
     return [e.method for e in job.search if METHODS[e.method].additive and not e.polish]
 
 
-def _compares_sets(job: "Job") -> str:
+def _compares_sets(job: JobParts) -> str:
     names = ", ".join(name for name, each in METHODS.items() if not each.additive)
     needed = f"searches that compare whole sets ({names}), or polish = true"
     return f"{needed}, got {', '.join(_adding(job))}"
 
 
-def _takes_lag(job: "Job") -> str:
+def _takes_lag(job: JobParts) -> str:
     names = ", ".join(name for name, each in METHODS.items() if not _only_adds(each))
     got = ", ".join(e.method for e in job.search if _only_adds(METHODS[e.method]))
     return f"a search of method {names}, got {got}"
@@ -166,9 +190,9 @@ class Capability:
 
     title: str
     needs: Mapping[Fact, str]
-    asked: Callable[["Job"], str] = lambda _: ""
+    asked: Callable[[JobParts], str] = lambda _: ""
 
-    def lacks(self, job: "Job", evaluator: Any = None) -> str:
+    def lacks(self, job: JobParts, evaluator: Any = None) -> str:
         """The first need that a job, or its evaluator, does not meet; empty if it meets all."""
         for fact, why in self.needs.items():
             if not fact.holds(job, evaluator):
@@ -176,7 +200,7 @@ class Capability:
                 return f"{needed}{': ' * bool(why)}{why}"
         return ""
 
-    def check(self, what: str, job: "Job", evaluator: Any = None) -> None:
+    def check(self, what: str, job: JobParts, evaluator: Any = None) -> None:
         """Raise `JobError` if a job does not meet the needs; `what` is what has been asked for."""
         if lacking := self.lacks(job, evaluator):
             raise JobError(f"{what} needs {lacking} ({job.path})")
@@ -259,7 +283,7 @@ def capabilities() -> tuple[Capability, ...]:
     return (*_CAPABILITIES, *added("capabilities"))
 
 
-def fault_of(job: "Job") -> str:
+def fault_of(job: JobParts) -> str:
     """Why the settings of a job do not go together; empty if they do."""
     for capability in capabilities():
         if (what := capability.asked(job)) and (lacking := capability.lacks(job)):
