@@ -2,9 +2,9 @@
 
 import os
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from pfdist.filters.engines import AUTO as AUTO_ENGINE
 from pfdist.filters.engines import BATCHED, COMPILED, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.proposals import AUTO, MOVING, PLAIN, PROPOSALS
-from pfdist.filters.work import Estimation
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
 from pfdist.models.continuous import with_events
@@ -31,12 +30,12 @@ from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
 from pfdist.problem.clock import Clock
-from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import ONLINE, Job
 from pfdist.problem.needs import LOSS, ON_THE_WAY
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
 from pfdist.runner.budget_study import BudgetStudy
+from pfdist.runner.built import Built as Built  # noqa: PLC0414  `build` returns it
 from pfdist.runner.choice import (
     check_guided,
     choice,
@@ -49,59 +48,15 @@ from pfdist.runner.contract import few_draws
 from pfdist.runner.design import design_of
 from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
-    RANKING,
-    NamedSearch,
     Settings,
-    coarse_of,
     comparing_of,
     named_search,
     planning_of,
-    polish_of,
-    shortlist_of,
 )
 from pfdist.runner.study import Study
 
 Models = tuple[StateSpaceModel, StateSpaceModel]
 """The true model, and that of the filter."""
-
-
-@dataclass(frozen=True)
-class Built:
-    """A job and the objects made of it; see `build`.
-
-    `feasible` has smaller sets, too, if there are prices and the filter's model is not the truth.
-    """
-
-    job: Job
-    feasible: Feasible
-    study: Study
-    evaluator: Evaluator
-    searches: tuple[NamedSearch, ...] = field(repr=False)
-    taken: str = ""  # the proposal that "auto" takes, and why; empty for a plain filter
-
-    @property
-    def phases(self) -> list[str]:
-        """Names of all phases that choose sets."""
-        references = (name(each) for each in self.study.even for name in (coarse_of, shortlist_of))
-        found = [name for each in self.searches for name in self.study.names(each.name)]
-        searched = (phase for search in self.searches for phase in search.phases)
-        return [*dict.fromkeys((RANKING, *references, *searched, *map(polish_of, found)))]
-
-    @property
-    def comparing(self) -> Estimation:
-        """The estimation of the comparison: the squared error of the job's own filter."""
-        return comparing_of(self.job)
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the compared sets: those that the job gives, then those that searches find."""
-        searched = [name for search in self.searches for name in self.study.names(search.name)]
-        return [*self.study.unsearched, *searched]
-
-    @property
-    def unjudged(self) -> Collection[str]:
-        """Sets that a required gap ignores: with searches all given sets, else the references."""
-        return self.study.unsearched if self.searches else self.study.references
 
 
 def build(job: Job, *runs: Path, asked: float | None = None, follows: bool = False) -> Built:

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,7 @@ from pfdist.kernels.variates import generator
 from pfdist.models.recorded import declared
 from pfdist.problem.job import Job
 from pfdist.problem.sections import MOVED_PARTICLES
-
-if TYPE_CHECKING:
-    from pfdist.runner.build import Built
+from pfdist.runner.built import Built
 
 _MOST_TRIED = 200  # feasible sets, for one with a long gap
 _PILOT_DRAWS = 8
@@ -31,7 +28,7 @@ _choices: dict[str, dict[str, str]] = {}
 """Proposals chosen in this process, by problem and comparison; "" has the last choice."""
 
 
-def _draws_of(built: "Built") -> float:
+def _draws_of(built: Built) -> float:
     """The draws that a run filters at least, counted for each set, with the job's particles."""
     steps = sum(
         search.optimiser.evaluations
@@ -43,7 +40,7 @@ def _draws_of(built: "Built") -> float:
     return steps / built.comparing.steps_an_instant + compared
 
 
-def choices_of(built: "Built") -> dict[str, str]:
+def choices_of(built: Built) -> dict[str, str]:
     """The choices of this process for a problem: its models, its filter and its constraints.
 
     "" is the last one.
@@ -53,7 +50,7 @@ def choices_of(built: "Built") -> dict[str, str]:
     return _choices.setdefault(built.evaluator.id_of(plain, problem), {})
 
 
-def choice(built: "Built", asked: float | None, *, follows: bool) -> str:
+def choice(built: Built, asked: float | None, *, follows: bool) -> str:
     """The proposal of a job that was built with the plain filter.
 
     A run's choice depends on its job alone, so it can be repeated. A question, which asks for so
@@ -85,7 +82,7 @@ def choice(built: "Built", asked: float | None, *, follows: bool) -> str:
     return choices[""]
 
 
-def _plain_or_guided(built: "Built", draws: int) -> str:
+def _plain_or_guided(built: Built, draws: int) -> str:
     from pfdist.runner.particles import why_plain  # noqa: PLC0415
 
     evaluator, plain = built.evaluator.self_consistent, built.comparing
@@ -103,7 +100,7 @@ def _plain_or_guided(built: "Built", draws: int) -> str:
 # --- particles that move --------------------------------------------------------------------------
 
 
-def moving_of(built: "Built") -> Estimation | None:
+def moving_of(built: Built) -> Estimation | None:
     """The estimation by particles that move, in a job that leaves the choice; None without need.
 
     It takes components of x that do not move, a horizon that is not too long, and an engine that
@@ -135,7 +132,7 @@ def steps_a_particle(evaluator: Evaluator, times: Times, moving: Estimation) -> 
     return max(1.0, taken / (_PILOT_DRAWS * instants))
 
 
-def _should_move(evaluator: Evaluator, built: "Built", moving: Estimation, draws: int) -> bool:
+def _should_move(evaluator: Evaluator, built: Built, moving: Estimation, draws: int) -> bool:
     """Whether a plain filter loses a constant, or differs more from another for what it costs."""
     from pfdist.results.particle_loss import LOST  # noqa: PLC0415
     from pfdist.runner.particles import (  # noqa: PLC0415  needs pandas
