@@ -1,18 +1,31 @@
-"""The answer of a backtest in words: found gains, errors of sets, verdicts, a report."""
+"""The result of a backtest, and its words: found gains, errors of sets, verdicts, a report."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 import pfdist
 from pfdist.common.changes import change_of
+from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import EVEN
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, with_interval
+from pfdist.common.shown import Shown
 from pfdist.filters.filter_estimate import few_particles
-from pfdist.plugins.backtest.question import Backtest
+from pfdist.plugins.backtest.backtesting import ReplicateErrors
+from pfdist.plugins.backtest.promise import Promise
 from pfdist.plugins.backtest.thinned import CENTRED, FROM_START, PLAN
+from pfdist.problem.clock import Clock, Time
 from pfdist.questions.subject import number_of
+from pfdist.results import finite
 
+Array = NDArray[np.float64]
 _MUCH = 1000.0  # the end of an interval that says nothing
 _DEPENDENT = 0.3  # lag-1 correlation of differences
 _MEANING = (
@@ -29,6 +42,127 @@ _SETS = (
     "times", "error", "foreseen", "error / foreseen", "in 90 % interval", "error without noise",
     "foreseen without noise",
 )  # fmt: skip
+
+
+class ShownReplicate(NamedTuple):
+    """A replicate that a report shows in full."""
+
+    name: str
+    times: Array  # (T+1,)
+    measured: Array  # (T+1, q): what could be judged
+    used: tuple[int, ...]  # the instants of the plan
+    errors: ReplicateErrors
+
+
+@dataclass(frozen=True, repr=False)
+class Backtest(Shown):
+    """Result of `backtest`.
+
+    Parameters
+    ----------
+    data : Path
+        The file with the measurements.
+    plan : tuple of int, float or str
+        The planned times on the clock of the job; empty with `plan_each`.
+    sets : mapping of str to str
+        The compared sets with their names in sentences; the first is the plan.
+    promises : mapping of str to Promise
+        For each set but the plan, whether the foreseen gain of the plan over it was found.
+    ratios : mapping of str to (float, (float, float))
+        For each set the real error over the foreseen error, with an interval; all intervals hold
+        together with 95 % confidence.
+    table : DataFrame
+        A row for each judged replicate and set, with the columns of `pfdist.store.backtest_schema`.
+        Errors are relative to the variance of what is judged.
+    noise : float
+        The part of all errors that the noise of the judged measurements causes, by the model.
+    improbable : float
+        Share of the plan's measurements whose p-value is below 1 %.
+    left_out : mapping of str to str
+        Replicates that are not judged, and why.
+    is_checked : bool
+        Whether a column says to which replicates the model was fitted.
+    within : float
+        Largest distance from a wanted time to the measurement that is used instead.
+    impossible : int
+        Number of filters for which a measurement is impossible.
+    collapsed : int
+        Number of filters, one for each replicate and set, whose effective sample size falls below
+        5. Their estimates are those of a few particles, not the model's.
+    files : tuple of Path
+        The table, the figure, and the report if it was wanted; none for a DataFrame without `out`.
+    shown : tuple of ShownReplicate
+    quantities : tuple of Component
+        The components of what is judged.
+    clock : Clock
+        That of the job.
+    """
+
+    data: Path
+    plan: tuple[Time | str, ...]
+    sets: Mapping[str, str]
+    promises: Mapping[str, Promise]
+    ratios: Mapping[str, tuple[float, tuple[float, float]]]
+    table: pd.DataFrame
+    noise: float
+    improbable: float
+    left_out: Mapping[str, str]
+    is_checked: bool
+    within: float
+    impossible: int
+    collapsed: int
+    files: tuple[Path, ...]
+    shown: tuple[ShownReplicate, ...]
+    quantities: tuple[Component, ...]
+    clock: Clock
+
+    @property
+    def wrong(self) -> list[str]:
+        """Names of the sets whose real error clearly differs from the foreseen error."""
+        return [name for name, (_, (low, high)) in self.ratios.items() if low > 1.0 or high < 1.0]
+
+    @property
+    def means(self) -> pd.DataFrame:
+        """Means over the replicates by set: real, foreseen, covered."""
+        columns = ["real", "foreseen", "covered"]
+        return self.table.groupby("set", sort=False)[columns].mean()
+
+    @property
+    def judged(self) -> int:
+        """Number of judged values."""
+        return int(self.table[self.table["set"] == PLAN]["judged"].sum())
+
+    def as_json(self) -> dict[str, Any]:
+        """The result as JSON values, with the table as the path of its file."""
+        files = dict(zip(("table", "figure", "report"), map(str, self.files), strict=False))
+        means = self.means.to_dict("index")
+        sets = {
+            name: {**means[name], "ratio": ratio, "interval": interval,
+                   "is_wrong": name in self.wrong}
+            for name, (ratio, interval) in self.ratios.items()
+        }  # fmt: skip
+        return finite(
+            {
+                "data": str(self.data),
+                "plan": self.plan,
+                "replicates": len(self.table) // len(self.sets),
+                "judged": self.judged,
+                "promises": {
+                    name: {"verdict": each.verdict, **vars(each)}
+                    for name, each in self.promises.items()
+                },
+                "sets": sets,
+                "noise": self.noise,
+                "improbable": self.improbable,
+                "collapsed": self.collapsed,
+                "left_out": dict(self.left_out),
+                "is_checked": self.is_checked,
+                **{name: files.get(name) for name in ("table", "figure", "report")},
+            }
+        )
+
+    def _page(self) -> Page:
+        return backtest_answer(self)
 
 
 def backtest_answer(answer: Backtest) -> Page:
