@@ -139,7 +139,7 @@ def read_file(
                     f"{path} belongs to another {what}: {wanted} was expected, got {got}; {REMEDY}"
                 )
         if wrong := wrong_columns(about, table):
-            raise StoreError(f"{path} {wrong}; {REMEDY}")
+            raise StoreError(f"{path} {wrong}: the version of pfdist in run.json reads it")
         whole = unpacked(
             content,
             described,
