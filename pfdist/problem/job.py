@@ -472,19 +472,24 @@ def load_job(
     path = path_argument("job", path)
     if path.is_dir() or path.name == "job.toml":
         # Imported here, because most jobs are other files.
-        from pfdist.store import check_entries, holds_run, is_job_of_run  # noqa: PLC0415
-        from pfdist.store.about import check_version_of  # noqa: PLC0415
+        from pfdist.store import check_entries, holds_run  # noqa: PLC0415
 
         if path.is_dir() and holds_run(path):
             check_entries(path)
             path /= "job.toml"
-        if is_job_of_run(path):
-            check_version_of(path.parent)
     data = toml_of_file(path)
     if "job" in data:
         raise JobError(f"{path} is a sweep file, not a job: run it by `pfdist sweep {path}`")
     origin = Origin(path, "search" in data, "online" in data)
-    return _validated(data, origin, overrides, sections, settings)
+    try:
+        return _validated(data, origin, overrides, sections, settings)
+    except JobError:
+        from pfdist.store import is_job_of_run  # noqa: PLC0415  as above
+        from pfdist.store.about import check_version_of  # noqa: PLC0415
+
+        if is_job_of_run(path):  # of another version, perhaps, with keys that are unknown today
+            check_version_of(path.parent)
+        raise
 
 
 def toml_of_file(path: Path) -> dict[str, Any]:
