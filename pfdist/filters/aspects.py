@@ -6,16 +6,18 @@ tables, samples and exact engines. None of them knows an aspect by name.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Lag
-from pfdist.filters.work import Estimation, FilterWork
 from pfdist.kernels.estimators import FILTER_NOISE, FILTER_VARIANCE
 from pfdist.kernels.schemes import CONDITIONAL
+
+if TYPE_CHECKING:  # tables are read without Numba
+    from pfdist.filters.work import Estimation, FilterWork
 
 Array = NDArray[np.float64]
 
@@ -53,7 +55,7 @@ class Aspect:
 
     table: str
     description: str
-    estimation: Callable[[Estimation], Estimation]
+    estimation: Callable[["Estimation"], "Estimation"]
     start: str = ""
     exact: str = ""
     unit: str = ""
@@ -73,7 +75,7 @@ class Aspect:
         """The column of the table ``compared`` that has its exact values."""
         return self.exact or f"exact_{self.named}"
 
-    def work(self, errors: FilterWork, draws: int) -> FilterWork:
+    def work(self, errors: "FilterWork", draws: int) -> "FilterWork":
         """The work that gives it on the first draws, from that of the errors."""
         return replace(
             errors,
@@ -125,11 +127,11 @@ class ErrorBeside(Aspect):
         A sentence that says how to plan for it, after one that begins with `alone`; or empty.
     """
 
-    estimation: Callable[[Estimation], Estimation] = lambda own: own
+    estimation: Callable[["Estimation"], "Estimation"] = lambda own: own
     knows_truth: bool = False
     fits: Callable[[Lag], bool]
     is_smoothed: bool = False
-    settings: Callable[[FilterTraits, Estimation], Estimation] = lambda _, own: own
+    settings: Callable[[FilterTraits, "Estimation"], "Estimation"] = lambda _, own: own
     head: str
     meaning: str
     is_raised: bool = False
@@ -155,13 +157,13 @@ class ErrorBeside(Aspect):
         """The head of its column, which says whether it is an upper limit."""
         return f"{self.head}{', at most' * is_limit} ± standard error"
 
-    def beside(self, evaluator: FilterTraits, errors: FilterWork, draws: int) -> FilterWork:
+    def beside(self, evaluator: FilterTraits, errors: "FilterWork", draws: int) -> "FilterWork":
         """The work that gives it on the first draws, from that of an evaluator's errors."""
         estimation = self.settings(evaluator, errors.estimation)
         return replace(self.work(errors, draws), beside=self.named, estimation=estimation)
 
 
-def _beside_truth(own: Estimation) -> Estimation:
+def _beside_truth(own: "Estimation") -> "Estimation":
     return own.with_truth(CONDITIONAL.name, FILTER_VARIANCE.name)
 
 

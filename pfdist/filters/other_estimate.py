@@ -5,15 +5,18 @@ with all measurements; another one that of the filter.
 """
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from pfdist.filters.aspects import ErrorBeside, FilterTraits
-from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import TWO_CLOUDS, TWO_ERRORS
+
+if TYPE_CHECKING:
+    from pfdist.filters.work import Estimation
 
 _MORE = 4  # times the particles
 
 
-def _by_two_filters(evaluator: FilterTraits, own: Estimation) -> Estimation:
+def _by_two_filters(evaluator: FilterTraits, own: "Estimation") -> "Estimation":
     """The estimation of the smoothed error.
 
     A smoothed estimate comes from few ancestors, whose part two filters take out of its error. The
