@@ -17,6 +17,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import TaskError
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import FilterWork
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built, build
@@ -129,7 +130,7 @@ def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) ->
         A row for each set: times, cost, standard_error, excess and excess_error (in per cent of the
         best set's cost), draws, best (whether the set won the race).
     """
-    costs = built.evaluator.expected_mse(sets)
+    costs = exact_mse(built.evaluator, sets)
     if costs is not None:
         excess = 100 * (costs / costs.min() - 1)
         rows = {"cost": costs, "standard_error": 0.0, "excess": excess, "excess_error": 0.0}

@@ -18,14 +18,12 @@ from pfdist.common.measurement_times import Lag, ManySets, Times
 from pfdist.common.points import PointNumbers
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
-from pfdist.filters import kalman
 from pfdist.filters.aspects import ErrorBeside
 from pfdist.filters.beside import errors_beside
 from pfdist.filters.cloud import Gaussian, Indices, Prior
-from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, NUMPY, Engine
-from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from, weighed
+from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
 from pfdist.filters.proposals import PROPOSALS
@@ -187,7 +185,7 @@ class Evaluator:
             prior=self.prior and self.prior.remembered(max(self.delays)),
         )
 
-    def _arriving(self, sets: Sequence[Times]) -> Sequence[Times]:
+    def arriving(self, sets: Sequence[Times]) -> Sequence[Times]:
         """Sets of the points at which values arrive, until T, for an estimate at the moment."""
         if not self.delays or self.lag:
             return sets
@@ -251,10 +249,11 @@ class Evaluator:
         """The number of each draw's scenario, (D,); None without scenarios."""
         if not self.scenarios:
             return None
-        return scenarios_of_draws(self._shares, stream, draws)
+        return scenarios_of_draws(self.shares, stream, draws)
 
     @property
-    def _shares(self) -> list[float]:
+    def shares(self) -> list[float]:
+        """The share of each scenario; 1 without scenarios."""
         return [each.share for each in self.scenarios] or [1.0]
 
     @cached_property
@@ -282,7 +281,7 @@ class Evaluator:
 
     @property
     def exact(self) -> bool:
-        """Whether the engine computes the expected MSE without draws; see `expected_mse`.
+        """Whether the engine computes the expected MSE without draws; see `exact_mse`.
 
         That of a smoothed estimate takes draws if the filter believes another model.
         """
@@ -304,67 +303,6 @@ class Evaluator:
     def has_particle_loss(self) -> bool:
         """Whether the particle loss is known: of filters, if the error is the squared norm."""
         return self.has_particles and self.has_squared_error
-
-    def expected_mse(
-        self, sets: Sequence[Times], ends: Sequence[int] | None = None, criterion: Criterion = MEAN
-    ) -> NDArray[np.float64] | None:
-        """Exact value of the criterion for each set of times, (S,); None if it takes draws.
-
-        `ends` are the last instants whose errors count, by default T.
-        """
-        if not self.exact or criterion.needs_draws:
-            return None
-        if criterion.aspects and not self.gives_information:
-            return self.of_information.expected_mse(sets, ends)
-        if criterion.by_instant:
-            errors = self._exact_errors_of(self._shares, sets)
-            return criterion.of_instants(errors[:, self.relative_weights > 0.0])
-        errors = self._exact_mse(sets, ends)
-        return _mean(errors, criterion.shares(errors, self._shares))
-
-    def expected_errors(
-        self, sets: Sequence[Times], *, weighted: bool = False
-    ) -> NDArray[np.float64] | None:
-        """Exact expected error of each instant with each set, (S, T+1); None if it takes draws.
-
-        The expected MSE is the mean over all instants of the weighted errors.
-        """
-        if not self.exact:
-            return None
-        return self._exact_errors_of(self._shares, sets, weighted)
-
-    def _exact_errors(self, sets: Sequence[Times], weighted: bool) -> NDArray[np.float64]:
-        given = self.model, self.horizon, self._arriving(sets), self.prior, self.lag
-        errors = kalman.expected_errors(
-            *given, gives_information=self.gives_information, believed=self.believed
-        )
-        if weighted and self.instant_weights is not None:
-            return weighed(errors, self.instant_weights)
-        return errors / self.scale
-
-    def exact_over_time(self, times: Times, criterion: Criterion) -> NDArray[np.float64] | None:
-        """Exact expected error of each instant, (1, T+1), in the scenarios that decide."""
-        if not (self.exact and self.scenarios):
-            return self.expected_errors([times])
-        shares = criterion.shares(self._exact_mse([times]), self._shares)
-        return self._exact_errors_of(shares[:, 0], [times])
-
-    def _exact_errors_of(
-        self, shares: Iterable[float], sets: Sequence[Times], weighted: bool = False
-    ) -> NDArray[np.float64]:
-        """The mean over scenarios, by their shares; a share of 0 costs nothing."""
-        parts = zip(self.of_scenarios or (self,), shares, strict=True)
-        found = [(each._exact_errors(sets, weighted), share) for each, share in parts if share]
-        errors, own = zip(*found, strict=True)
-        return _mean(np.array(errors), np.array(own)[:, None, None])
-
-    def _exact_mse(
-        self, sets: Sequence[Times], ends: Sequence[int] | None = None
-    ) -> NDArray[np.float64]:
-        """Exact expected MSE of each set in each scenario, (C, S)."""
-        parts = self.of_scenarios or (self,)
-        each = [part._exact_errors(sets, weighted=True) for part in parts]
-        return np.array([kalman.mean_until(errors, self.horizon, ends) for errors in each])
 
     def sum_errors(self, work: FilterWork) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
@@ -515,7 +453,7 @@ class Evaluator:
         found: FilterArrays = self.computed_by.filters.filter_checked_sets(
             self.believed,
             draws,
-            self._arriving(sets),
+            self.arriving(sets),
             ends,
             stream,
             self.settings(estimation),
@@ -532,7 +470,7 @@ class Evaluator:
     ) -> Iterator[FilterArrays]:
         """Filter draws with checked sets, each under noise of its own, with trajectories."""
         filters, settings = self.computed_by.filters, self.settings(estimation)
-        for times, stream in zip(self._arriving(sets), streams, strict=True):
+        for times, stream in zip(self.arriving(sets), streams, strict=True):
             yield filters.filter_checked_draws(self.believed, draws, times, stream, settings, True)
 
     def results(self, works: Iterable[FilterWork]) -> list[Result]:
@@ -662,11 +600,6 @@ def recorded_evaluator(
     if not is_same:
         filter_model = recorded(filter_model, instants, known if knows_scenario else ())
     return Evaluator(model, horizon, model if is_same else filter_model, times=times, **settings)
-
-
-def _mean(of_scenarios: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    mean: NDArray[np.float64] = np.sum(weighed(of_scenarios, shares), axis=0)
-    return mean
 
 
 def _arrived(content: bytes, settings: dict[str, Any]) -> Evaluator:

@@ -25,6 +25,7 @@ from pfdist.filters.aspects import Aspect, ErrorBeside
 from pfdist.filters.criterion import MEAN, Criterion, OtherCriterion, Sample
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.exact import exact_mse, exact_over_time
 from pfdist.filters.work import FilterWork, Result, joined
 from pfdist.models import squared_error
 from pfdist.problem.clock import Time
@@ -210,7 +211,7 @@ def _evaluated(
         draws = -(-draws // (FEWER * max(1, more // 2)))
         evaluator, profile, criteria = evaluator.beside[beside.named], False, {}
     written = [tuple(built.job.problem.points.written_of(each)) for each in times]
-    exact = evaluator.expected_mse(times, criterion=criterion)
+    exact = exact_mse(evaluator, times, criterion=criterion)
     by_instant = any(each.by_instant for each in criteria.values())
     work = evaluator.work(
         times,
@@ -303,7 +304,7 @@ def _samples(built: Built, work: FilterWork, result: Result) -> Iterator[Sample]
 
 def _values_of(built: Built, work: FilterWork, aspect: Aspect, form: Criterion) -> Any:
     """The values of an aspect with each set, (D, S): of draws, or the exact ones of the first."""
-    exact = built.evaluator.expected_mse(work.measurement_times, criterion=form)
+    exact = exact_mse(built.evaluator, work.measurement_times, criterion=form)
     if exact is not None:
         return form.sign * exact[None][: aspect == form.aspects[0]]
     draws = work.draws[1] if aspect.of_all_draws else min(LOSS_DRAWS, work.draws[1])
@@ -313,7 +314,7 @@ def _values_of(built: Built, work: FilterWork, aspect: Aspect, form: Criterion) 
 
 
 def _over_time_of(built: Built, times: Times, criterion: Criterion, errors: Any) -> list[Range]:
-    exact = built.evaluator.exact_over_time(times, criterion)
+    exact = exact_over_time(built.evaluator, times, criterion)
     if exact is not None:
         return [Range(0, 0, exact)]
     return [Range(draw, 1, error[None]) for draw, error in enumerate(errors)]

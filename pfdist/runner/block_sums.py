@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.exact import exact_by_instant
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.runner.build import Built
 from pfdist.runner.door import Part, RunSession, WorkBatch
@@ -122,7 +123,7 @@ class BlockSums:
 
         A set with an infinite draw has NaN.
         """
-        exact = self._evaluator.expected_errors(self._counted.sets, weighted=True)
+        exact = exact_by_instant(self._evaluator, self._counted.sets, weighted=True)
         if exact is not None:
             session.count_exact(self._phase_of_all, self._part, exact.size)
             return self._counted.of_instants(exact)

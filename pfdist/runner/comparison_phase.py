@@ -19,6 +19,7 @@ from pfdist.common.measurement_times import Times, validated
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError, StoreError
 from pfdist.filters.aspects import DISTANCE, VARIANCE, Aspect, ErrorBeside
+from pfdist.filters.exact import exact_by_instant
 from pfdist.filters.work import (
     FilterWork,
     Result,
@@ -101,7 +102,7 @@ def run_comparison(
         reporter.advance(piece.steps, len(result.mse), found=found)
 
     most = longest_range(draws) if study.has_details else 0
-    errors = evaluator.expected_errors(work.measurement_times) if most else None
+    errors = exact_by_instant(evaluator, work.measurement_times) if most else None
     if errors is not None:
         most = 0
         if not session.store.has(RANGE_SUMS):

@@ -13,6 +13,7 @@ from pfdist.common.plugins import added
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError, SearchError
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import FilterWork, Result, cut
 from pfdist.problem.online_section import Online
 from pfdist.results.stored_run import StoredRun
@@ -199,14 +200,12 @@ def _rivals(built: Built, given: Mapping[str, Times]) -> list[Times]:
 def _exact_columns(built: Built, sets: Sequence[Times]) -> dict[str, tuple[Any, Part]]:
     """Exact values of each set by column, with what they are for; None if they take draws."""
     evaluator, form = built.evaluator, built.job.criterion.mse_criterion
-    columns: dict[str, tuple[Any, Part]] = {
-        "exact_mse": (evaluator.expected_mse(sets), "comparison")
-    }
+    columns: dict[str, tuple[Any, Part]] = {"exact_mse": (exact_mse(evaluator, sets), "comparison")}
     for each in evaluator.errors_beside:
-        exact = evaluator.beside[each.named].expected_mse(sets, criterion=form)
+        exact = exact_mse(evaluator.beside[each.named], sets, criterion=form)
         columns[each.exact_column] = exact, "other estimate"
     for form in built.job.other_criteria.values():
-        values = evaluator.expected_mse(sets, criterion=form) if form.aspects else None
+        values = exact_mse(evaluator, sets, criterion=form) if form.aspects else None
         if values is not None:
             columns[form.aspects[0].exact_column] = form.sign * values, "statistics"
     return columns

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.common.streams import stream_of
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import FilterWork, Result
 from pfdist.problem.even_sets import even_sets
 from pfdist.results import Run
@@ -63,7 +64,7 @@ def compare_evenly_spaced(
         session.say(Detail(_TOO_LONG))
         return
     error = controlled_mse(run.table("comparison", _draws_of(built, scale)), name)
-    exact = built.evaluator.expected_mse([measured[name]])
+    exact = exact_mse(built.evaluator, [measured[name]])
     mean = float(np.nanmean(error) if exact is None else exact[0])
     if not math.isfinite(mean):
         return
@@ -194,7 +195,7 @@ class _Scan:
     def _look(self, number: int) -> Generator[WorkBatch, None, Estimate]:
         """How far the best set of a number lies above the plan's error, on separate draws."""
         built, sets = self.built, self._best_of(number)
-        exact = built.evaluator.expected_mse(sets)
+        exact = exact_mse(built.evaluator, sets)
         if exact is not None:
             instants = len(sets) * (built.feasible.horizon + 1)
             self.session.count_exact(EVEN_PHASE, "scan", instants)

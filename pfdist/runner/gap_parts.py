@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key, stream_of
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import Estimation, FilterWork, Result
 from pfdist.results import Moments, Run
 from pfdist.results.moments import controlled_mse
@@ -68,7 +69,7 @@ def gap_parts(
     """
     built = session.built
     given = [*sets.values()]
-    exact, right = built.evaluator.expected_mse(given), built.evaluator.truth.expected_mse(given)
+    exact, right = exact_mse(built.evaluator, given), exact_mse(built.evaluator.truth, given)
     if exact is not None and right is not None:
         pairs = zip(exact.tolist(), map(Estimate, (exact - right).tolist()), strict=True)
         parts = [GapParts(Estimate(mse), ZERO, wrong, wrong) for mse, wrong in pairs]

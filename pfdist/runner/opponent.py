@@ -21,6 +21,7 @@ import numpy as np
 from pfdist.common.measurement_times import MOST_REGULAR, Times
 from pfdist.errors import JobError
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import BLOCK
 from pfdist.kernels.estimators import FILTER_VARIANCE, TWO_CLOUDS
 from pfdist.models.batched import BatchedModel
@@ -126,7 +127,7 @@ class EvenSearch:
     ) -> Generator[WorkBatch, None, list[Evaluation]]:
         """The best of the sets, the best first: by exact errors, or by a race of the first ones."""
         criterion = self.built.job.criterion
-        errors = self.built.evaluator.expected_mse(sets, criterion=criterion)
+        errors = exact_mse(self.built.evaluator, sets, criterion=criterion)
         if errors is not None:
             instants = len(sets) * (self.feasible.horizon + 1)
             session.count_exact(self.phase.name, "opponent", instants)

@@ -22,6 +22,7 @@ from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.kernels.variates import generator
 from pfdist.runner.block_sums import BlockSums, evaluated_by_errors
@@ -353,7 +354,7 @@ def _exactly(
     """
     sets = [request.candidate.measurement_times for request in requests]
     ends = [request.end for request in requests]
-    errors = phase.built.evaluator.expected_mse(sets, ends, phase.criterion)
+    errors = exact_mse(phase.built.evaluator, sets, ends, phase.criterion)
     if errors is None:
         return False
     session.count_exact(phase.name, phase.part, sum(ends) + len(ends))

@@ -16,6 +16,7 @@ from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.one_filter import Followed
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
@@ -280,7 +281,7 @@ class _Outlook:
         estimation: Estimation,
     ) -> list[Evaluation]:
         """Evaluations of sets up to their ends on common draws with common noise."""
-        exact = self.evaluator.expected_mse(sets, ends)
+        exact = exact_mse(self.evaluator, sets, ends)
         if exact is not None or draws is None:
             each_set = zip(sets, [] if exact is None else exact.tolist(), strict=True)
             return [Evaluation.exactly(times, mse) for times, mse in each_set]

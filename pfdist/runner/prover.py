@@ -15,6 +15,7 @@ from pfdist.common.percent import CHECK_FAILS
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, ModelError
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import BLOCK, with_truth
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.needs import BOUND
@@ -323,7 +324,7 @@ class Prover:
     def _values(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
         """The criterion's value for each set, exact or of the comparison."""
         built = self._given
-        exact = built.evaluator.expected_mse([*sets.values()], criterion=built.job.criterion)
+        exact = exact_mse(built.evaluator, [*sets.values()], criterion=built.job.criterion)
         if exact is not None:
             return dict(zip(sets, map(Estimate, exact.tolist()), strict=True))
         if not built.job.criterion.by_instant:

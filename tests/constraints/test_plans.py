@@ -11,6 +11,7 @@ import pytest
 import pfdist
 from oracles.watched import WALK
 from pfdist import Job, Problem
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
@@ -56,7 +57,7 @@ def test_the_plan_is_the_best_of_all_sets(keys: dict[str, Any], tmp_path: Path) 
         for times in combinations(every, number)
         if feasible.accepts(times)
     ]
-    errors = built.evaluator.expected_mse(sets)
+    errors = exact_mse(built.evaluator, sets)
     assert errors is not None
     run = pfdist.plan(job, results=tmp_path / "run", pool="serial", figures=False)
     times = feasible.points.checked(run.best.measurement_times)

@@ -27,6 +27,7 @@ from pfdist.filters.criterion import (
     criterion_named,
 )
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.exact import exact_mse, exact_over_time
 from pfdist.problem.job import Job
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
@@ -102,12 +103,12 @@ def test_exact_scenarios_give_the_weighted_mean_or_the_worst() -> None:
     apart = np.array([
         kalman.expected_mse(WALK.with_parameters(each), 9, sets) for each in SCENARIOS
     ])  # fmt: skip
-    mean, worst = (built.evaluator.expected_mse(sets, criterion=each) for each in (MEAN, WORST))
+    mean, worst = (exact_mse(built.evaluator, sets, criterion=each) for each in (MEAN, WORST))
     np.testing.assert_allclose(mean, np.average(apart, axis=0, weights=WEIGHTS), rtol=1e-14)
     assert worst is not None
     assert worst.tolist() == apart.max(axis=0).tolist()
     for criterion, value in ((MEAN, mean), (WORST, worst)):
-        over_time = built.evaluator.exact_over_time(sets[0], criterion)
+        over_time = exact_over_time(built.evaluator, sets[0], criterion)
         assert over_time is not None
         assert over_time.mean() == pytest.approx(value[0], rel=1e-14)
 
@@ -249,7 +250,7 @@ def test_a_criterion_of_instants_makes_the_exact_number_of_their_exact_errors() 
         WALK, horizon=9, measurement_budget=3, engine="kalman", instant_weights=[1.0] * 9 + [0.0]
     )
     errors = kalman.expected_errors(WALK, 9, sets)
-    numbers = build(problem.job()).evaluator.expected_mse(sets, criterion=LastInstant())
+    numbers = exact_mse(build(problem.job()).evaluator, sets, criterion=LastInstant())
     assert numbers is not None
     np.testing.assert_allclose(numbers, errors[:, 8], rtol=1e-14)  # the last that has weight
 

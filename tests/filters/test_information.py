@@ -15,6 +15,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.filters.criteria.information import GAP, LOWER_SIDE, Information
 from pfdist.filters.criterion import Sample
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.exact import exact_by_instant, exact_mse
 from pfdist.filters.work import Estimation
 
 HORIZON, FACTOR, SPREAD = 12, 0.95, 3.0
@@ -56,9 +57,9 @@ def test_the_exact_engine_gives_the_determinant_of_the_joint_covariance(
     times: Times, noise: float
 ) -> None:
     evaluator = Evaluator(autoregression(noise), HORIZON, engine="kalman")
-    (lost,) = evaluator.expected_mse([times], criterion=Information())
+    (lost,) = exact_mse(evaluator, [times], criterion=Information())
     assert -lost == pytest.approx(of_autoregression(times, noise), rel=1e-12)
-    errors = evaluator.of_information.expected_errors([times])[0]
+    errors = exact_by_instant(evaluator.of_information, [times])[0]
     assert np.flatnonzero(errors).tolist() == [*times]
 
 

@@ -21,6 +21,7 @@ from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.exact import exact_by_instant, exact_mse
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.models import installed_models, tracing
@@ -182,7 +183,7 @@ def test_the_error_of_a_filter_that_believes_another_model_is_that_of_its_draws(
     believed = drifting(start=0.0, factor=0.97, drift=0.0, noise=0.8, offset=0.0)
     sets = [(), (0, 4, 9), (2, 3, 10), tuple(range(13))]
     misled = Evaluator(truth, 12, filter_model=believed, engine="kalman")
-    exact = misled.expected_mse(sets)
+    exact = exact_mse(misled, sets)
     assert exact is not None
     draws = 4000
     works = misled.work(sets, 1, 2, (0, draws), Estimation(10))
@@ -195,7 +196,7 @@ def test_the_error_of_a_filter_that_believes_another_model_is_that_of_its_draws(
         errors.append(variance + (mean - guess) ** 2)
         mean, variance, guess = 0.9 * mean + 0.3, 0.81 * variance + 1.0, 0.97 * guess
     assert exact[0] == pytest.approx(np.mean(errors), rel=1e-12)
-    true = Evaluator(truth, 12, engine="kalman").expected_mse(sets)
+    true = exact_mse(Evaluator(truth, 12, engine="kalman"), sets)
     assert true is not None
     assert (exact > true).all()
 
@@ -207,9 +208,9 @@ def test_the_smoothed_error_of_a_wrong_filter_takes_draws() -> None:
     misled, sets = Evaluator(truth, 12, filter_model=believed, engine="kalman"), [(2, 5, 9)]
     smoothed = misled.beside["smoothed"]
     assert not smoothed.exact
-    assert smoothed.expected_mse(sets) is None
-    assert smoothed.expected_errors(sets) is None
-    assert smoothed.truth.expected_mse(sets) is not None
+    assert exact_mse(smoothed, sets) is None
+    assert exact_by_instant(smoothed, sets) is None
+    assert exact_mse(smoothed.truth, sets) is not None
     both = [each(each.work(sets, 1, 2, (0, 500), Estimation(10))) for each in (misled, smoothed)]
     filtered, later = (each.mse.mean() for each in both)
     assert later < 0.9 * filtered
@@ -229,11 +230,11 @@ def test_a_wrong_filter_has_an_exact_plan_and_the_proof_tells_its_part(tmp_path:
     run = pfdist.plan(job, tmp_path / "run", figures=False, bound_draws=0)
     built = build(job)
     sets = [*itertools.combinations(range(13), 4)]
-    exact = built.evaluator.expected_mse(sets)
+    exact = exact_mse(built.evaluator, sets)
     assert run.best.expected_mse == pytest.approx(exact.min(), rel=1e-9)
     assert run.best.standard_error == 0.0
     bound = pfdist.bound(run.path, figures=False)
-    truth = built.evaluator.truth.expected_mse([tuple(run.best.measurement_times)])
+    truth = exact_mse(built.evaluator.truth, [tuple(run.best.measurement_times)])
     (gap,) = [each for each in bound.gaps if each.name == run.best.name]
     assert gap.filter_model.value == pytest.approx(run.best.expected_mse - truth[0], rel=1e-9)
 

@@ -13,6 +13,7 @@ from pfdist.filters import particle_filter
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.one_filter import Followed, OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
@@ -37,7 +38,7 @@ def test_where_measurements_say_nothing_about_times_the_plan_never_changes(name:
     """Covariances of a linear-Gaussian model do not depend on what is measured."""
     model, feasible = EXACT[name].as_model(), Feasible(12, 4)
     evaluator = Evaluator(model, 12, engine="kalman")
-    costs = evaluator.expected_mse(every := list(feasible.every()))
+    costs = exact_mse(evaluator, every := list(feasible.every()))
     best = every[int(np.argmin(costs))]
     replanner = Replanner(evaluator, feasible, SEARCHED, 5)
     draws = simulate(model, 12, range(3), 7)
@@ -55,7 +56,7 @@ def test_without_a_plan_at_hand_the_exact_search_finds_the_best(  # ties: the fi
     model, feasible = EXACT["scalar"].as_model(), Feasible(12, 4)
     evaluator = Evaluator(model, 12, engine="kalman")
     found = Replanner(evaluator, feasible, SEARCHED, 5).plan(Now(), (), ())
-    costs = evaluator.expected_mse(every := list(feasible.every()))
+    costs = exact_mse(evaluator, every := list(feasible.every()))
     assert costs[every.index(found)] == pytest.approx(costs.min(), rel=1e-12)
 
 
@@ -164,12 +165,12 @@ def test_exact_errors_never_rise_with_a_heuristic_search(name: str) -> None:
     replanner, first = Replanner(evaluator, feasible, QUICK, 5), feasible.regular()
     filtering, taken, plan = OneFilter(model, Estimation(1), 3, 0, "kalman"), (), first
     y = simulate(model, 20, range(1), 7).y[0]
-    costs = [evaluator.expected_mse([first])[0]]
+    costs = [exact_mse(evaluator, [first])[0]]
     while plan:
         filtering, *_ = filtering.at(plan[0], y[plan[0]])
         taken = (*taken, plan[0])
         plan = replanner.plan(Now(filtering.settings.prior, measured=True), taken, plan[1:])
-        costs.append(evaluator.expected_mse([(*taken, *plan)])[0])
+        costs.append(exact_mse(evaluator, [(*taken, *plan)])[0])
     assert np.diff(costs).max() <= 1e-9 * costs[0]
     assert feasible.accepts(taken)
 

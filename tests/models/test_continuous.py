@@ -13,6 +13,7 @@ from pfdist import StateSpaceModel, ode, sde
 from pfdist.errors import ArgumentError, JobError, ModelError, PfdistError
 from pfdist.filters import plain
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.simulation import simulate
 from pfdist.models import continuous
 from pfdist.models.continuous import doubled, with_events
@@ -124,7 +125,7 @@ def test_the_kalman_filter_takes_a_linear_equation():
 
     after, sets = expm(A), [(), (0, 3), (1, 2, 4)]
     errors = [
-        Evaluator(model_with(transition), 5, engine="kalman").expected_mse(sets)
+        exact_mse(Evaluator(model_with(transition), 5, engine="kalman"), sets)
         for transition in (ode(linear), exact)
     ]
     np.testing.assert_allclose(*errors, rtol=1e-6)

@@ -22,6 +22,7 @@ from pfdist.cli.main import main
 from pfdist.common.percent import particle_loss_text
 from pfdist.common.rounding import rounded
 from pfdist.errors import JobError
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.kalman import expected_mse
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.sections import DEFAULT_METHOD
@@ -101,7 +102,7 @@ def test_a_smoothed_budget_has_the_best_plan_of_each_number(tmp_path: Path) -> N
     found = run.table("sets").query("kind == 'found'").set_index("measurements")
     evaluator = build(problem.job()).evaluator
     for number, row in found.iterrows():
-        least = min(evaluator.expected_mse([*combinations(range(15), int(number))]))
+        least = min(exact_mse(evaluator, [*combinations(range(15), int(number))]))
         assert row["expected_mse"] == pytest.approx(least, rel=1e-3)
 
 
@@ -122,8 +123,8 @@ def test_no_row_of_a_smoothed_budget_is_worse_than_its_evenly_spaced_set_or_a_sm
         own, even = found.loc[number], rows.loc["evenly_spaced", number]
         limit = 3 * math.hypot(own["standard_error"], even["standard_error"])
         assert own["expected_mse"] <= even["expected_mse"] + limit
-        (error,) = exactly.expected_mse([tuple(own["measurement_times"])])
-        assert error <= 1.01 * min(exactly.expected_mse([*combinations(range(15), number)]))
+        (error,) = exact_mse(exactly, [tuple(own["measurement_times"])])
+        assert error <= 1.01 * min(exact_mse(exactly, [*combinations(range(15), number)]))
         if number > 2:
             assert own["expected_mse"] <= found.loc[number - 1, "expected_mse"] + limit
 

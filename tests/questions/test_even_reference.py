@@ -7,6 +7,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from pfdist.filters.exact import exact_mse
 from pfdist.problem.even_sets import EvenSets
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import Job
@@ -27,7 +28,7 @@ def test_of_exact_errors_the_least_is_taken(small_job: Job, tmp_path: Path) -> N
     run = pfdist.plan(small_job, tmp_path / "run", changes=changes, figures=False, bound_draws=0)
     job = pfdist.load_job(run.path)
     grids = _grids(job.problem.feasible)
-    errors = np.array(build(job).evaluator.expected_mse(grids))
+    errors = np.array(exact_mse(build(job).evaluator, grids))
     assert tuple(run.sets["evenly_spaced"]) == grids[int(errors.argmin())] == (0, 3, 6, 9)
     row = run.table("sets").set_index("name").loc["evenly_spaced"]
     assert row["label"] == "evenly spaced"
@@ -70,7 +71,7 @@ def test_a_budget_has_the_best_of_each_number(small_job: Job, tmp_path: Path) ->
     evaluator = build(job).evaluator
     for number in (2, 3, 4):
         grids = _grids(job.feasible(number))
-        least = grids[int(np.argmin(evaluator.expected_mse(grids)))]
+        least = grids[int(np.argmin(exact_mse(evaluator, grids)))]
         assert tuple(run.sets[f"evenly_spaced_{number:02}"]) == least
 
 

@@ -15,6 +15,7 @@ from oracles.late import LATE, late_walk, meter_and_laboratory, of_delays, of_la
 from oracles.three_sensors import SYSTEMS
 from pfdist import Problem
 from pfdist.errors import MeasurementsError, MeasurementTimesError
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.pages.terminal import lines_of
@@ -304,9 +305,9 @@ def test_at_the_moment_a_value_counts_when_it_has_arrived(name: str) -> None:
         [set_of_own], [set_of_other] = (
             [each.job.problem.points.read(times)] for each in (own, other)
         )
-        [right] = other.evaluator.expected_mse([set_of_other])
+        [right] = exact_mse(other.evaluator, [set_of_other])
         moment = own.evaluator.beside["filtered"]
-        assert moment.expected_mse([set_of_own]) == pytest.approx([right], rel=1e-9)
+        assert exact_mse(moment, [set_of_own]) == pytest.approx([right], rel=1e-9)
         works = sampled.evaluator.beside["filtered"].work(
             [set_of_own], 1, 2, (0, 2000), Estimation(400, "systematic")
         )

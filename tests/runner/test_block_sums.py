@@ -14,6 +14,7 @@ from pfdist.common.measurement_times import ManySets
 from pfdist.filters.criteria.worst_instant import WorstInstant
 from pfdist.filters.criterion import MEAN
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.exact import exact_by_instant
 from pfdist.filters.work import Estimation, FilterWork, Result, sum_of_draws, with_truth
 from pfdist.pools.base import SerialPool
 from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
@@ -236,7 +237,7 @@ def test_an_exact_engine_tells_errors_without_draws(
     phase = Phase("mine", search, "search", exact.searches[0].settings, exact, MEAN)
     completed(run_phase(phase, RunSession(exact, Store(tmp_path / "run"))))
     assert not handed
-    errors = COUNTED.of_instants(exact.evaluator.expected_errors(SETS, weighted=True))
+    errors = COUNTED.of_instants(exact_by_instant(exact.evaluator, SETS, weighted=True))
     assert_alike(search.told[1].errors_of_instants, errors)
 
 

@@ -20,6 +20,7 @@ from oracles.in_turn import in_turn
 from pfdist import Sensor, StateSpaceModel, densities, where
 from pfdist.common.streams import stream_of
 from pfdist.filters import kalman
+from pfdist.filters.exact import exact_mse
 from pfdist.problem.job import Job
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.run_of_job import searched_by
@@ -158,8 +159,8 @@ def test_no_evenly_spaced_set_does_better(kind: str, seed: int) -> None:
     built = _built(seed, 12, **{key: each for key, each in problem.items() if each is not None})
     evaluator, feasible = built.evaluator, built.job.problem.feasible
     own = [s for s in dict.fromkeys(own_sets(built.job, feasible.total)) if feasible.allows(s)]
-    least = min(evaluator.expected_mse(own))
-    (found,) = evaluator.expected_mse([_opponent(built)])
+    least = min(exact_mse(evaluator, own))
+    (found,) = exact_mse(evaluator, [_opponent(built)])
     assert found <= least * (1 + 1e-9)
 
 
@@ -223,8 +224,8 @@ def test_no_evenly_spaced_visits_do_better(kind: str, seed: int) -> None:
     evaluator, feasible = built.evaluator, built.job.problem.feasible
     own = [each for each in dict.fromkeys(_visits(blocks, sensors)) if feasible.accepts(each)]
     assert len(own) > 50
-    least = min(evaluator.expected_mse(own))
-    (found,) = evaluator.expected_mse([_opponent(built)])
+    least = min(exact_mse(evaluator, own))
+    (found,) = exact_mse(evaluator, [_opponent(built)])
     assert found <= least * 1.005
 
 
@@ -263,8 +264,8 @@ def test_with_more_sets_than_are_filtered_it_is_as_good_as_all_pairs_of_ends() -
     built = _built(1, 120, measurement_budget=10)
     ends = ((a, b) for a in range(121) for b in range(a + 9, 121))
     own = {tuple(np.linspace(*each, 10).round().astype(int).tolist()) for each in ends}
-    least = min(built.evaluator.expected_mse([*own]))
-    (found,) = built.evaluator.expected_mse([_opponent(built)])
+    least = min(exact_mse(built.evaluator, [*own]))
+    (found,) = exact_mse(built.evaluator, [_opponent(built)])
     assert found <= least * (1 + 1e-9)
 
 
@@ -277,8 +278,8 @@ def test_a_season_of_working_days_without_its_holidays() -> None:
         forbidden=["2027-04-12..2027-04-18"],
     )  # fmt: skip
     built = build(problem.job(seed=1).with_changes(sections=searched_by(DEFAULT_METHOD)))
-    least = min(built.evaluator.expected_mse([*dict.fromkeys(_around(built.job, 5))]))
-    (found,) = built.evaluator.expected_mse([_opponent(built)])
+    least = min(exact_mse(built.evaluator, [*dict.fromkeys(_around(built.job, 5))]))
+    (found,) = exact_mse(built.evaluator, [_opponent(built)])
     assert found <= least * (1 + 1e-9)
 
 
@@ -340,7 +341,7 @@ def test_no_plan_is_clearly_worse_than_its_opponent(
     sensors = {"a": {"price": 1}, "b": {"price": 3}}
     exact = _built(3, 12, sensors, total_price=9)
     sets = exact.feasible.random(100, np.random.default_rng(1))
-    errors = exact.evaluator.expected_mse(sets)
+    errors = exact_mse(exact.evaluator, sets)
     poor = sets[int(np.argmax(errors))]
 
     def found(session: Any, search: Any, others: Any) -> Any:
@@ -360,7 +361,7 @@ def test_no_plan_is_clearly_worse_than_its_opponent(
     )  # fmt: skip
     read = exact.job.problem.points.read
     plan, opponent = (read(run.sets[name]) for name in (DEFAULT_METHOD, "evenly_spaced"))
-    error_of_plan, error_of_opponent = exact.evaluator.expected_mse([plan, opponent])
+    error_of_plan, error_of_opponent = exact_mse(exact.evaluator, [plan, opponent])
     assert error_of_plan <= error_of_opponent < max(errors)
 
 
@@ -373,7 +374,7 @@ def test_intervals_contain_the_gain_over_the_true_best(tmp_path: Path) -> None:
     """
     exact, contained, halves = _built(3, 12, measurement_budget=4), 0, list[float]()
     evaluator = exact.evaluator
-    least = min(evaluator.expected_mse([*_free(exact.job, 4)]))
+    least = min(exact_mse(evaluator, [*_free(exact.job, 4)]))
     problem = pfdist.Problem(_model(3, 12), horizon=12, measurement_budget=4, particles=100)
     for seed in range(1, 101):
         changes = [f"seed={seed}", "comparison.draws=1000"]
@@ -382,7 +383,7 @@ def test_intervals_contain_the_gain_over_the_true_best(tmp_path: Path) -> None:
             pool="serial",
         )  # fmt: skip
         row = run.table("sets").set_index("label").loc["plan"]
-        (plan,) = evaluator.expected_mse([tuple(row["measurement_times"])])
+        (plan,) = exact_mse(evaluator, [tuple(row["measurement_times"])])
         low, high = row["gain_of_means_low"], row["gain_of_means_high"]
         contained += low <= 1 - plan / least <= high
         halves.append((high - low) / 2)

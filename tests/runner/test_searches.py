@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import Estimation
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.sections import DEFAULT_METHOD, Execution
@@ -46,7 +47,7 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
     built, store = build(load_job(folder / "job.toml")), Store(folder / "run")
     complete(drive(RunSession(built, store)), make_pool(Execution(pool="serial")))
     sets = store.compared_sets()
-    return dict(zip(sets, built.evaluator.expected_mse(list(sets.values())), strict=True))
+    return dict(zip(sets, exact_mse(built.evaluator, list(sets.values())), strict=True))
 
 
 @pytest.mark.parametrize(("method", "draws"), [("relaxation", 48), ("exchange", 30)])

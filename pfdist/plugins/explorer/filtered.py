@@ -16,6 +16,7 @@ from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import rounded
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.exact import exact_mse, exact_over_time
 from pfdist.filters.work import BLOCK, Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.results.moments import Pairs
@@ -90,7 +91,7 @@ class FilteredSets:
 
     def _computed(self, times: Times, first: int, end: int) -> SetErrors:
         evaluator = self._evaluator
-        exact = evaluator.exact_over_time(times, self._built.job.criterion)
+        exact = exact_over_time(evaluator, times, self._built.job.criterion)
         if exact is not None:
             return SetErrors(np.empty(0), np.empty(0, np.bool_), exact[..., None])
         draws = (first, end)
@@ -118,7 +119,7 @@ class FilteredSets:
     def evaluation(self, times: Times, errors: SetErrors) -> Evaluation:
         """The evaluation of a set from its errors on these draws."""
         criterion = self._built.job.criterion
-        exact = self._evaluator.expected_mse([times], criterion=criterion)
+        exact = exact_mse(self._evaluator, [times], criterion=criterion)
         return Evaluation(
             times,
             errors.mse,

@@ -19,6 +19,7 @@ from pfdist.common.estimate import Interval
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.exact import exact_by_instant, exact_mse
 from pfdist.filters.work import FilterWork, Result, ranges_of_draws
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
@@ -85,7 +86,7 @@ def worth_of(
 def _ranges(session: RunSession, work: FilterWork) -> Generator[WorkBatch, None, list[Range]]:
     """The errors of the sets of a work at each instant, over ranges of draws."""
     evaluator, (_, draws), ranges = session.built.evaluator, work.draws, list[Range]()
-    exact = evaluator.expected_errors(work.measurement_times)
+    exact = exact_by_instant(evaluator, work.measurement_times)
     if exact is not None:
         return [Range(0, 0, exact)]
     work = replace(work, over_time=longest_range(draws))
@@ -140,7 +141,7 @@ def _means(
     evaluator, reporter = session.built.evaluator, session.reporter
     instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
     degenerate, largest = np.zeros(instants, np.int64), 0.0
-    exact = evaluator.expected_mse(work.measurement_times, work.ends)
+    exact = exact_mse(evaluator, work.measurement_times, work.ends)
     if exact is not None:
         reporter.reach(start + 1, evaluations=draws)
         (means,) = _columns(exact[None, instants - 1 :]).tolist()
@@ -188,7 +189,7 @@ def _judged(
     """The evaluation of each set by a criterion other than the expected MSE."""
     built, form = session.built, session.built.job.criterion
     evaluator, weights = built.evaluator, built.evaluator.relative_weights
-    exact = evaluator.expected_mse(sets, criterion=form)
+    exact = exact_mse(evaluator, sets, criterion=form)
     if exact is not None:
         return [*map(Evaluation.exactly, sets, exact.tolist(), repeat(form))]
     work = replace(_work(session, name, sets, draws), estimation=deciding_of(built.job))
@@ -290,7 +291,7 @@ def _rows(
         rises = [each.difference(judged[0]).times(unit) for each in judged]
         return [_row(e.value, e.standard_error, e.interval(TWO_SIDED)) for e in rises]
     work = _work(session, name, sets, draws)
-    exact = evaluator.expected_mse(work.measurement_times, work.ends)
+    exact = exact_mse(evaluator, work.measurement_times, work.ends)
     if exact is not None:
         mse_unmoved, *_ = exact
         loss = (exact - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan + exact
