@@ -54,7 +54,7 @@ class Counting:
     def __init__(self, pool: Pool) -> None:
         self._pool, self.workers, self.steps = pool, pool.workers, 0
 
-    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Give the outcomes as they come."""
         for outcome in self._pool.run(tasks):
             if any(table in outcome.task.key for table in _TABLES):

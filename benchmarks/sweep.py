@@ -31,7 +31,7 @@ _outcomes: list[tuple[float, float]] = []  # when each came, and the seconds of 
 _run = ThreadPool.run
 
 
-def _recorded(pool: ThreadPool, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+def _recorded(pool: ThreadPool, tasks: Iterable[Task]) -> Iterator[Outcome]:
     """Record the outcomes of `ThreadPool.run` with the time at which they come."""
     for outcome in _run(pool, tasks):
         _outcomes.append((perf_counter(), outcome.seconds))

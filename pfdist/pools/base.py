@@ -18,7 +18,6 @@ Function = Callable[[Any], Any]
 PATIENCE_SECONDS = 15.0
 PATIENCE_TIMES = 20
 WAIT_SECONDS = 0.2  # for an answer, before the pool looks whether a signal was received
-PAUSE_SECONDS = 0.01  # before the pool asks for tasks again, if there were none
 STILL_SECONDS = 5.0  # between two looks: after longer, this process itself was stopped or busy
 
 
@@ -56,11 +55,6 @@ class Outcome:
     refused: bool = False  # whether no worker can make the function; `error` says why
 
 
-def pause(task: object) -> float:
-    """Seconds to wait before the pool asks for tasks again; None: it was given no task."""
-    return PAUSE_SECONDS if task is None else WAIT_SECONDS
-
-
 class Silence:
     """Seconds without an answer, not counting those in which this process was suspended."""
 
@@ -85,12 +79,8 @@ class Pool(AbstractContextManager["Pool"], Protocol):
 
     workers: int
 
-    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
-        """Yield the outcomes in any order; tasks are taken from the iterable only as needed.
-
-        None instead of a task means that there is none now. The pool asks again while a task is in
-        flight, and ends when none is.
-        """
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+        """Yield the outcomes in any order; tasks are taken from the iterable only as needed."""
 
 
 def do(function: Function, work: Any) -> tuple[Any, float, str, str, str | None]:
@@ -116,10 +106,8 @@ class SerialPool:
     def __exit__(self, *_: object) -> None:
         pass
 
-    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Yield the outcomes of the tasks, which run one after another."""
         for task in tasks:
-            if task is None:  # no task is in flight that could bring another
-                return
             check()
             yield Outcome(task, *do(task.function, task.work))

@@ -11,12 +11,13 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
+from itertools import islice
 from types import ModuleType
 from typing import Any, Self
 
 from pfdist.common.stopping import check
 from pfdist.errors import PoolError
-from pfdist.pools.base import Outcome, Silence, Task, patience, pause
+from pfdist.pools.base import WAIT_SECONDS, Outcome, Silence, Task, patience
 from pfdist.pools.cores import usable_cores
 from pfdist.pools.workers import (
     FUNCTIONS,
@@ -30,7 +31,6 @@ from pfdist.pools.workers import (
 
 _SPAWN = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
 _IGNORED = (signal.SIGHUP, signal.SIGINT, signal.SIGUSR1, signal.SIGUSR2)
-_END = object()  # there are no more tasks
 
 
 class ProcessPool:
@@ -51,7 +51,7 @@ class ProcessPool:
     def __exit__(self, *_: object) -> None:
         self._processes.end()
 
-    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Yield the outcomes in any order, with two tasks for each process in flight.
 
         Raises `PoolError` if no process can start, and `SilenceError` if none answers.
@@ -59,15 +59,13 @@ class ProcessPool:
         todo, in_flight, suspects = iter(tasks), dict[Future[Answer], Sent](), list[Task]()
         silence = Silence()
         while True:
-            task: object = _END
-            while len(in_flight) < (1 if suspects else 2 * self.workers):
-                task = suspects[0] if suspects else next(todo, _END)
-                if not isinstance(task, Task):
-                    break
+            handed = suspects if suspects else todo
+            room = (1 if suspects else 2 * self.workers) - len(in_flight)
+            for task in islice(handed, max(0, room)):
                 in_flight[self._submit(task)] = Sent(task, time.monotonic())
             if not in_flight:
                 return
-            done, _ = wait(in_flight, pause(task), FIRST_COMPLETED)
+            done, _ = wait(in_flight, WAIT_SECONDS, FIRST_COMPLETED)
             lost, has_begun = list[Sent](), False
             for each in done:
                 check()

@@ -8,13 +8,14 @@ import time
 from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache
 from importlib import metadata
+from itertools import islice
 from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Any, Self
 
 from pfdist.common.stopping import check, sleep
 from pfdist.errors import PoolError, SilenceError
-from pfdist.pools.base import PAUSE_SECONDS, Function, Outcome, Silence, Task, patience, pause
+from pfdist.pools.base import WAIT_SECONDS, Function, Outcome, Silence, Task, patience
 from pfdist.pools.ray_cluster import connected, is_own, load_ray, reason
 from pfdist.pools.workers import (
     FUNCTIONS,
@@ -30,7 +31,7 @@ RETRIES = 3  # of a task whose worker died
 LEAST_IN_FLIGHT = 16  # tasks, also on a cluster that has no cores yet, so that it gets some
 LOST_SECONDS = 30.0  # Ray ends this process when its head has not answered for 60 s
 LOOK_SECONDS = 3.0  # between two looks at the number of cores
-_END = object()  # there are no more tasks
+_PAUSE_SECONDS = 0.01  # before the pool looks again for its first cores
 
 
 class RayPool:
@@ -50,7 +51,7 @@ class RayPool:
         with contextlib.ExitStack() as stack:
             stack.enter_context(connected(self._address, self._demanded))
             while self._cores.look() < 0:
-                sleep(PAUSE_SECONDS)
+                sleep(_PAUSE_SECONDS)
             self._count_workers()
             self._stack = stack.pop_all()
         return self
@@ -63,7 +64,7 @@ class RayPool:
     ) -> None:
         self._stack.__exit__(kind, error, traceback)
 
-    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Yield the outcomes in any order, with a bounded number in flight.
 
         Raises `PoolError` if a node has another version of pfdist, and `SilenceError` if the
@@ -72,11 +73,7 @@ class RayPool:
         todo, in_flight, silence, remote = iter(tasks), dict[Any, Sent](), Silence(), _remote()
         answers: SimpleQueue[Any] = SimpleQueue()
         while True:
-            task: object = _END
-            while len(in_flight) < self._most_in_flight:
-                task = next(todo, _END)
-                if not isinstance(task, Task):
-                    break
+            for task in islice(todo, max(0, self._most_in_flight - len(in_flight))):
                 key, content = self._stored(task.function)
                 work, most = pickle.dumps(task.work), patience(task.seconds)
                 call = remote.remote(key, content, work, most).future()
@@ -86,7 +83,7 @@ class RayPool:
                 return
             check()
             try:
-                call = answers.get(timeout=pause(task))
+                call = answers.get(timeout=WAIT_SECONDS)
             except Empty:
                 silence.check(silence_limit(in_flight.values()))
             else:

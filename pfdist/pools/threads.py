@@ -5,6 +5,7 @@ import sys
 import time
 import warnings
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Self
@@ -21,8 +22,6 @@ _LEAVE_SECONDS = 0.5
 # A thread that has filtered waits so long for Python's lock while the driver computes. By default
 # Python lets it wait for 5 ms, several times a task.
 _SWITCH_SECONDS = 0.0005
-_END = object()  # there are no more tasks
-_BUSY = object()  # no thread was free to take another task
 
 
 class ThreadPool:
@@ -54,23 +53,19 @@ class ThreadPool:
         for thread in threads:
             thread.join(max(0.0, deadline - time.monotonic()))
 
-    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Yield the outcomes as threads finish tasks, with a bounded number in flight."""
         self._forget_tasks()  # an earlier run may have been broken off
         todo, answers, in_flight = iter(tasks), SimpleQueue[Outcome](), 0
         while True:
-            task: object = _BUSY
-            while in_flight < IN_FLIGHT * self.workers:
-                task = next(todo, _END)
-                if not isinstance(task, Task):
-                    break
+            for task in islice(todo, IN_FLIGHT * self.workers - in_flight):
                 self._todo.put((task, answers))
                 in_flight += 1
             if not in_flight:
                 return
             check()
             try:
-                outcome = answers.get(timeout=base.pause(task))
+                outcome = answers.get(timeout=base.WAIT_SECONDS)
             except Empty:
                 self._warn_of_long_tasks()
             else:

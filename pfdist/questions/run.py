@@ -24,7 +24,7 @@ from pfdist.results.sets import publish_sets
 from pfdist.results.stored_run import measured_of, problem_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
-from pfdist.runner.door import RunSession, WorkBatch, complete
+from pfdist.runner.door import RunSession, WorkBatch, complete, lent_by
 from pfdist.runner.driver import core_steps, drive, looks, prover_of
 from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
 from pfdist.runner.identity import is_sealed, opened
@@ -169,7 +169,7 @@ def run_built(
 
         pool = at_work(built.job.execution, [built.evaluator.engine], say)
         try:
-            run: Run = complete(driver(), pool, lenders).result()
+            run: Run = complete(driver(), pool, lent_by(lenders)).result()
         finally:
             record_pages(path, made, locked=True)
     return run

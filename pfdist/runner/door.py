@@ -1,12 +1,12 @@
-"""The one door for numbers, and the loop that serves it.
+"""The one door for numbers, and the loop that serves a driver.
 
 A driver is a generator: it yields a `WorkBatch` of works and resumes when all results are there.
 Searches, the comparison, block sums, the worth of measurements, online draws and the proof get
-every number in this way. One loop serves one driver, or the points of a sweep side by side.
+every number in this way.
 
 The steps of a batch, in this order, and the cost of a kill at each:
 
-1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
+1. Each work is looked up: in the tables of its own run, then in those of other runs.
    Nothing is computed yet, so a kill costs nothing.
 2. Missing works are cut into tasks of about 0.3 s, with hundreds of workers up to 2 s; the first
    tasks have one draw. A worker holds one or two tasks, which are lost with it.
@@ -36,12 +36,12 @@ a table is complete. Estimations that the evaluator does not name are compiled w
 import contextlib
 import time
 import uuid
-from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
-from itertools import chain
-from typing import Any, Literal, NamedTuple, Protocol
+from functools import cache, partial
+from types import MappingProxyType
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -51,7 +51,7 @@ from pfdist.common.stopping import check
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PfdistError, PoolError, TaskError
 from pfdist.filters.work import FilterWork, Result, sum_of_draws, whole_block
-from pfdist.pools.base import Function, Outcome, Pool, Task
+from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
 from pfdist.runner.progress import Reporter, Say, Show
@@ -120,18 +120,7 @@ class WorkBatch:
         self.session, self.phase, self.works = session, phase, list(works)
         self.row_format, self._part = row_format, part
         self._learn, self._more_follows = learn, more_follows
-        # Tasks are cut one at a time, so each is as long as the speed that was learnt so far
-        # allows. One is cut ahead: so the batch knows whether a task is left.
-        self._cuts: Iterator[_Cut] = iter(())
-        self._next: _Cut | None = None
-        self._again: deque[_Cut] = deque()  # failed tasks
-        self._in_flight = 0
         self._open = dict[Any, _Block]()  # unfinished blocks of sums, by the ids and the block
-
-    @property
-    def is_computed(self) -> bool:
-        """Whether no task is left."""
-        return not (self._next is not None or self._again or self._in_flight)
 
     def learn(self, work: FilterWork, result: Result) -> None:
         """Hand a result to the driver; draws of a block of sums wait until the block is whole."""
@@ -147,45 +136,46 @@ class WorkBatch:
             self.keep(work, result)
         self._learn(work, result)
 
-    def add(self, works: list[FilterWork], workers: int, *, is_shared: bool) -> None:
-        """Add works to be computed, which are cut into tasks."""
-        pace = self.session.pace(workers, is_shared=is_shared)
-        table = self.row_format.table if self.row_format is not None else self.phase
-        results = self.session.built.evaluator.results
-        self._cuts = chain(self._cuts, _cuts(table, results, works, pace))
-        self._next = self._next or next(self._cuts, None)
-
-    def next_cut(self) -> "_Cut | None":
-        """The next task, or None; failed tasks run again after all others."""
-        cut = self._next or (self._again.popleft() if self._again else None)
-        self._next = next(self._cuts, None)
-        self._in_flight += cut is not None
-        return cut
-
-    def take(self, cut: "_Cut", outcome: Outcome) -> None:
-        """Take the outcome of a task: the rows wait for a commit, the driver learns the results.
+    def compute(self, works: list[FilterWork], pool: Pool) -> None:
+        """Compute works in tasks; those that fail run again after all others.
 
         Raises `ModelError` if a worker cannot load the models, and `TaskError` if too many tasks
         failed.
         """
-        session = self.session
-        self._in_flight -= 1
-        steps = 0 if outcome.error is not None else session.counted(cut.task.work, outcome.value)
+        # Tasks are cut one at a time, so each is as long as the speed learnt so far allows.
+        tasks = self._tasks(works, self.session.pace(pool.workers))
+        while failed := [each.task for each in pool.run(tasks) if not self._take(each)]:
+            tasks = iter(failed)
+
+    def _tasks(self, works: list[FilterWork], pace: Pace) -> Iterator[Task]:
+        table = self.row_format.table if self.row_format is not None else self.phase
+        results = self.session.built.evaluator.results
+        for bundle in bundles(works, pace.size, pace.expected, pace.least_draws):
+            key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
+            yield Task(key, results, bundle.works, pace.expected(bundle.steps))
+
+    def _take(self, outcome: Outcome) -> bool:
+        """Take the outcome of a task, and say whether it has results.
+
+        The rows wait for a commit, and the driver learns the results.
+        """
+        session, works = self.session, outcome.task.work
+        steps = 0 if outcome.error is not None else session.counted(works, outcome.value)
         if self.row_format is not None or self.phase in QUESTIONS:  # failed tasks, too
             session.note(self.phase, outcome, self._part, steps)
         session.done[self._part] += steps
         if outcome.error is not None:
             if outcome.refused:
                 raise ModelError(outcome.error)
-            self._again.append(cut)
             session.count_failure(self.phase, outcome.error)
-            return
-        session.learn_pace(cut.steps, outcome.seconds)
+            return False
+        session.learn_pace(sum(work.steps for work in works), outcome.seconds)
         # The commit comes last, so it has the rows of the whole task.
-        for work, result in zip(cut.task.work, outcome.value, strict=True):
+        for work, result in zip(works, outcome.value, strict=True):
             self.keep(work, result)
             self.learn(work, result)
         session.commit_if_late()
+        return True
 
     def keep(self, work: FilterWork, result: Result) -> None:
         """Keep the rows of a result for the next commit."""
@@ -213,20 +203,6 @@ class _Block:
             following = self._waiting.pop(self.end)
             self.total = sum_of_draws([self.total, following] if self.total.size else [following])
             self.end += 1
-
-
-class _Cut(NamedTuple):
-    """A task, and its particle-steps."""
-
-    task: Task
-    steps: int
-
-
-def _cuts(table: str, function: Function, works: list[FilterWork], pace: Pace) -> Iterator[_Cut]:
-    for bundle in bundles(works, pace.size, pace.expected, pace.least_draws):
-        key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
-        task = Task(key, function, bundle.works, pace.expected(bundle.steps))
-        yield _Cut(task, bundle.steps)
 
 
 Driver = Generator[WorkBatch, None, Any]
@@ -296,12 +272,12 @@ class RunSession:
             self._held[table] = self.store.has(table)
         return self._held[table]
 
-    def pace(self, workers: int, *, is_shared: bool) -> Pace:
+    def pace(self, workers: int) -> Pace:
         """The speed of the workers, estimated from all tasks of this session."""
         if self._pace is None:
             engine, guess = self.built.evaluator.computed_by, self.built.evaluator.seconds_a_step
             least = engine.least_draws
-            self._pace = Pace(guess, workers, is_shared=is_shared, least_draws=least)
+            self._pace = Pace(guess, workers, least_draws=least)
         return self._pace
 
     def learn_pace(self, steps: int, seconds: float) -> None:
@@ -375,171 +351,95 @@ class RunSession:
         return pa.Table.from_pylist(rows, schema=schema("timings"))
 
 
-class Loop:
-    """The loop that serves drivers: it hands out their tasks, those of the first driver first.
+def complete(
+    driver: Driver,
+    pool: contextlib.AbstractContextManager[Pool],
+    lent: Mapping[str, Store] = MappingProxyType({}),
+) -> Any:
+    """The value of a driver, with a pool that is left when the driver has ended; see `serve`."""
+    with entered_late(pool) as workers:
+        return serve(driver, workers, lent)
 
-    The pool is entered with the first task, and left when all drivers have ended. At most `at_once`
-    drivers are at work at the same time. If there may be several, they use evaluations from each
-    other's tables. All drivers also use evaluations from the tables of the lenders.
+
+@contextlib.contextmanager
+def entered_late(pool: contextlib.AbstractContextManager[Pool]) -> Iterator[Callable[[], Pool]]:
+    """A function that gives the pool, which is entered by the first call and left at the end."""
+    with contextlib.ExitStack() as stack:
+        yield cache(lambda: stack.enter_context(pool))
+
+
+def lent_by(stores: Iterable[Store]) -> dict[str, Store]:
+    """The store that has an evaluation, by its id; the first store goes first."""
+    return {id_: store for store in reversed([*stores]) for id_ in store.evaluations()}
+
+
+def serve(driver: Driver, workers: Callable[[], Pool], lent: Mapping[str, Store]) -> Any:
+    """The value of a driver, which gets the results of each batch that it yields.
+
+    `workers` gives the pool, if there are tasks. `lent` has the stores of other runs, by the ids of
+    evaluations that are taken from them. Whatever error the driver or the pool raises, the driver
+    is closed: it commits its rows while its folder is still locked.
     """
-
-    def __init__(
-        self,
-        pool: contextlib.AbstractContextManager[Pool],
-        at_once: int = 1,
-        lenders: Iterable[Store] = (),
-    ) -> None:
-        self._to_enter, self._at_once = pool, at_once
-        self._stack = contextlib.ExitStack()
-        self._pool: Pool | None = None
-        self._ranks: dict[Driver, int] = {}
-        self._batches: dict[Driver, WorkBatch] = {}  # the first driver first
-        self._sent: dict[
-            str, tuple[Driver, WorkBatch, _Cut]
-        ] = {}  # tasks of the pool, by their keys
-        self._count = 0
-        # The store that has an evaluation, by its id; the first lender goes first.
-        self._stores = {id_: store for store in reversed([*lenders]) for id_ in store.evaluations()}
-        self._ready: dict[Driver, Exception | None] = {}  # drivers that go on next
-        self._values: list[Any] = []
-
-    def serve(self, drivers: Iterable[Driver | None]) -> list[Any]:
-        """Serve drivers until they end; return their values in the order in which they end.
-
-        None instead of a driver means that another driver must end before the next can begin. If a
-        driver or the pool raises an error, all drivers are closed first: each commits its rows.
-        """
-        todo = iter(drivers)
-        # After each outcome, drivers that have all results go on at once. Their next tasks are
-        # there before the pool asks for one. Drivers are closed before the pool is left.
-        with self._stack:
-            try:
-                self._advance(todo)
-                while self._batches:
-                    for outcome in self._entered().run(self._tasks()):
-                        self._take(outcome)
-                        self._advance(todo)
-            finally:
-                for driver in list(self._batches):
-                    driver.close()
-        return self._values
-
-    def _entered(self) -> Pool:
-        if self._pool is None:
-            self._pool = self._stack.enter_context(self._to_enter)
-        return self._pool
-
-    def _advance(self, todo: Iterator[Driver | None]) -> None:
-        """Let all drivers go on that can, and start others as long as few are at work."""
+    error: PfdistError | None = None
+    with contextlib.closing(driver):
         while True:
-            if self._ready:
-                driver = next(iter(self._ready))
-                self._go_on(driver, self._ready.pop(driver))
-            elif len(self._batches) < self._at_once and (new := next(todo, None)) is not None:
-                self._go_on(new)
-            else:
-                return
-
-    def _go_on(self, driver: Driver, error: Exception | None = None) -> None:
-        """Let a driver go on until a batch of it lacks results, or it ends.
-
-        The ended batch commits its rows before the driver goes on, because the driver may publish
-        them.
-        """
-        batch = self._batches.pop(driver, None)
-        try:
-            while True:
-                check()
-                if batch is not None:
-                    error = error or _error_of(partial(self._end, batch))
+            check()
+            try:
                 batch = next(driver) if error is None else driver.throw(error)
-                error = _error_of(partial(self._look_up, batch))
-                if error is None and not batch.is_computed:
-                    # The driver gets its old place back: tasks of the first driver go first.
-                    rank = self._ranks.setdefault(driver, len(self._ranks))
-                    before = [each for each in self._batches if self._ranks[each] < rank]
-                    first = {each: self._batches[each] for each in before}
-                    self._batches = first | {driver: batch} | self._batches
-                    return
-        except StopIteration as end:
-            self._values.append(end.value)
-        except BaseException:
-            driver.close()  # it commits its rows while its folder is still locked
-            raise
+            except StopIteration as end:
+                return end.value
+            error = _error_of(partial(_complete, batch, workers, lent))
 
-    def _tasks(self) -> Iterator[Task | None]:
-        """Yield the next task of the first driver that has one; None if one may have one soon."""
-        while self._batches:
-            for driver, batch in self._batches.items():
-                if (cut := batch.next_cut()) is not None:
-                    self._count += 1
-                    key = f"{self._count}:{cut.task.key}"
-                    self._sent[key] = driver, batch, cut
-                    yield replace(cut.task, key=key)
-                    break
-            else:
-                if self._at_once == 1:  # the pool ends with the tasks in flight
-                    return
-                yield None
 
-    def _take(self, outcome: Outcome) -> None:
-        """Let a batch learn from an outcome; its driver goes on if the batch lacks nothing more."""
-        driver, batch, cut = self._sent.pop(outcome.task.key)
-        if self._batches.get(driver) is not batch:
-            return  # the driver ended with an error before this one came
-        error = _error_of(partial(batch.take, cut, replace(outcome, task=cut.task)))
-        if error is None and not batch.is_computed:
-            return
-        self._ready[driver] = error
+def _complete(batch: WorkBatch, workers: Callable[[], Pool], lent: Mapping[str, Store]) -> None:
+    """Give a batch the results of all its works: stored ones, those of other runs, and new ones."""
+    works, row_format, session = batch.works, batch.row_format, batch.session
+    if row_format is not None:
+        if session.held(row_format.table):
+            works = _learnt(batch, session.store, works)
+        if row_format.is_shared and lent:
+            works = _borrowed(batch, works, lent)
+    if works:
+        batch.compute(works, workers())
+    batch.end()
 
-    def _look_up(self, batch: WorkBatch) -> None:
-        """Let a batch learn the stored results of its works, and cut the other works into tasks."""
-        works, row_format, session = batch.works, batch.row_format, batch.session
-        if row_format is not None:
-            if session.held(row_format.table):
-                works = _learnt(batch, session.store, works)
-            if row_format.is_shared and self._stores:
-                works = self._borrowed(batch, works)
-        if works:
-            batch.add(works, self._entered().workers, is_shared=self._at_once > 1)
 
-    def _borrowed(self, batch: WorkBatch, works: list[FilterWork]) -> list[FilterWork]:
-        """The works that no other run has.
+def _borrowed(
+    batch: WorkBatch, works: list[FilterWork], lent: Mapping[str, Store]
+) -> list[FilterWork]:
+    """The works that no other run has.
 
-        Rows of another run are committed in this run, too: so its files do not depend on others.
-        """
-        by_store = defaultdict[Store | None, list[FilterWork]](list)
-        for work in works:
-            stores = [self._stores.get(id_) for id_ in work.ids[: 1 if work.summed else None]]
-            for store in dict.fromkeys(stores):
-                sets = [place for place, each in enumerate(stores) if each is store]
-                by_store[store].append(work if work.summed else work.part(work.draws, sets))
-        # A race asks for more draws of its own evaluations: its run does not have them.
-        lacking = [*by_store.pop(None, []), *by_store.pop(batch.session.store, [])]
-        for store, parts in by_store.items():
-            lacking += parts if store is None else _learnt(batch, store, parts, keep=True)
-        return lacking
-
-    def _end(self, batch: WorkBatch) -> None:
-        """Let a batch commit its rows; other runs find its evaluations from now on."""
-        batch.end()
-        if self._at_once > 1 and batch.row_format is not None and batch.row_format.is_shared:
-            ids = (id_ for work in batch.works for id_ in work.ids)
-            self._stores |= dict.fromkeys(ids, batch.session.store)
+    Rows of another run are committed in this run, too: so its files do not depend on others.
+    """
+    by_store = defaultdict[Store | None, list[FilterWork]](list)
+    for work in works:
+        stores = [lent.get(id_) for id_ in work.ids[: 1 if work.summed else None]]
+        for store in dict.fromkeys(stores):
+            sets = [place for place, each in enumerate(stores) if each is store]
+            by_store[store].append(work if work.summed else work.part(work.draws, sets))
+    lacking = by_store.pop(None, [])
+    for store, parts in by_store.items():
+        lacking += parts if store is None else _learnt(batch, store, parts, keep=True)
+    return lacking
 
 
 def _error_of(function: Callable[[], object]) -> PfdistError | None:
-    """The error with which a call ends, if it belongs to one driver and the others can go on.
+    """The error with which a call ends, if the driver may handle it.
 
-    A `PoolError` goes through: without workers, no driver can go on.
+    A `PoolError` goes through: without workers, no driver can continue.
     """
     try:
         function()
     except PfdistError as error:
-        if isinstance(error, PoolError) and not isinstance(error, TaskError):
+        if is_of_pool(error):
             raise
         return error
     return None
+
+
+def is_of_pool(error: PfdistError) -> bool:
+    """Whether no driver can continue, because no worker answers."""
+    return isinstance(error, PoolError) and not isinstance(error, TaskError)
 
 
 def _learnt(
@@ -554,13 +454,3 @@ def _learnt(
             batch.keep(work, result)
         batch.learn(work, result)
     return lacking
-
-
-def complete(
-    driver: Driver,
-    pool: contextlib.AbstractContextManager[Pool],
-    lenders: Iterable[Store] = (),
-) -> Any:
-    """The value of a single driver, which is served until it ends."""
-    (value,) = Loop(pool, lenders=lenders).serve([driver])
-    return value

@@ -4,8 +4,8 @@ Each task gets a share of the remaining work, so that all workers end together, 
 number and speed (Polychronopoulos, Kuck, "Guided self-scheduling: a practical scheduling scheme for
 parallel supercomputers", IEEE Transactions on Computers 36, 1987). A task takes at most a fraction
 of a second, because a kill loses unfinished tasks. It takes at least ten times what its transport
-costs; more where several runs share the workers. With hundreds of workers, tasks are longer, so
-that the driver can serve all workers meanwhile. The speed is estimated from finished tasks.
+costs. With hundreds of workers, tasks are longer, so that the driver can serve all workers
+meanwhile. The speed is estimated from finished tasks.
 """
 
 import math
@@ -17,7 +17,6 @@ from pfdist.filters.work import BLOCK, FilterWork
 
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
-LEAST_SHARED_SECONDS = 0.05  # for several runs: workers seldom wait for the last tasks of one
 SERVING_SECONDS = 0.001  # the share of the driver and of Ray in its process, for each task
 LONGEST_SECONDS = 2.0  # however many workers there are
 FIRST_SECONDS = 180.0  # that a draw may take while nothing is known of a model's speed
@@ -29,8 +28,8 @@ _SHARE = 2  # so many tasks for each worker: two are queued at each worker at an
 class Pace:
     """The seconds of a particle-step, estimated from finished tasks.
 
-    The initial seconds are a guess, unless `learnt` is true: then they were measured. `is_shared`
-    is whether other runs have tasks for the same workers. `least_draws` are those of a task.
+    The initial seconds are a guess, unless `learnt` is true: then they were measured. `least_draws`
+    are those of a task.
     """
 
     def __init__(
@@ -39,11 +38,9 @@ class Pace:
         workers: int,
         *,
         learnt: bool = False,
-        is_shared: bool = False,
         least_draws: int = 1,
     ) -> None:
         self.seconds, self._usual = seconds, _SLOWER * seconds
-        self._least_learnt = LEAST_SHARED_SECONDS if is_shared else LEAST_SECONDS
         self._workers, self._learnt, self.least_draws = workers, learnt, least_draws
 
     def learn(self, steps: int, seconds: float) -> None:
@@ -74,7 +71,7 @@ class Pace:
         # n tasks keep the driver busy for n * SERVING_SECONDS, and each takes seconds / n of its
         # worker: more workers than make both equal would wait for the driver.
         workers = min(self._workers, math.sqrt(seconds / SERVING_SECONDS))
-        least = max(self._least_learnt, SERVING_SECONDS * workers)
+        least = max(LEAST_SECONDS, SERVING_SECONDS * workers)
         most = min(LONGEST_SECONDS, max(MOST_SECONDS, 3 * SERVING_SECONDS * workers))
         share = seconds / (_SHARE * max(1, workers))
         return max(1, round(min(most, max(least, share)) / self.seconds))

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -11,30 +10,24 @@ from pfdist import StateSpaceModel
 from pfdist.errors import EngineWarning
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, FilterWork
-from pfdist.pools import threads
+from pfdist.pools import base, threads
 from pfdist.pools.base import Task
 from pfdist.pools.threads import ThreadPool
 
 
-def test_compiled_filters_release_pythons_lock(ungm: StateSpaceModel) -> None:
-    """Otherwise this thread stands still, and asks for no task, while another one filters."""
-    evaluator = Evaluator(ungm, 60)
+def test_compiled_filters_release_pythons_lock(
+    ungm: StateSpaceModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise this thread stands still, and sees no signal, while another one filters."""
+    evaluator, looks = Evaluator(ungm, 60), list[object]()
     work = FilterWork(((0, 30, 60),), (60,), (1,), 2, (0, 1000), Estimation(4000))
     evaluator.compile(work.estimation)
+    monkeypatch.setattr(base, "WAIT_SECONDS", 0.01)
     with ThreadPool(1) as pool:
-        task = Task("a", evaluator.filtered, work)
-        asked = 0
-
-        def tasks() -> Iterator[Task | None]:
-            nonlocal asked
-            yield task
-            while True:
-                asked += 1
-                yield None
-
-        (outcome,) = pool.run(tasks())
+        monkeypatch.setattr(pool, "_warn_of_long_tasks", lambda: looks.append(None))
+        (outcome,) = pool.run([Task("a", evaluator.filtered, work)])
     assert outcome.error is None
-    assert asked > 5
+    assert len(looks) > 5
 
 
 def test_nothing_ends_a_task_of_a_thread_but_a_warning_says_what_runs(

@@ -62,7 +62,7 @@ def test_a_run_commits_after_counted_work_and_later_after_five_times_as_much(
     tasks, commits = 0, list[int]()
     monkeypatch.setattr(session.store, "commit", lambda *_: commits.append(tasks))
     monkeypatch.setattr(door, "COMMIT_SECONDS", 1.0)
-    session.pace(2, is_shared=False)
+    session.pace(2)
     a_second = session._pace.in_seconds(door.COMMIT_SECONDS)
     rows = pa.table({"draw": [0]})
     while tasks < 30_000:
@@ -77,9 +77,9 @@ def test_a_run_commits_after_counted_work_and_later_after_five_times_as_much(
 
 
 def test_a_model_that_is_many_times_as_slow_commits_after_less_work(session: RunSession) -> None:
-    usual = session.pace(2, is_shared=False).in_seconds(1.0)
+    usual = session.pace(2).in_seconds(1.0)
     session.learn_pace(1000, 2.0)  # 2 ms a particle-step
-    assert session.pace(2, is_shared=False).in_seconds(1.0) < 1e-4 * usual
+    assert session.pace(2).in_seconds(1.0) < 1e-4 * usual
 
 
 def test_a_sweep_without_workers_ends_with_one_line(

@@ -13,7 +13,7 @@ from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import ArgumentError, SweepError
-from pfdist.plugins.sweep.points_at_work import PointsAtWork
+from pfdist.plugins.sweep.points_at_work import compute_points
 from pfdist.plugins.sweep.sweep_file import SweepJob, SweepPart, parts_that_pay, read_sweep
 from pfdist.plugins.sweep.sweep_points import Values
 from pfdist.problem.job import Job
@@ -30,7 +30,6 @@ from pfdist.results import Run, open_run, read_recorded
 from pfdist.results.columns import records_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import build, check_pool, say_model_files
-from pfdist.runner.door import Loop
 from pfdist.runner.driver import foreseen_steps
 from pfdist.runner.progress import Progress, Say, Show, silent
 from pfdist.store import holds_run, listed_pages
@@ -145,9 +144,9 @@ def sweep(
     """Run a job at every point of a sweep, or resume the sweep where it stopped.
 
     Every point is an ordinary run in its own folder, with the same bytes as if it were run alone.
-    All points share the workers, so that no worker idles while the last tasks of a point are done.
-    The first points go first. Evaluations that several points need are computed once. Points that
-    another process computes are left out, so several processes may share the points of a sweep.
+    Points are computed one after another, with the same workers. Evaluations that several points
+    need are computed once. Points that another process computes are left out, so several processes
+    may share the points of a sweep.
     The folder of the sweep gets the table of all runs in it, ``points.csv``, and one figure, that
     of `pfdist.plots.against`. With `report`, every run has a report. Runs get no other figures.
 
@@ -191,11 +190,9 @@ def sweep(
     own = sweep_job.part(part)
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files(own.jobs.values(), tell)
-        at_points = PointsAtWork(own, path, bound, show, tell)
         engines = [each.filter.engine for each in own.jobs.values()]
-        workers_at_work = at_work(sweep_job.execution, engines, tell)
-        Loop(workers_at_work, at_points.at_once, at_points.begun()).serve(at_points.drivers())
-        runs, failed, busy = at_points.points()
+        pool = at_work(sweep_job.execution, engines, tell)
+        runs, failed, busy = compute_points(own, path, bound, pool, show, tell)
         if chosen.has_report:
             for position, run in enumerate(runs.values(), 1):
                 if run.path / REPORT not in listed_pages(run.path):
