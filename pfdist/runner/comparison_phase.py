@@ -84,7 +84,7 @@ def run_comparison(
             sums = [
                 Range(*each, errors) for each, errors in zip(ranges, result.errors, strict=True)
             ]
-            session.keep(COMPARISON, RANGE_SUMS, _range_rows(piece.ids, sums))
+            session.keep_rows(COMPARISON, RANGE_SUMS, _range_rows(piece.ids, sums))
         columns = [pa.array(np.arange(*piece.draws))]
         columns += [pa.array(mse) for mse in piece.by_id(result).values()]
         columns += [pa.array(flags) for flags in piece.by_id(result, "degenerate").values()]
@@ -106,7 +106,7 @@ def run_comparison(
     if errors is not None:
         most = 0
         if not session.store.has(RANGE_SUMS):
-            session.keep(COMPARISON, RANGE_SUMS, _range_rows(work.ids, [Range(0, 0, errors)]))
+            session.keep_rows(COMPARISON, RANGE_SUMS, _range_rows(work.ids, [Range(0, 0, errors)]))
     work = replace(work, controlled=control, over_time=most)
     works = [work.part(draws_of_block) for draws_of_block in cut(range(draws), BLOCK)]
     # The batch commits its last rows before it ends, so publishing finds all draws. A kill while

@@ -122,7 +122,7 @@ class WorkBatch:
         self._learn, self._more_follows = learn, more_follows
         self._open = dict[Any, _Block]()  # unfinished blocks of sums, by the ids and the block
 
-    def learn(self, work: FilterWork, result: Result) -> None:
+    def receive(self, work: FilterWork, result: Result) -> None:
         """Hand a result to the driver; draws of a block of sums wait until the block is whole."""
         if work.is_part_of_block:
             draw, _ = work.draws
@@ -133,7 +133,7 @@ class WorkBatch:
                 return
             del self._open[work.ids, block]
             work, result = work.part(block), replace(result, sums=sums.total)
-            self.keep(work, result)
+            self.keep_result(work, result)
         self._learn(work, result)
 
     def compute(self, works: list[FilterWork], pool: Pool) -> None:
@@ -160,28 +160,28 @@ class WorkBatch:
         The rows wait for a commit, and the driver learns the results.
         """
         session, works = self.session, outcome.task.work
-        steps = 0 if outcome.error is not None else session.counted(works, outcome.value)
+        steps = 0 if outcome.error is not None else session.steps_of(works, outcome.value)
         if self.row_format is not None or self.phase in QUESTIONS:  # failed tasks, too
-            session.note(self.phase, outcome, self._part, steps)
+            session.keep_timing(self.phase, self._part, steps, outcome)
         session.done[self._part] += steps
         if outcome.error is not None:
             if outcome.refused:
                 raise ModelError(outcome.error)
             session.count_failure(self.phase, outcome.error)
             return False
-        session.learn_pace(sum(work.steps for work in works), outcome.seconds)
+        session.update_pace(sum(work.steps for work in works), outcome.seconds)
         # The commit comes last, so it has the rows of the whole task.
         for work, result in zip(works, outcome.value, strict=True):
-            self.keep(work, result)
-            self.learn(work, result)
+            self.keep_result(work, result)
+            self.receive(work, result)
         session.commit_if_late()
         return True
 
-    def keep(self, work: FilterWork, result: Result) -> None:
+    def keep_result(self, work: FilterWork, result: Result) -> None:
         """Keep the rows of a result for the next commit."""
         if self.row_format is not None:
             rows = self.row_format.rows(work, result)
-            self.session.keep(self.phase, self.row_format.table, rows)
+            self.session.keep_rows(self.phase, self.row_format.table, rows)
 
     def end(self) -> None:
         """Commit the waiting rows, unless more follow."""
@@ -228,29 +228,55 @@ class RunSession:
         # The table ``timings`` has those of all sessions.
         self.done = Counter[Part]()
         self._pace: Pace | None = None
-        self._held = dict[str, bool]()  # by table; see `held`
+        self._had_rows = dict[str, bool]()  # by table; see `had_rows`
         # Names of sessions sort in the order in which they started.
         self._name = f"{int(time.time()):08x}{uuid.uuid4().hex[:4]}"
         # Rows that wait for the next commit, by phase and table
         self.rows: dict[tuple[str, str], list[pa.Table]] = {}
-        self._outcomes: dict[str, list[tuple[Outcome, Part, int]]] = {}
+        self._timings: dict[str, list[dict[str, Any]]] = {}  # rows of the table, by phase
         self._exact = Counter[tuple[str, Part]]()  # instants that wait for the next commit
         self._later: list[Callable[[], None]] = []
         self._waiting = 0
         # The first programmes of phases, for later drivers: rows of this session are not looked up.
-        self.known = dict[str, Programme]()
+        self.programmes = dict[str, Programme]()
         self._steps = self._committed = 0  # particle-steps of all tasks, and at the last commit
 
-    def keep(self, phase: str, table: str, rows: pa.Table) -> None:
+    def keep_rows(self, phase: str, table: str, rows: pa.Table) -> None:
         """Keep rows for the next commit."""
         self.rows.setdefault((phase, table), []).append(rows)
         self._waiting += rows.num_rows
 
-    def note(self, phase: str, outcome: Outcome, part: Part, steps: int) -> None:
+    def keep_timing(self, phase: str, part: Part, steps: int, outcome: Outcome) -> None:
         """Keep the timing of a task, and what it has computed, for the next commit."""
-        self._outcomes.setdefault(phase, []).append((outcome, part, steps))
+        timed = outcome.seconds, outcome.worker, outcome.node, outcome.error
+        self._keep_timing(phase, part, steps, outcome.task.key, *timed)
 
-    def counted(self, works: Iterable[FilterWork], results: Iterable[Result]) -> int:
+    def _keep_timing(
+        self,
+        phase: str,
+        part: Part,
+        steps: int,
+        task: str,
+        seconds: float = 0.0,
+        worker: str = "",
+        node: str = "",
+        error: str | None = None,
+    ) -> None:
+        row = {
+            "phase": phase,
+            "task": task,
+            "session": self._name,
+            "seconds": seconds,
+            "worker": worker,
+            "node": node,
+            "failures": int(error is not None),
+            "error": error,
+            "part": part,
+            "particle_steps": steps,
+        }
+        self._timings.setdefault(phase, []).append(row)
+
+    def steps_of(self, works: Iterable[FilterWork], results: Iterable[Result]) -> int:
         """The particle-steps that works have taken; an exact filter has one particle."""
         has_particles = self.built.evaluator.has_particles
         return sum(
@@ -263,14 +289,14 @@ class RunSession:
         self.done[part] += instants
         self._exact[phase, part] += instants
 
-    def held(self, table: str) -> bool:
+    def had_rows(self, table: str) -> bool:
         """Whether the store had rows of a table when this session first needed them.
 
         Rows that this session commits itself are never looked up: no driver needs a result twice.
         """
-        if table not in self._held:
-            self._held[table] = self.store.has(table)
-        return self._held[table]
+        if table not in self._had_rows:
+            self._had_rows[table] = self.store.has(table)
+        return self._had_rows[table]
 
     def pace(self, workers: int) -> Pace:
         """The speed of the workers, estimated from all tasks of this session."""
@@ -280,11 +306,11 @@ class RunSession:
             self._pace = Pace(guess, workers, least_draws=least)
         return self._pace
 
-    def learn_pace(self, steps: int, seconds: float) -> None:
+    def update_pace(self, steps: int, seconds: float) -> None:
         """Update the speed with a task of so many particle-steps that took so many seconds."""
         self._steps += steps
         if self._pace is not None:
-            self._pace.learn(steps, seconds)
+            self._pace.update(steps, seconds)
 
     def count_failure(self, phase: str, error: str) -> None:
         """Count a task that failed, and raise a `TaskError` if too many have failed."""
@@ -319,36 +345,17 @@ class RunSession:
         later, self._later = self._later, []
         rows, self.rows, self._waiting = self.rows, {}, 0
         for (phase, part), instants in self._exact.items():
-            task = Task(f"exact:{part}:{self.done[part]}", len, ())
-            self.note(phase, Outcome(task, None, 0.0, "", ""), part, instants)
+            self._keep_timing(phase, part, instants, f"exact:{part}:{self.done[part]}")
         self._exact.clear()
-        outcomes, self._outcomes = self._outcomes, {}
+        timings, self._timings = self._timings, {}
         for phase, table in sorted(rows, key=lambda each: each[1] == EVALUATIONS):
             self.store.commit(table, phase, pa.concat_tables(rows[phase, table]))
-        for phase, done in outcomes.items():
-            self.store.commit("timings", phase, self._timings(phase, done))
+        for phase, done in timings.items():
+            self.store.commit("timings", phase, pa.Table.from_pylist(done, schema("timings")))
         with self.store.together():
             for write in later:
                 write()
         self._committed = self._steps
-
-    def _timings(self, phase: str, outcomes: list[tuple[Outcome, Part, int]]) -> pa.Table:
-        rows = [
-            {
-                "phase": phase,
-                "task": outcome.task.key,
-                "session": self._name,
-                "seconds": outcome.seconds,
-                "worker": outcome.worker,
-                "node": outcome.node,
-                "failures": int(outcome.error is not None),
-                "error": outcome.error,
-                "part": part,
-                "particle_steps": steps,
-            }
-            for outcome, part, steps in outcomes
-        ]
-        return pa.Table.from_pylist(rows, schema=schema("timings"))
 
 
 def complete(
@@ -395,7 +402,7 @@ def _complete(batch: WorkBatch, workers: Callable[[], Pool], lent: Mapping[str, 
     """Give a batch the results of all its works: stored ones, those of other runs, and new ones."""
     works, row_format, session = batch.works, batch.row_format, batch.session
     if row_format is not None:
-        if session.held(row_format.table):
+        if session.had_rows(row_format.table):
             works = _learnt(batch, session.store, works)
         if row_format.is_shared and lent:
             works = _borrowed(batch, works, lent)
@@ -451,6 +458,6 @@ def _learnt(
     lacking, stored = batch.row_format.look_up(store, works)
     for work, result in stored:
         if keep:
-            batch.keep(work, result)
-        batch.learn(work, result)
+            batch.keep_result(work, result)
+        batch.receive(work, result)
     return lacking

@@ -192,8 +192,8 @@ class EvenSearch:
         """The first programme of the relaxation; None if there is none, or it takes too long."""
         built, study = self.built, self.built.study
         phase, feasible = replace(self.phase, name=RANKING), study.widest
-        if phase.name in session.known:
-            return session.known[phase.name]
+        if phase.name in session.programmes:
+            return session.programmes[phase.name]
         if not built.job.criterion.additive or built.job.criterion.by_instant:
             return None
         blocks = _RANKING_DRAWS // BLOCK
@@ -215,7 +215,7 @@ class EvenSearch:
         if built.evaluator.lag and not np.isfinite(if_all).all():
             return None
         programme = Programme(relaxation, np.nan_to_num(errors, nan=np.inf), relaxation.total)
-        session.known[phase.name] = programme
+        session.programmes[phase.name] = programme
         return programme
 
     def _with(self, optimiser: Race | Refine, draws: int) -> Phase:

@@ -43,7 +43,7 @@ class Pace:
         self.seconds, self._usual = seconds, _SLOWER * seconds
         self._workers, self._learnt, self.least_draws = workers, learnt, least_draws
 
-    def learn(self, steps: int, seconds: float) -> None:
+    def update(self, steps: int, seconds: float) -> None:
         """Update the speed with a task of so many particle-steps that took so many seconds."""
         before = self.seconds if self._learnt else seconds / steps
         self.seconds, self._learnt = (before + seconds / steps) / 2, True

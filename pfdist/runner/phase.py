@@ -276,7 +276,7 @@ def run_phase(
         evaluations = record.evaluations
         if requests and generation not in committed:
             rows = evaluation_rows(name, generation, candidates, requests, evaluations)
-            session.keep(name, EVALUATIONS, rows)
+            session.keep_rows(name, EVALUATIONS, rows)
         in_order = [evaluations[candidate] for candidate in candidates]
         state, generation = optimiser.tell(state, in_order), generation + 1
         errors, best = _whole_errors(in_order), _whole_errors(optimiser.finalists(state))

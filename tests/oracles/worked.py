@@ -28,7 +28,7 @@ _KINDS = {
     open_plain.__code__: "files read",
     _flush.__code__: "flushes",
     Store.commit.__code__: "commits",
-    RunSession.learn_pace.__code__: "tasks",
+    RunSession.update_pace.__code__: "tasks",
 }
 _COMPILING = ("kernels loaded", "blocks compiled")
 
@@ -51,14 +51,14 @@ def worked(words):
                 counts[kind] += 1
                 compiling = frame if kind in _COMPILING else None
 
-    begin, learn = RunSession.__init__, Pace.learn
+    begin, update = RunSession.__init__, Pace.update
 
     def begun(session, *arguments):
         begin(session, *arguments)
         sessions.append(session)
 
     RunSession.__init__ = begun
-    Pace.learn = lambda pace, steps, seconds: learn(pace, steps, 1e-8 * steps)
+    Pace.update = lambda pace, steps, seconds: update(pace, steps, 1e-8 * steps)
     sys.setprofile(count)
     try:
         code = main(words)

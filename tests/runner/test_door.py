@@ -67,8 +67,8 @@ def test_a_run_commits_after_counted_work_and_later_after_five_times_as_much(
     rows = pa.table({"draw": [0]})
     while tasks < 30_000:
         tasks += 1
-        session.keep("phase", "draws", rows)
-        session.learn_pace(round(a_second / 10), busy * 0.1)
+        session.keep_rows("phase", "draws", rows)
+        session.update_pace(round(a_second / 10), busy * 0.1)
         session.commit_if_late()
     gaps = np.diff(commits)
     assert gaps[:50] == pytest.approx(10)
@@ -78,7 +78,7 @@ def test_a_run_commits_after_counted_work_and_later_after_five_times_as_much(
 
 def test_a_model_that_is_many_times_as_slow_commits_after_less_work(session: RunSession) -> None:
     usual = session.pace(2).in_seconds(1.0)
-    session.learn_pace(1000, 2.0)  # 2 ms a particle-step
+    session.update_pace(1000, 2.0)  # 2 ms a particle-step
     assert session.pace(2).in_seconds(1.0) < 1e-4 * usual
 
 

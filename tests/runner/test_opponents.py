@@ -78,7 +78,7 @@ def _built(seed: int, horizon: int, sensors: int | dict[str, Any] = 1, **problem
 def _opponent(built: Built) -> tuple[int, ...]:
     """The best evenly spaced set, by the driver of a run with an exact engine."""
     session: Any = SimpleNamespace(
-        built=built, known={}, count_exact=lambda *_: None, later=lambda _: None,
+        built=built, programmes={}, count_exact=lambda *_: None, later=lambda _: None,
         store=SimpleNamespace(settle=lambda *_: None),
     )  # fmt: skip
     driver = best_evenly_spaced(session, "evenly_spaced")

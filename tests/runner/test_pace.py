@@ -135,7 +135,7 @@ def test_more_workers_than_the_driver_can_serve_cost_no_time() -> None:
 def test_the_pace_is_learnt() -> None:
     pace = Pace(1.0, 2)
     for _ in range(40):
-        pace.learn(100, 0.2)
+        pace.update(100, 0.2)
     assert pace.seconds == pytest.approx(0.002)
     assert pace.size(10**9) == pytest.approx(MOST_SECONDS / 0.002)
     assert Pace(5.0, 2).size(100) == 1
@@ -153,7 +153,7 @@ def test_nothing_is_risked_on_a_first_guess() -> None:
         (piece,) = bundle.works
         assert seconds or (piece.draws == (0, 1) and patience(pace.expected(bundle.steps)) >= 3600)
         seconds.append(truth * bundle.steps)
-        pace.learn(bundle.steps, seconds[-1])
+        pace.update(bundle.steps, seconds[-1])
     assert max(seconds) <= MOST_SECONDS
 
 
