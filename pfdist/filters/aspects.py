@@ -92,7 +92,7 @@ class Aspect:
 
 
 class FilterTraits(Protocol):
-    """What the estimation of another error depends on; see `pfdist.filters.evaluator.Evaluator`."""
+    """All on which the estimation of another error depends; see `pfdist.filters.evaluator.Evaluator`."""
 
     @property
     def has_particle_loss(self) -> bool: ...  # noqa: D102

@@ -55,7 +55,7 @@ UNITS = {
     "runner/comparison_phase.py of_aspect": "draws: aspect.table",
     "runner/design.py linearized_of": "draws:",
     "runner/design.py design_of": "starts of one search:",
-    "runner/door.py _cuts": "hash:",
+    "runner/door.py WorkBatch._tasks": "hash:",
     "runner/driver.py online_work": "draws: name",
     "runner/evenly_spaced.py _Scan._judged": "draws: times",
     "runner/evenly_spaced.py _Scan._look": "draws:",
