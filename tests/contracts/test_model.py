@@ -114,7 +114,7 @@ def test_every_point_of_a_sweep_file_can_be_built(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The speed of the model is measured in tests of sweeps."""
-    monkeypatch.setattr("pfdist.plugins.sweep.question.seconds_a_step", lambda *_, **__: 1e-9)
+    monkeypatch.setattr("pfdist.questions.foreseen.seconds_a_step", lambda *_, **__: 1e-9)
     points = foreseen(path)
     assert len(points) > 1
     assert (points["steps"] > 0).all()

@@ -1,7 +1,7 @@
 // The page and the widget: times are moved by hand, and the error follows.
 //
 // All texts reach the page as text, never as markup. `connection` has start({open, message, lost})
-// and send(message); messages are those of pfdist.explorer.session.reply. A measurement is a number
+// and send(message); messages are those of pfdist.plugins.explorer.session.reply. A measurement is a number
 // m = t * S + sensor, as everywhere in the program.
 
 const LEFT = 46, RIGHT = 14, CHART = 230, LANE = 24, HEAD = 18, ROW = LANE + HEAD; // pixels

@@ -69,7 +69,7 @@ def server_of(session: ExplorerSession, token: str, port: int) -> uvicorn.Server
 
     def served(name: str) -> Any:
         async def send(_: Any) -> Response:
-            text = (files("pfdist.explorer") / (name or "explore.html")).read_text("utf-8")
+            text = (files("pfdist.plugins.explorer") / (name or "explore.html")).read_text("utf-8")
             return Response(text, media_type=_FILES[name], headers=_HEADERS)
 
         return send

@@ -43,7 +43,7 @@ def _widget_class() -> type[Any]:
         import anywidget  # noqa: PLC0415  an optional library
     except ModuleNotFoundError as error:
         raise MissingExtraError("explore", "explore", error.name) from error
-    folder = files("pfdist.explorer")
+    folder = files("pfdist.plugins.explorer")
 
     class Explorer(anywidget.AnyWidget):  # type: ignore[misc, unused-ignore]
         _esm = (folder / "explore.js").read_text("utf-8")
