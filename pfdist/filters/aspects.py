@@ -92,7 +92,7 @@ class Aspect:
 
 
 class FilterTraits(Protocol):
-    """All on which the estimation of another error depends; see `pfdist.filters.evaluator.Evaluator`."""
+    """Properties of `pfdist.filters.evaluator.Evaluator` on which another error depends."""
 
     @property
     def has_particle_loss(self) -> bool: ...  # noqa: D102
