@@ -96,7 +96,8 @@ def _way_in() -> dict[str, str]:
 
 
 def _first_examples(commands: Sequence[str]) -> dict[str, str]:
-    return dict(next(iter(COMMANDS[name].examples.items())) for name in commands)
+    known = (COMMANDS[name] for name in commands if name in COMMANDS)  # a plugin may be missing
+    return dict(next(iter(each.examples.items())) for each in known)
 
 
 def welcome() -> str:

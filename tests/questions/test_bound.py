@@ -126,7 +126,7 @@ def test_where_measurements_cost_money_it_lies_below_the_optimum(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text, costs = small_job.path.read_text(), [3 + t % 2 for t in range(13)]
-    priced = text.replace("measurement_budget = 4", f"total_price = 20\ncost = {costs}")
+    priced = text.replace("measurement_budget = 4", f"total_price = 20\nprice = {costs}")
     small_job.path.write_text(priced)
     job = load_job(small_job.path, [*QUICK, *EXACT])
     run, optimum = pfdist.run(job, tmp_path / "run", figures=False).path, _optimum(job)

@@ -16,7 +16,6 @@ from pfdist.questions.subject import ranges_of_times
 from pfdist.results.columns import Row, rows_of
 from pfdist.results.moments import controlled_mse
 from pfdist.runner.build import build
-from pfdist.store import EVEN_PHASE
 
 EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=2"]
 DRAWS = "comparison.draws=300"
@@ -123,16 +122,6 @@ def test_nothing_is_said_where_measurements_tell_nothing(small_job: Job, tmp_pat
     run = pfdist.plan(small_job, tmp_path / "run", changes=blind, figures=False)
     assert _plan(run).evenly_spaced is None  # undecided
     assert "evenly spaced measurements" not in str(answer_of(run))
-
-
-def test_a_table_of_an_earlier_version_says_nothing(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.plan(small_job, tmp_path / "run", changes=EXACT, figures=False)
-    rows = run._store.rows("evenly_spaced").drop_columns(["plan_mse"])
-    run._store.publish("evenly_spaced", EVEN_PHASE, [rows])
-    again = pfdist.open_run(run.path)
-    assert "plan_mse" not in again.table("evenly_spaced")
-    assert _plan(again).evenly_spaced is None
-    assert str(answer_of(again))
 
 
 def test_nothing_is_said_where_a_look_would_take_too_long(

@@ -99,16 +99,17 @@ def stopped() -> Callable[..., None]:
 @pytest.fixture
 def cut_short(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """``cut_short(phase, job, path, ...)``: a plan fails when a phase has got its first result."""
-    take = WorkBatch.take
+    take = WorkBatch._take
 
     def plan(phase: str, *arguments: Any, **options: Any) -> None:
-        def fail(self: WorkBatch, *result: Any) -> None:
-            take(self, *result)
+        def fail(self: WorkBatch, outcome: Any) -> bool:
+            is_done = take(self, outcome)
             if self.phase == phase:
                 raise TaskError("the lights went out", "")
+            return is_done
 
         with monkeypatch.context() as patch:
-            patch.setattr(WorkBatch, "take", fail)
+            patch.setattr(WorkBatch, "_take", fail)
             with pytest.raises(TaskError, match="the lights went out"):
                 pfdist.plan(*arguments, **options)
 

@@ -1,0 +1,68 @@
+"""A plugin is its folder and its line: without them, everything else stands."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from pfdist.common.plugins import plugins
+from pfdist.plugins import PLUGINS
+
+ROOT = Path(__file__).parents[2]
+COPIED = "pfdist", "jobs", "docs", "benchmarks", "tests", "pyproject.toml", "README.md"
+IMPORT_ALL = """
+import importlib, pkgutil, pfdist
+from pfdist.errors import MissingExtraError
+for each in pkgutil.walk_packages(pfdist.__path__, "pfdist."):
+    try:
+        if not each.name.endswith("__main__"):
+            importlib.import_module(each.name)
+    except MissingExtraError:
+        pass
+print(pfdist.__file__)
+"""
+
+
+def test_each_folder_is_in_the_list() -> None:
+    folders = {each.parent.name for each in (ROOT / "pfdist" / "plugins").glob("*/__init__.py")}
+    assert folders == {*PLUGINS}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLUGINS)
+def test_without_a_plugin_everything_else_stands(name: str, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for each in COPIED:
+        make = shutil.copytree if (ROOT / each).is_dir() else shutil.copy2
+        make(ROOT / each, copy / each)
+    environment = os.environ | {"PYTHONPATH": str(copy)}
+
+    def python(*words: str) -> str:
+        done = subprocess.run(
+            [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True,
+            check=False, timeout=900,
+        )  # fmt: skip
+        assert done.returncode == 0, (words, done.stdout[-2000:], done.stderr[-2000:])
+        return done.stdout
+
+    shutil.rmtree(copy / "pfdist" / "plugins" / name)
+    shutil.rmtree(copy / "tests" / "plugins" / name)
+    plugin_list = copy / "pfdist" / "plugins" / "__init__.py"
+    text = re.sub(rf'"{name}",? ?', "", plugin_list.read_text(encoding="utf-8"))
+    plugin_list.write_text(text, encoding="utf-8")
+    python("docs/tables.py")
+    assert str(copy) in python("-c", IMPORT_ALL)
+    shown = python("-m", "pfdist", "--help")
+    for commands in plugins()[name].commands.values():
+        assert not [each for each in commands if f"│ {each} " in shown]
+    python("-m", "pfdist", "plan", "jobs/quick.toml", "--results", "run", "--no-report")
+    if find_spec("importlinter") is None:
+        return  # it is part of the extra `dev`
+    linter = "from importlinter.cli import lint_imports_command as check; check()"
+    python("-c", linter)
