@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from pfdist.common.changes import change_of, effect, is_clear
 from pfdist.common.estimate import Estimate
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
-from pfdist.common.plugins import asked
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
@@ -48,6 +47,7 @@ from pfdist.questions.options import (
 from pfdist.questions.run_of_job import own_store, run_and_job
 from pfdist.questions.subject import mse_cell, number_of
 from pfdist.results import Run, finite
+from pfdist.results.online import online_errors
 from pfdist.results.pairs import pairs_table
 from pfdist.results.particle_loss import lost_text
 from pfdist.results.sets import recommended
@@ -408,10 +408,9 @@ def unit_of(model: StateSpaceModel) -> str:
 
 
 def _compared(run: Run, draws: int | None) -> tuple[pd.DataFrame, dict[str, str]]:
-    """The errors of a run's sets with the same draws, and labels of columns that others add."""
+    """The errors of a run's sets and online times with the same draws, and labels of the latter."""
     table = run.table("comparison", draws).filter(regex="^(draw|mse_.*)$")
-    errors = asked("rule.beside")
-    beside = errors and errors(run, draws)
+    beside = online_errors(run, draws)
     if beside is not None:
         table = table.merge(beside, on="draw")
     labels = {} if beside is None else beside.attrs["labels"]

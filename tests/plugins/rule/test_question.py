@@ -33,6 +33,7 @@ from pfdist.plugins.rule.needs import RULES
 from pfdist.plugins.rule.next_by_rule import NextByRule
 from pfdist.plugins.rule.question import (
     Ruled,
+    _compared,
     _draw,
     unit_of,
 )
@@ -67,6 +68,19 @@ def run(finished: Callable[..., Path], tmp_path: Path) -> Run:
 
 def asked(run: Run, **options: Any) -> Ruled:
     return pfdist.rule(run.path / "job.toml", results=run.path, figures=False, **options)
+
+
+def test_a_rule_is_compared_with_online_times_on_the_draws_that_have_them(
+    finished: Callable[..., Path],
+) -> None:
+    exact = ["model.name=random_walk", "filter.engine=kalman"]
+    run = pfdist.open_run(finished(*exact, "online.draws=20"))
+    table, labels = _compared(run, None)
+    assert labels == {"mse_online": "online times"}
+    np.testing.assert_array_equal(table["mse_online"], run.table("online")["mse"])
+    plan = run.names[1]
+    np.testing.assert_array_equal(table[f"mse_{plan}"], run.table("comparison", 20)[f"mse_{plan}"])
+    assert _compared(pfdist.open_run(finished()), None)[1] == {}
 
 
 def test_the_rule_is_judged_on_the_draws_of_the_comparison(run: Run) -> None:
