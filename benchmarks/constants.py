@@ -26,10 +26,12 @@ from pfdist.common.measurement_times import Times
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.particle_filter import filter_checked_draws
-from pfdist.filters.proposals import GUIDED, MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, RED
+from pfdist.plugins.guided.proposal import GUIDED
+from pfdist.plugins.moving.proposal import MOVING
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from oracles.unknown import HOURS, constants, drug, level_and_slope

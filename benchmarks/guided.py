@@ -21,10 +21,11 @@ from pfdist.common.measurement_times import Times
 from pfdist.filters import kalman
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_checked_draws
-from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
+from pfdist.plugins.guided.proposal import GUIDED
 from pfdist.problem.job import load_job
 from pfdist.runner.build import build
 

@@ -24,7 +24,7 @@ from pfdist import Job, load_job
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.filters.proposals import PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.pages.style import COLUMN_INCHES, GREEN, GREY, RED
 from pfdist.problem.search_section import CommonNoiseSettings
 from pfdist.problem.sections import Execution

@@ -66,6 +66,11 @@ class Plugin:
     chapters : sequence of str
         Sections of the report of a run, functions of `pfdist.questions.subject.Subject` that may
         return None. `pfdist.questions.run_page` asks.
+    engines : sequence of str
+        Engines of ``filter.engine``: `pfdist.filters.engine.Engine`. `pfdist.filters.engines` asks.
+    proposals : sequence of str
+        Proposals of ``filter.proposal``: `pfdist.filters.proposal.Proposal`.
+        `pfdist.filters.proposals` asks.
     looks : sequence of str
         Quick work of a plan beside its proof: `pfdist.runner.driver.QuickLook`. That module and
         `pfdist.questions.run` ask.
@@ -81,6 +86,8 @@ class Plugin:
     capabilities: Sequence[str] = ()
     files: Sequence[str] = ()
     chapters: Sequence[str] = ()
+    engines: Sequence[str] = ()
+    proposals: Sequence[str] = ()
     looks: Sequence[str] = ()
     others: Mapping[str, str] = field(default_factory=dict)
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import simulation_blocks
-from pfdist.filters.proposals import PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.work import Estimation
 from pfdist.kernels.deciding import ruling_of
 from pfdist.kernels.prefixes import Plan

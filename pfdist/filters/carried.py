@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import CarriedLines, Cloud
 from pfdist.filters.draws import Draws
-from pfdist.filters.proposals import MOST_INSTANTS, MOVING
+from pfdist.filters.proposals import MOST_INSTANTS
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
 from pfdist.models import StateSpaceModel
@@ -22,7 +22,7 @@ _OF_INSTANTS = ("estimate", "variance", "sizes", "lines", "line_z", "line_weight
 
 def carried_by(settings: Estimation, model: StateSpaceModel) -> CarriedLines | None:
     """The lines that a filter continues; None if it begins them, or moves none."""
-    if settings.proposal != MOVING.name or not isinstance(settings.prior, Cloud):
+    if not settings.moves or not isinstance(settings.prior, Cloud):
         return None
     return settings.prior.lines_for(model)
 

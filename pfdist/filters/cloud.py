@@ -44,7 +44,7 @@ class Gaussian:
 
 @dataclass(frozen=True, eq=False)
 class CarriedLines:
-    """The lines of a cloud's particles, which can still move; see `pfdist.moving`.
+    """The lines of a cloud's particles, which can still move.
 
     They begin at an instant s, with the initial noise, or with a user's own particles. These have
     no noise, so they do not move.

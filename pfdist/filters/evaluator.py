@@ -22,7 +22,8 @@ from pfdist.filters.aspects import ErrorBeside
 from pfdist.filters.beside import errors_beside
 from pfdist.filters.cloud import Gaussian, Indices, Prior
 from pfdist.filters.draws import Draws, check_prior
-from pfdist.filters.engines import COMPILED, ENGINES, NUMPY, Engine
+from pfdist.filters.engine import Engine
+from pfdist.filters.engines import COMPILED, ENGINES, NUMPY
 from pfdist.filters.interface import EACH_DRAW, SUMS, validated_from
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws

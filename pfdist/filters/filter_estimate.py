@@ -14,7 +14,7 @@ from pfdist.errors import ArgumentError, shown
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.one_filter import circular_components, log_likelihood
-from pfdist.filters.proposals import FEW_VALUES
+from pfdist.filters.proposals import FEW_VALUES, FOR_CONSTANTS
 from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
@@ -35,12 +35,13 @@ FEW = 5.0
 
 def few_particles(where: str, or_else: str = "") -> str:
     """The sentence about a filter of which few particles are left; see `FilterEstimate`."""
+    learn = f"{FOR_CONSTANTS} for constants (those of a prior of your own do not move), "
+    learn *= bool(FOR_CONSTANTS)
     return (
         "The estimate is that of a few particles, not the model's: the effective sample size falls "
         f"below {FEW:.0f} {where}, or fewer than {FEW_VALUES} values of a constant are left. What "
-        'may help: more particles, filter.proposal = "moving" for constants (those of a prior of '
-        "your own do not move), "
-        f"{or_else}or the engine kalman if the model is linear and Gaussian."
+        f"may help: more particles, {learn}{or_else}or the engine kalman if the model is linear "
+        "and Gaussian."
     )
 
 

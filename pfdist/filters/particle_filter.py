@@ -24,7 +24,7 @@ from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.interface import SUMS, all_or_none, checking, weighed
-from pfdist.filters.proposals import MOVING, PROPOSALS
+from pfdist.filters.proposals import PROPOSALS
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import FilterArrays, FilterRequest
@@ -67,7 +67,7 @@ def filter_checked_draws(
         }
         others = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
         others["weight"] = np.ones((count, particles))
-        if settings.proposal == MOVING.name and not draws.x.size:
+        if settings.moves and not draws.x.size:
             others |= _arrays_of_lines(model, draws, particles)
     found = _filter(model, draws, planned, stream, settings, **others)
     for array in (found.estimate, found.variance, found.cloud):

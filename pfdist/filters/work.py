@@ -13,7 +13,8 @@ from pfdist.common.measurement_times import Lag, ManySets, Times
 from pfdist.common.section import Whole
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
-from pfdist.filters.proposals import PLAIN, PROPOSALS
+from pfdist.filters.proposal import PLAIN
+from pfdist.filters.proposals import PROPOSALS
 from pfdist.kernels.estimators import (
     CONTROL,
     ESTIMATORS,
@@ -49,6 +50,11 @@ class Estimation:
     penalty: float | None = None  # its factor, in errors; see `pfdist.kernels.replicates`
     # particle-steps of a particle at an instant, about: more than 1 if it moves
     steps_a_particle: float = 1.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether lines of particles move, so that constants are learned."""
+        return PROPOSALS[self.proposal].moves
 
     @property
     def carries(self) -> bool:

@@ -249,7 +249,7 @@ def _failing(measurement: Any, log_likelihood: Any, fails: float | str) -> Any:
 def _working(measurement: Any, log_likelihood: Any, works: Any, fails: float | str) -> Any:
     """The formulas of a sensor that gives a value with a probability that depends on the state.
 
-    Noise 0 of the chance always gives one: `pfdist.guided` linearises the measurement there.
+    Noise 0 of the chance always gives one: guided particles linearise the measurement there.
     """
 
     def gives(x: Any, t: Any, p: Any) -> Any:

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from pfdist.common.section import JobSection
-from pfdist.filters.proposals import MOVING
+from pfdist.filters.proposals import PROPOSALS
 from pfdist.kernels.schemes import Resampling
 
 _FEWEST_PARTICLES, _SHARE = 100, 5  # a search uses one fifth of the job's particles, at least 100
@@ -61,7 +61,7 @@ class EvaluationSettings(JobSection):
 
     def particles_of(self, job_particles: int, proposal: str) -> int:
         """Number of particles of the search, given that of the job."""
-        if proposal == MOVING.name:
+        if PROPOSALS[proposal].moves:
             return min(job_particles, self.particles or max(_FEWEST_MOVED, job_particles // 2))
         return self.particles or self._usual_particles(job_particles)
 

@@ -20,7 +20,7 @@ from pfdist.common.section import JobSection, Listed
 from pfdist.errors import shown
 from pfdist.filters.criterion import criteria_in_words, criterion_named
 from pfdist.filters.engines import AUTO, EngineName
-from pfdist.filters.proposals import MOVING, ProposalName
+from pfdist.filters.proposals import PROPOSALS, ProposalName
 from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
@@ -215,9 +215,14 @@ class FilterSection(JobSection):
         return section
 
     @property
+    def moves(self) -> bool:
+        """Whether lines of particles move; False while the proposal is still "auto"."""
+        return self.proposal in PROPOSALS and PROPOSALS[self.proposal].moves
+
+    @property
     def compared_particles(self) -> int:
         """Number of particles of the filter that comparisons judge."""
-        if self.proposal == MOVING.name:
+        if self.moves:
             return self.moved_particles or MOVED_PARTICLES
         return self.particles
 

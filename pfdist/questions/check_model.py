@@ -12,7 +12,7 @@ from pydantic import Field
 from pfdist.common.section import Whole, checked
 from pfdist.errors import ArgumentError, ModelError, shown
 from pfdist.filters.engines import AUTO
-from pfdist.filters.proposals import PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.models.sensed import sensed
 from pfdist.problem.job import Job

@@ -4,18 +4,14 @@ from collections.abc import Iterable, Iterator
 
 from pfdist.common.parts import Section, Text
 from pfdist.filters.engines import is_exact
-from pfdist.filters.proposals import GUIDED, MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN
+from pfdist.filters.proposals import PROPOSALS
 from pfdist.questions.subject import Subject, number_of, without_folder
 from pfdist.results.columns import Row
 from pfdist.results.stored_run import about_of, evaluations_of, problem_of, version_of
 from pfdist.store import run_key
 
 _PAPER = "Aspeel et al., ICIP 2020, doi:10.1109/ICIP40778.2020.9190702"
-_FILTERS = {
-    PLAIN.name: "a bootstrap particle filter with {}",
-    GUIDED.name: "a guided particle filter with {}",
-    MOVING.name: "a particle filter with {}, whose paths take Metropolis steps",
-}
 _FRESH = "that took no part in the search"
 _AS_FAR_AS = "No real measurement was used: all numbers hold as far as the model is right."
 
@@ -65,9 +61,10 @@ def _sentences(subject: Subject, row: Row, at: str) -> Iterator[str]:
 
 def _filter(subject: Subject) -> str:
     job = subject.run.job
-    filtering, proposal = job["filter"], job["filter"].get("proposal", "")
-    number = filtering["moved_particles" if proposal == MOVING.name else "particles"]
-    what = _FILTERS.get(proposal, _FILTERS[PLAIN.name]).format(number_of(number, "particle"))
+    filtering = job["filter"]
+    proposal = PROPOSALS.get(filtering.get("proposal", ""), PLAIN)
+    number = filtering["moved_particles" if proposal.moves else "particles"]
+    what = proposal.described.format(number_of(number, "particle"))
     if is_exact(filtering["engine"]):
         what = "the Kalman filter, whose errors are exact"
     is_wrong = any(job["model"].get("filter", {}).values())

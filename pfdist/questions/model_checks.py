@@ -22,7 +22,8 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
-from pfdist.filters.proposals import GUIDED, MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN
+from pfdist.filters.proposals import PROPOSALS, RIVALS
 from pfdist.filters.work import Estimation, FilterWork
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel, squared_error
@@ -259,7 +260,7 @@ def _particles(evaluator: Evaluator, work: FilterWork, seconds: float) -> tuple[
 def _constants(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
     """How many values of constants are left to plain particles."""
     constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
-    if not constants or work.estimation.proposal == MOVING.name:
+    if not constants or work.estimation.moves:
         return
     names = ", ".join(f"x[{c}]" for c in constants)
     share = lost_constants(evaluator, work.measurement_times[0], 0, work.estimation, LOST_DRAWS)
@@ -268,12 +269,13 @@ def _constants(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
     yield Check("constants", "note" if said else "ok", text.strip())
 
 
-def _guided(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
-    """Compare "guided" with the choice of "auto", by its own measurement."""
-    if work.estimation.proposal == GUIDED.name:
+def _rival(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
+    """Compare a proposal that redraws noise with the choice of "auto", by its own measurement."""
+    rival = PROPOSALS[work.estimation.proposal]
+    if rival in RIVALS:
         plain = replace(work.estimation, proposal=PLAIN.name)
-        why = why_plain(evaluator, work.measurement_times, 0, plain, work.draws[1])
-        text = f"plain': {why}" if why else "guided': in the same time it loses less"
+        why = why_plain(evaluator, work.measurement_times, 0, plain, rival, work.draws[1])
+        text = f"plain': {why}" if why else f"{rival.name}': in the same time it loses less"
         yield Check("filter.proposal", "note" if why else "ok", f"'auto' takes '{text}")
 
 
@@ -393,7 +395,7 @@ def _filtered(
         yield Check("ancestral lines", "note" if is_few else "ok", text)
     if believed.has_particle_loss:
         yield Check("particles", *_particles(believed, work, seconds_of_a_step))
-        yield from _guided(believed, work)
+        yield from _rival(believed, work)
         yield from _constants(believed, work)
     yield Check("an evaluation", "ok", an_evaluation)
     if isinstance(model, BatchedModel) and evaluator.believed == model:

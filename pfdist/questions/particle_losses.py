@@ -11,7 +11,8 @@ from pydantic import Field
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import Whole, checked
 from pfdist.errors import PfdistWarning
-from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.proposal import PLAIN
+from pfdist.filters.proposals import PROPOSALS, RIVALS
 from pfdist.problem.clock import Time
 from pfdist.problem.needs import LOSS
 from pfdist.problem.problem import JobSource, as_job
@@ -86,11 +87,12 @@ def particle_losses(
     built = build(job, asked=4 * draws * len(tuple(particles)))
     evaluator, rows = built.evaluator.self_consistent, []
     LOSS.check("the particle loss", job, evaluator)
-    if job.filter.proposal == GUIDED.name:
-        plain = replace(built.comparing, proposal=PLAIN.name)
-        given = ((evaluator, (times,), job.seed, replace(plain, particles=n)) for n in particles)
-        if why := next(filter(None, (why_plain(*each) for each in given)), ""):
-            text = f"filter.proposal = 'guided' where 'auto' takes 'plain': {why}"
+    rival = PROPOSALS[built.job.filter.proposal]
+    if job.filter.proposal == rival.name and rival in RIVALS:
+        plains = (replace(built.comparing, proposal=PLAIN.name, particles=n) for n in particles)
+        whys = (why_plain(evaluator, (times,), job.seed, each, rival) for each in plains)
+        if why := next(filter(None, whys), ""):
+            text = f"filter.proposal = {rival.name!r} where 'auto' takes 'plain': {why}"
             warnings.warn(text, PfdistWarning, stacklevel=3)
     for number in particles:
         estimation = replace(built.comparing, particles=number)

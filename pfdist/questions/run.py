@@ -12,7 +12,7 @@ from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.constants import constants_of
 from pfdist.filters.formulas import operations_of
-from pfdist.filters.proposals import GUIDED
+from pfdist.filters.proposals import PROPOSALS
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -302,6 +302,6 @@ def minutes_of_bound(built: Built, prover: Prover) -> float:
     evaluator, seconds = built.evaluator, built.evaluator.seconds_a_step
     if evaluator.has_particles and evaluator.computed_by.compiled:
         operations = operations_of(evaluator.believed, range(evaluator.horizon + 1))
-        of_guided = GUIDED.cost if built.comparing.proposal == GUIDED.name else 1
-        seconds = max(seconds, operations * of_guided / _OPERATIONS)
+        beside_truth = PROPOSALS[PROPOSALS[built.comparing.proposal].beside_truth]
+        seconds = max(seconds, operations * beside_truth.cost / _OPERATIONS)
     return prover.steps * seconds / 60

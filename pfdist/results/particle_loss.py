@@ -18,7 +18,7 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.filters.aspects import DISTANCE, VARIANCE
 from pfdist.filters.estimate import largest_share
-from pfdist.filters.proposals import FEW_VALUES, MOVING
+from pfdist.filters.proposals import FEW_VALUES, FOR_CONSTANTS, PROPOSALS
 from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, on_common_draws, statistics_of
 
@@ -105,10 +105,7 @@ class ParticleLoss:
     @property
     def large(self) -> str:
         """Sentences if the loss is large, else nothing."""
-        more = (
-            "pfdist check-model looks for a number that is enough, and compares a guided filter "
-            "with a plain one."
-        )
+        more = "pfdist check-model looks for a number that is enough, and compares proposals."
         if self.moves:
             more = "More moved particles help (filter.moved_particles)."
         few = f"{self.particles} {TOO_FEW}: they lose {self.text}. {more}"
@@ -122,7 +119,8 @@ class ParticleLoss:
             return ""
         more = "More moved particles help (filter.moved_particles)."
         if not self.moves:
-            more = 'More particles help, or filter.proposal = "moving" where x has constants.'
+            others = f", or {FOR_CONSTANTS} where x has constants" * bool(FOR_CONSTANTS)
+            more = f"More particles help{others}."
         lost = f"{self.particles:,} particles lose {self.text}"
         return f"{lost}, so all errors are those of this filter. {more}"
 
@@ -178,7 +176,7 @@ def lost_text(share: float) -> str:
     """The sentence about draws that lose a constant; empty if they are few."""
     return (
         f"In {percent(share, 0)} of the draws, the filter ends with fewer than {FEW_VALUES} values "
-        'of a constant: take filter.proposal = "moving".'
+        "of a constant" + f": take {FOR_CONSTANTS}" * bool(FOR_CONSTANTS) + "."
     ) * (share > LOST)
 
 
@@ -250,7 +248,7 @@ def particle_losses_of(
         return {}
     rows = on_common_draws(run, *tables)
     own, whole = run.job["filter"], (statistics or statistics_of(run)).mse
-    moves = own["proposal"] == MOVING.name
+    moves = PROPOSALS[own["proposal"]].moves
     particles = own["moved_particles"] if moves else own["particles"]
     return {
         name: particle_loss(

@@ -17,7 +17,8 @@ from pfdist.filters.constants import constants_of
 from pfdist.filters.engines import AUTO as AUTO_ENGINE
 from pfdist.filters.engines import BATCHED, COMPILED, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.proposals import AUTO, MOVING, PLAIN, PROPOSALS
+from pfdist.filters.proposal import PLAIN
+from pfdist.filters.proposals import AUTO, PROPOSALS
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
 from pfdist.models.continuous import with_events
@@ -37,7 +38,7 @@ from pfdist.problem.sections import Execution, FilterModel, Model
 from pfdist.runner.budget_study import BudgetStudy
 from pfdist.runner.built import Built as Built  # noqa: PLC0414  `build` returns it
 from pfdist.runner.choice import (
-    check_guided,
+    check_beside_truth,
     choice,
     choice_of_run,
     choices_of,
@@ -90,7 +91,7 @@ def build(job: Job, *runs: Path, asked: float | None = None, follows: bool = Fal
         choices_of(built)[""] = kept
     elif is_open:
         proposal = choice(built, asked, follows=follows)
-    moves = proposal == MOVING.name
+    moves = PROPOSALS[proposal].moves
     if is_automatic and not moves:
         particles = _enough_particles(built, proposal)
     why = PROPOSALS[proposal].why * is_open
@@ -135,7 +136,7 @@ def _with_filter(job: Job, proposal: str, particles: int, built: Built | None = 
     A job that was built tells how many particles move, and what that takes.
     """
     moved, steps = job.filter.moved_particles, 1.0
-    if built is not None and proposal == MOVING.name:
+    if built is not None and PROPOSALS[proposal].moves:
         evaluator = built.evaluator.self_consistent
         constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
         moved = moved_particles(job, len(constants))
@@ -161,7 +162,7 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
         wanted.append(planning_of(job, evaluator.variance_is_error).estimation)
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
     evaluator = replace(evaluator, engine=_compiled_or_batched(evaluator))
-    check_guided(evaluator, comparing_of(job))
+    check_beside_truth(evaluator, comparing_of(job))
     built = Built(job, feasible, study, evaluator, searches)
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))

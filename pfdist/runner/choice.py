@@ -9,9 +9,9 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError, StoreError
 from pfdist.filters.constants import constants_of
-from pfdist.filters.engines import COMPILED
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.proposals import GUIDED, MOST_INSTANTS, MOVING, PLAIN, PROPOSALS
+from pfdist.filters.proposal import PLAIN, Proposal
+from pfdist.filters.proposals import MOST_INSTANTS, PROPOSALS, RIVALS, THAT_MOVES
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
 from pfdist.kernels.variates import generator
@@ -62,10 +62,11 @@ def choice(built: Built, asked: float | None, *, follows: bool) -> str:
     from pfdist.runner.particles import compared_draws  # noqa: PLC0415
 
     evaluator, plain = built.evaluator.self_consistent, built.comparing
-    may_guide = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
+    rivals = [each for each in RIVALS if evaluator.engine in each.engines]
+    rivals *= evaluator.has_particle_loss
     moving = None if plain.carries else moving_of(built)
-    if follows or not (may_guide or moving):
-        return MOVING.name if follows and moving else PLAIN.name
+    if follows or not (rivals or moving):
+        return moving.proposal if follows and moving else PLAIN.name
     choices = choices_of(built)
     if asked is not None and "" in choices:
         return choices[""]
@@ -73,28 +74,30 @@ def choice(built: Built, asked: float | None, *, follows: bool) -> str:
     comparison = f"{draws} of {built.job.seed}"
     if comparison not in choices:
         if moving and _should_move(evaluator, built, moving, draws):
-            choices[comparison] = MOVING.name
-        elif draws == 0 or not may_guide:
+            choices[comparison] = moving.proposal
+        elif draws == 0 or not rivals:
             return PLAIN.name
         else:
-            choices[comparison] = _plain_or_guided(built, draws)
+            better = (each.name for each in rivals if _is_better(built, each, draws))
+            choices[comparison] = next(better, PLAIN.name)
     choices[""] = choices[comparison]
     return choices[""]
 
 
-def _plain_or_guided(built: Built, draws: int) -> str:
+def _is_better(built: Built, rival: Proposal, draws: int) -> bool:
+    """Whether a proposal loses less than the plain one in the same time."""
     from pfdist.runner.particles import why_plain  # noqa: PLC0415
 
     evaluator, plain = built.evaluator.self_consistent, built.comparing
     try:
-        # Guided filters are compiled only if the plain filter loses too much.
+        # The rival is compiled only if the plain filter loses too much.
         sets = built.job.problem.feasible.regular(), with_long_gap(built.job)
-        why = why_plain(evaluator, sets, built.job.seed, plain, draws, in_words=False)
+        why = why_plain(evaluator, sets, built.job.seed, plain, rival, draws, in_words=False)
         if not why:
-            check_guided(built.evaluator, replace(plain, proposal=GUIDED.name))
-    except ModelError as error:
-        why = str(error)
-    return PLAIN.name if why else GUIDED.name
+            check_beside_truth(built.evaluator, replace(plain, proposal=rival.name))
+    except ModelError:
+        return False
+    return not why
 
 
 # --- particles that move --------------------------------------------------------------------------
@@ -107,12 +110,15 @@ def moving_of(built: Built) -> Estimation | None:
     knows it.
     """
     evaluator = built.evaluator.self_consistent
-    is_known = evaluator.engine in MOVING.engines and evaluator.horizon <= MOST_INSTANTS
-    if not is_known or declared(evaluator.believed):
+    if THAT_MOVES is None or evaluator.engine not in THAT_MOVES.engines:
+        return None
+    if evaluator.horizon > MOST_INSTANTS or declared(evaluator.believed):
         return None
     constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
     number = moved_particles(built.job, len(constants))
-    return replace(built.comparing, particles=number, proposal=MOVING.name) if constants else None
+    return (
+        replace(built.comparing, particles=number, proposal=THAT_MOVES.name) if constants else None
+    )
 
 
 def moved_particles(job: Job, constants: int) -> int:
@@ -181,7 +187,8 @@ def with_long_gap(job: Job) -> Times:
     return max(short, key=longest) if short else min(sets, key=longest)
 
 
-def check_guided(evaluator: Evaluator, own: Estimation) -> None:
-    """Raise a `ModelError` if the filter that knows the truth, too, cannot be guided as wanted."""
-    if own.proposal == GUIDED.name and evaluator.truth is not evaluator:
+def check_beside_truth(evaluator: Evaluator, own: Estimation) -> None:
+    """Raise a `ModelError` if the filter that knows the truth, too, cannot have the proposal."""
+    is_own = PROPOSALS[own.proposal].beside_truth == own.proposal != PLAIN.name
+    if is_own and evaluator.truth is not evaluator:
         evaluator.truth.compile(with_truth(1, own.proposal))

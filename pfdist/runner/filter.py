@@ -53,7 +53,8 @@ from pfdist.filters.one_filter import (
     formatted_instant,
     log_likelihood,
 )
-from pfdist.filters.proposals import FEW_VALUES, MOVING, PLAIN, PROPOSALS
+from pfdist.filters.proposal import PLAIN
+from pfdist.filters.proposals import FEW_VALUES, PROPOSALS, THAT_MOVES
 from pfdist.filters.settings import check_filter_settings
 from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation
@@ -72,7 +73,8 @@ from pfdist.store import holds_run
 if TYPE_CHECKING:
     OfOneFilter = str
 else:
-    OfOneFilter = Literal[AUTO, PLAIN.name, MOVING.name]
+    _OF_ONE = PLAIN.name, *(each.name for each in PROPOSALS.values() if each.moves)
+    OfOneFilter = Literal[(AUTO, *_OF_ONE)]
 Array = NDArray[np.float64]
 
 LAST = 32_000  # the largest horizon of a job
@@ -212,7 +214,7 @@ class Filter(Followed):
             raise ArgumentError(str(error)) from error
         name = COMPILED.name if engine == AUTO else engine
         proposal = _proposal_of(proposal, self.model, name, resample, horizon)
-        moves = proposal == MOVING.name
+        moves = PROPOSALS[proposal].moves
         if particles is None:
             particles = MOVED if moves else _UNMOVED
         settings = Estimation(
@@ -457,7 +459,7 @@ class Filter(Followed):
         if lag is not None and not np.max(lag) >= 1:
             raise ArgumentError(f"lag must be at least 1, got {shown(lag)}", argument="lag")
         found, estimates = start.smoothed(last, self.seen, lag or instants), []
-        moved = start.settings.proposal == MOVING.name
+        moved = start.settings.moves
         for k, (mean, variance) in enumerate(
             zip(found.estimate[0], found.variance[0], strict=True)
         ):
@@ -569,21 +571,21 @@ def _proposal_of(
     """The proposal of a filter of one system: "auto" moves particles if components of x do not."""
     if wanted != AUTO:
         return wanted
-    may_move = engine in MOVING.engines and resample == "always"
-    if not may_move or declared(model) or not constants_of(model, range(horizon + 1)):
+    if THAT_MOVES is None or engine not in THAT_MOVES.engines or resample != "always":
         return PLAIN.name
-    return MOVING.name
+    has_constants = not declared(model) and constants_of(model, range(horizon + 1))
+    return THAT_MOVES.name if has_constants else PLAIN.name
 
 
 def settings_of_job(built: Built) -> dict[str, Any]:
     """The arguments of a `Filter` with a job's model, [filter], clock and seed."""
     job, evaluator = built.job, built.evaluator
-    own, moves = job.filter, job.filter.proposal == MOVING.name
+    own = job.filter
     REAL_DATA.check("a real system", job)
     return {
         "model": evaluator.believed,
-        "particles": max(MOVED, own.compared_particles) if moves else own.particles,
-        "proposal": MOVING.name if moves else PLAIN.name,
+        "particles": max(MOVED, own.compared_particles) if own.moves else own.particles,
+        "proposal": own.proposal if own.moves else PLAIN.name,
         "seed": job.seed,
         "resampling": job.filter.resampling,
         "resample": own.resample or "always",

@@ -13,7 +13,7 @@ from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.formulas import operations_of
 from pfdist.filters.one_filter import Followed, OneFilter
-from pfdist.filters.proposals import MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.strategy import follow
 from pfdist.filters.work import FilterWork, Result
 from pfdist.models import StateSpaceModel
@@ -99,7 +99,7 @@ def affordable(built: Built, feasible: Feasible, planning: Planning) -> Planning
     A minute of one core is too long, by counted work.
     """
     own, evaluator = built.job.filter, built.evaluator
-    if planning.estimation.proposal != MOVING.name:
+    if not planning.estimation.moves:
         return planning
     sets = planning.optimiser(feasible).evaluations * planning.draws
     steps = sets * (feasible.horizon + 1) * planning.estimation.steps_an_instant

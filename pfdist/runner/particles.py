@@ -17,7 +17,8 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.constants import constants_of, different_values
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.proposals import FEW_VALUES, GUIDED, MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN, Proposal
+from pfdist.filters.proposals import FEW_VALUES
 from pfdist.filters.work import Estimation, FilterWork, Result, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.results import Moments
@@ -78,8 +79,8 @@ def measured_loss(
     if by_two_filters:
         distance = errors(replace(own, estimator=FILTER_NOISE.name))
     whole = Moments.of_values(squared)
-    moves = own.proposal == MOVING.name
-    return particle_loss(own.particles, whole, squared, distance, variance, moves=moves), whole
+    loss = particle_loss(own.particles, whole, squared, distance, variance, moves=own.moves)
+    return loss, whole
 
 
 def compared_draws(asked: float) -> int:
@@ -96,29 +97,30 @@ def why_plain(
     sets: Sequence[Times],
     seed: int,
     plain: Estimation,
+    rival: Proposal,
     draws: int = _TRIED,
     *,
     in_words: bool = True,
 ) -> str:
-    """Why ``filter.proposal = "auto"`` takes the plain filter; empty if it takes the guided one.
+    """Why ``filter.proposal = "auto"`` takes the plain filter; empty if it takes the rival.
 
-    In the same time, that is with an eighth of the particles, the upper 95 % limit of the guided
-    filter's loss must lie below that of the plain filter on the same draws, with each set. A plain
+    In the same time, that is with fewer particles by its cost, the upper 95 % limit of the rival's
+    loss must lie below that of the plain filter on the same draws, with each set. A plain
     filter whose loss is not proved to exceed 1 % is not replaced. Unless `in_words`, the text has
     no losses, and half of the work is saved.
     """
-    guided = replace(plain, particles=-(-plain.particles // GUIDED.cost), proposal=GUIDED.name)
+    fewer = replace(plain, particles=-(-plain.particles // rival.cost), proposal=rival.name)
     for times in sets:
         work = work_of_loss(evaluator, times, seed, plain, min(draws, _TRIED), "proposal")
         loss, _ = measured_loss(evaluator, work, by_two_filters=in_words)
         is_enough = loss.at_least <= SMALL
         if is_enough and not in_words:
             return PLAIN.name
-        guiding = replace(work, estimation=guided)
-        other, _ = measured_loss(evaluator, guiding, by_two_filters=in_words)
+        again = replace(work, estimation=fewer)
+        other, _ = measured_loss(evaluator, again, by_two_filters=in_words)
         if is_enough or other.limit >= loss.limit:
             found = f"{loss.particles:,} plain particles lose {loss.text}"
-            return f"{found}; {other.particles:,} guided ones lose {other.text}"
+            return f"{found}; {other.particles:,} {rival.name} ones lose {other.text}"
     return ""
 
 
@@ -131,7 +133,7 @@ def lost_constants(
     """
     evaluator = (evaluator.of_scenarios or (evaluator,))[0]
     constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
-    if not constants or estimation.proposal == MOVING.name:
+    if not constants or estimation.moves:
         return 0.0
     streams = [stream_of("particles", seed, "constants", role) for role in ("draws", "filter")]
     simulated = evaluator.draws(range(draws), streams[0])

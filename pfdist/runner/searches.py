@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pfdist.errors import JobError
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.proposals import MOVING
 from pfdist.filters.work import BLOCK, Estimation
 from pfdist.kernels.estimators import (
     ESTIMATORS,
@@ -158,8 +157,7 @@ def named_search(
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
     estimator = ESTIMATORS[settings.estimation.estimator]
     if estimator is FILTER_VARIANCE:  # it does not see that a cloud collapses
-        moves = settings.estimation.proposal == MOVING.name
-        estimator = TWO_CLOUDS if moves else SQUARED_ERROR
+        estimator = TWO_CLOUDS if settings.estimation.moves else SQUARED_ERROR
     polishing = replace(
         counting,
         draws=_POLISH_DRAWS // estimator.filters,

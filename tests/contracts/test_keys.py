@@ -8,7 +8,7 @@ import pfdist
 from pfdist.common.parsing import parse_toml
 from pfdist.plugins import PLUGINS
 
-ROOMS = "filters", "guided", "questions", "runner"
+ROOMS = "filters", "questions", "runner"
 # Functions that make a key, that give it to noise, and that make one from a seed.
 MAKERS = {
     "stream_of", "stream_key", "generator", "variates", "noise_of", "log_evidence",
@@ -24,15 +24,11 @@ UNITS = {
     "filters/draws.py noise_of": "draw: draws t component",
     "filters/evaluator.py Evaluator.id_of": "hash:",
     "filters/linearized.py _noise": "draw: index t",
-    "filters/evidence.py log_evidence": "replicate: draws t",
-    "filters/evidence.py _ancestors": "replicate: draws key",
-    "filters/evidence.py exact_log_evidence": "nothing, it is exact:",
     "runner/filter.py Filter._start": "system: seed draw",
     "filters/filter_estimate.py surprise_of_particles": "system, instant: draw cloud.t component",
     "filters/one_filter.py Followed.__init__": "system, whose number stays: unmeasured.stream",
     "filters/constants.py _found": "nothing, it only looks for constants:",
     "filters/one_filter.py Followed.again": "cloud: again number",
-    "guided/arrays.py _truth_noise": "draw: index",
     "filters/plain.py simulate": "draw: index t",
     "filters/plain.py first": "draw: draws.index",
     "filters/plain.py step": "draw: draws t",

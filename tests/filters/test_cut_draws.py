@@ -19,7 +19,7 @@ from pfdist.common.sensing import Sensing
 from pfdist.constraints.setup import Setup
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, SUMS
-from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.work import BLOCK, Estimation, sum_of_draws
 from pfdist.kernels import rules
 from pfdist.kernels.batch import FilterArrays
@@ -28,6 +28,7 @@ from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import Applied, Thresholds
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL
 from pfdist.models.sensed import sensed
+from pfdist.plugins.guided.proposal import GUIDED
 
 HORIZON, DRAWS = 9, 45
 APART = tuple(t + 2 for t in range(HORIZON + 1))

@@ -26,10 +26,10 @@ from pfdist.filters.particle_filter import (
     filter_checked_sets,
     filter_draws,
 )
-from pfdist.filters.proposals import GUIDED
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, control_of, with_truth
+from pfdist.plugins.guided.proposal import GUIDED
 
 Array = NDArray[np.float64]
 HORIZON, TIMES = 12, (0, 3, 4, 9)

@@ -9,11 +9,11 @@ from pfdist import Sensor, StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.particle_filter import filter_checked_draws
-from pfdist.filters.proposals import GUIDED
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.prefixes import plan_prefixes
 from pfdist.kernels.rules import Applied, Thresholds
+from pfdist.plugins.guided.proposal import GUIDED
 
 MOST = 64
 SETS = (

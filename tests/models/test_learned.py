@@ -16,11 +16,11 @@ from pfdist.common.scenario import Scenario
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
-from pfdist.filters.proposals import GUIDED
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.models.learned import learned
 from pfdist.models.recorded import recorded
+from pfdist.plugins.guided.proposal import GUIDED
 
 Array = NDArray[np.float64]
 HORIZON, TIMES = 10, (2, 5, 8)

@@ -17,13 +17,15 @@ from pfdist import Filter, Problem, Sensor, StateSpaceModel, densities, where
 from pfdist.common.sensing import Sensing
 from pfdist.errors import JobError, MeasurementsError, ModelError
 from pfdist.filters import particle_filter, plain
-from pfdist.filters.evidence import log_evidence, moved_log_evidence
-from pfdist.filters.proposals import GUIDED, MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.models.recorded import recorded
 from pfdist.models.sensed import sensed
 from pfdist.models.written import models_of, text_of_models
+from pfdist.plugins.fit.evidence import log_evidence, moved_log_evidence
+from pfdist.plugins.guided.proposal import GUIDED
+from pfdist.plugins.moving.proposal import MOVING
 from pfdist.questions.measured import normalised
 from pfdist.runner.likelihood import Within, likelihood
 

@@ -9,9 +9,9 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
 MODULES = {
-    "pfdist/accelerator": "jax",
+    "pfdist/plugins/accelerator": "jax",
     "pfdist/plugins/explorer/server.py": "explore",
-    "tests/accelerator": "jax",
+    "tests/plugins/accelerator": "jax",
     "tests/crash/test_job_submission.py": "cluster",
     "tests/plugins/explorer/test_browser.py": "explore",
     "tests/plugins/explorer/test_server.py": "explore",

@@ -13,8 +13,9 @@ import pytest
 import pfdist
 from oracles.guided import sharp_walk
 from pfdist import Job, Problem
-from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.kernels.rules import Thresholds
+from pfdist.plugins.guided.proposal import GUIDED
 from pfdist.plugins.rule.rule_file import keep_rule, rule_json
 from pfdist.problem.feasible import Feasible
 from pfdist.runner import build as builds

@@ -12,8 +12,9 @@ from oracles.guided import sharp_walk
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.work import FilterWork
+from pfdist.plugins.guided.proposal import GUIDED
 from pfdist.problem.job import Job
 from pfdist.questions import model_checks as checks_of_models
 from pfdist.questions.check_model import checks_of

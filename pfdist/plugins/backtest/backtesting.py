@@ -14,7 +14,7 @@ from pfdist.errors import MeasurementsError
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
-from pfdist.filters.proposals import MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
 from pfdist.kernels.batch import FilterArrays
@@ -210,7 +210,7 @@ def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:
         model, work.estimation.particles, work.streams[1] - _SIGNED,
         resampling=work.estimation.resampling, resample=resample_written(work.estimation.threshold),
         engine=evaluator.engine, horizon=evaluator.horizon,
-        proposal=MOVING.name if work.estimation.proposal == MOVING.name else PLAIN.name,
+        proposal=work.estimation.proposal if work.estimation.moves else PLAIN.name,
     )  # fmt: skip
     surprises = list[float]()
     for t in points.instants(plan):

@@ -19,12 +19,13 @@ from pfdist.common.section import Whole, checked
 from pfdist.common.shown import Shown
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, MeasurementsError, ModelError
-from pfdist.filters.evidence import exact_log_evidence, log_evidence, moved_log_evidence
-from pfdist.filters.proposals import AUTO, MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN
+from pfdist.filters.proposals import AUTO, PROPOSALS
 from pfdist.kernels.variates import generator
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import repeated
 from pfdist.models.recorded import recorded_if_it_holds
+from pfdist.plugins.fit.evidence import exact_log_evidence, log_evidence, moved_log_evidence
 from pfdist.pools.base import Pool
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import Replicate, read_replicates
@@ -178,7 +179,7 @@ class _Part(NamedTuple):
     particles: int  # 0: the exact likelihood
     stream: int
     is_trial: bool  # a model that fails then explains nothing
-    moves: bool  # whether particles move
+    proposal: str  # one that moves particles; empty for the plain one
 
 
 @with_options
@@ -283,26 +284,29 @@ def fit(
     for each in used:
         groups.setdefault(each.key, []).append(each)
     grouped = [_group(built, those, start) for those in groups.values()]
-    moves = _moves(built, proposal)
+    moving = _moving(built, proposal)
     usual = (
-        max(MOVED, built.job.filter.moved_particles or 0) if moves else built.comparing.particles
+        max(MOVED, built.job.filter.moved_particles or 0) if moving else built.comparing.particles
     )
     number = (particles or usual) if built.evaluator.has_particles else 0
     with (
         following(chosen.progress, chosen.say) as (show, tell),
         at_work(built.job.execution, [built.evaluator.engine], tell) as pool,
     ):
-        fitting = _Fitting(grouped, number, moves, built.job.seed, pool, start, bounds)
+        fitting = _Fitting(grouped, number, moving, built.job.seed, pool, start, bounds)
         return fitting.fitted(evaluations, show, profile=profile)
 
 
-def _moves(built: Built, wanted: str) -> bool:
-    """Whether particles move: as the job says, or where components of x do not."""
-    evaluator = built.evaluator
-    if wanted == MOVING.name:
-        MOVING.check(evaluator.engine, evaluator.believed, carries=built.comparing.carries)
-    is_open = wanted == AUTO and not built.comparing.carries
-    return wanted == MOVING.name or (is_open and moving_of(built) is not None)
+def _moving(built: Built, wanted: str) -> str:
+    """The proposal that moves particles, as the job says or for constants; else nothing."""
+    evaluator, carries = built.evaluator, built.comparing.carries
+    if wanted != AUTO:
+        named = PROPOSALS[wanted]
+        if named.moves:
+            named.check(evaluator.engine, evaluator.believed, carries=carries)
+        return named.name * named.moves
+    found = None if carries else moving_of(built)
+    return found.proposal if found else ""
 
 
 def _group(built: Built, replicates: Sequence[Replicate], fitted: Iterable[str]) -> _Group:
@@ -332,7 +336,7 @@ class _Fitting:
 
     groups: Sequence[_Group]
     particles: int  # 0: the exact likelihood
-    moves: bool
+    proposal: str
     seed: int
     pool: Pool
     start: Mapping[str, float]
@@ -471,7 +475,7 @@ class _Fitting:
             changed, size = model.with_parameters(values), -(-len(y) // self.pool.workers)
             for first in range(0, len(y), size):
                 some = y[first : first + size]
-                how = self.particles, stream, is_trial, self.moves
+                how = self.particles, stream, is_trial, self.proposal
                 parts.append(_Part(changed, some, first, *how))
         totals = dict(outcomes(self.pool, _evidence, parts, "the fit"))
         return math.fsum(totals.values())
@@ -565,7 +569,7 @@ def _evidence(part: _Part) -> float:
         if not part.particles:
             return float(exact_log_evidence(part.model, part.y).sum())
         given = part.model, part.y, part.particles, part.stream, part.first
-        found = moved_log_evidence(*given) if part.moves else log_evidence(*given)
+        found = moved_log_evidence(*given, part.proposal) if part.proposal else log_evidence(*given)
         return float(found.sum())
     except ModelError:  # a formula is not finite at these values
         if part.is_trial:

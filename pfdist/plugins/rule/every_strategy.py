@@ -14,7 +14,8 @@ from pfdist.errors import JobError
 from pfdist.filters.engines import COMPILED
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, weighed
-from pfdist.filters.proposals import PLAIN, PROPOSALS
+from pfdist.filters.proposal import PLAIN
+from pfdist.filters.proposals import PROPOSALS
 from pfdist.filters.work import FilterWork, Result, with_truth
 from pfdist.kernels.replicates import REPLICATES
 from pfdist.runner.door import RunSession, WorkBatch

@@ -14,7 +14,7 @@ import pfdist
 from oracles.systems import one_state
 from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import recorded_evaluator
-from pfdist.filters.evidence import exact_log_evidence
+from pfdist.plugins.fit.evidence import exact_log_evidence
 from pfdist.plugins.fit.question import Fitted
 
 HORIZON, SYSTEMS = 10, 15

@@ -2,8 +2,8 @@
 
 A line is the noise of a particle from the start on; its path follows from it. At a measurement the
 likelihood enters by exponents that grow to 1, each as large as keeps half of the particles
-effective. After each, all lines are resampled and moved, see `pfdist.moving.moves`. So no component
-of x is only copied.
+effective. After each, all lines are resampled and moved, see `moves.py`. So no component of x is
+only copied.
 
 References
 ----------
@@ -24,7 +24,7 @@ from pfdist.kernels.filter import begin_sums
 from pfdist.kernels.log_evidence import fill_logarithms
 from pfdist.kernels.memory import ahead, call, read
 from pfdist.kernels.variates import NORMAL
-from pfdist.moving.moves import (
+from pfdist.plugins.moving.moves import (
     Powered,
     derived,
     fill_likelihood,

@@ -25,10 +25,11 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import SUMS
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
-from pfdist.filters.proposals import GUIDED, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
-from pfdist.guided.formulas import guide_of
+from pfdist.plugins.guided.formulas import guide_of
+from pfdist.plugins.guided.proposal import GUIDED
 
 Array = NDArray[np.float64]
 HORIZON, TIMES = 10, (0, 3, 4, 9)

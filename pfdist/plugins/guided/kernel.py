@@ -1,7 +1,7 @@
 """Guided filters: noise since the last measurement is redrawn when the next one is known.
 
-`pfdist.guided.formulas` has the formulas. A path of g steps leads from the last measurement to the
-present one; step 0 draws x(0) if there is no measurement before. It has a record for each of its
+`formulas.py` has the formulas. A path of g steps leads from the last measurement to the present
+one; step 0 draws x(0) if there is no measurement before. It has a record for each of its
 g + 1 states, and one more, with rows of particles:
 
 ====== ============= =============================================================================
@@ -55,7 +55,7 @@ from pfdist.kernels.variates import (
 )
 
 MEAN, MEAN_INITIAL, SWEPT, SWEPT_INITIAL, SEEN, AIMED, DRAWN = np.arange(7)
-"""Blocks of each sensor, after those of all sensors; see `pfdist.guided.formulas.Guide`."""
+"""Blocks of each sensor, after those of all sensors; see `pfdist.plugins.guided.formulas.Guide`."""
 
 BLOCKS = np.int64(7)
 CHUNK = np.int64(128)

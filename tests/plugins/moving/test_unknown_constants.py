@@ -30,10 +30,11 @@ from pfdist.errors import ModelError, PfdistWarning
 from pfdist.filters.constants import constants_of
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_checked_draws
-from pfdist.filters.proposals import MOVING, PLAIN
+from pfdist.filters.proposal import PLAIN
 from pfdist.filters.simulation import simulate
 from pfdist.kernels.estimators import EVIDENCE
-from pfdist.moving import plain
+from pfdist.plugins.moving import plain
+from pfdist.plugins.moving.proposal import MOVING
 from pfdist.runner import online_work
 
 READINGS = 8

@@ -19,10 +19,10 @@ from pfdist.kernels.batch import FilterArrays
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, variates
 from pfdist.models import StateSpaceModel
-from pfdist.moving import kernel, moves
-from pfdist.moving.arrays import Moved, moved_extension
-from pfdist.moving.gains import Gains
-from pfdist.moving.moves import GAP, INDEPENDENT, SUM, WALK, Move, derived
+from pfdist.plugins.moving import kernel, moves
+from pfdist.plugins.moving.arrays import Moved, moved_extension
+from pfdist.plugins.moving.gains import Gains
+from pfdist.plugins.moving.moves import GAP, INDEPENDENT, SUM, WALK, Move, derived
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

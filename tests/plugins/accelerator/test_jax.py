@@ -18,19 +18,19 @@ from oracles.in_turn import in_turn
 from oracles.kalman import SCALAR
 from oracles.limits import limits
 from pfdist import StateSpaceModel, load_model
-from pfdist.accelerator import filter as accelerator
 from pfdist.errors import MissingExtraError, ModelError, TraceError
 from pfdist.filters import kalman, particle_filter
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.interface import EACH_DRAW, SUMS
-from pfdist.filters.proposals import GUIDED
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import ALWAYS, Applied, Thresholds
 from pfdist.models.loader import installed_models
 from pfdist.models.recorded import recorded
+from pfdist.plugins.accelerator.with_jax import filter as accelerator
+from pfdist.plugins.guided.proposal import GUIDED
 from pfdist.store import read_run
 
 LARGEST_Z = 4.0  # standard errors
@@ -294,7 +294,7 @@ def test_a_library_that_is_missing_is_named_at_once(monkeypatch: pytest.MonkeyPa
 
 
 def test_without_a_device_a_line_says_so() -> None:
-    call = [sys.executable, "-c", "import pfdist.accelerator"]
+    call = [sys.executable, "-c", "import pfdist.plugins.accelerator.with_jax"]
     environment = os.environ | {"JAX_PLATFORMS": "abacus"}
     ended = subprocess.run(call, env=environment, capture_output=True, text=True, check=False)
     last = ended.stderr.splitlines()[-1]

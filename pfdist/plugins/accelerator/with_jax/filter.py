@@ -19,7 +19,6 @@ import numpy as np
 from jax import lax
 from numpy.typing import NDArray
 
-from pfdist.accelerator.formulas import CompiledFormula
 from pfdist.common.measurement_times import Lag, Times
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.cloud import Cloud
@@ -36,6 +35,7 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.base import squared_error
 from pfdist.models.programs import Programs
 from pfdist.models.twin import traced
+from pfdist.plugins.accelerator.with_jax.formulas import CompiledFormula
 
 _ON_CPU, _ON_OTHERS = 2**13, 2**22
 """Particles of all rows that are filtered together."""

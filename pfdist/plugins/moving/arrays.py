@@ -15,9 +15,9 @@ from pfdist.kernels.blocks import Source
 from pfdist.kernels.memory import in_memory, zeros
 from pfdist.kernels.prefixes import Plan
 from pfdist.models import StateSpaceModel
-from pfdist.moving import kernel
-from pfdist.moving.gains import Gains, additive_gains
-from pfdist.moving.moves import OF_CONSTANTS, OF_PATHS, Move, Moving
+from pfdist.plugins.moving import kernel
+from pfdist.plugins.moving.gains import Gains, additive_gains
+from pfdist.plugins.moving.moves import OF_CONSTANTS, OF_PATHS, Move, Moving
 
 _MOST_SAVED = 2**24  # numbers of single precision of saved lines, about
 

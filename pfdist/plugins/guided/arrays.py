@@ -10,8 +10,6 @@ from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import layout_of
 from pfdist.filters.work import Estimation
-from pfdist.guided import kernel
-from pfdist.guided.formulas import Guide, guide_of
 from pfdist.kernels.batch import CloudBatch, FilterArrays, FilterRequest, Lines, Steps
 from pfdist.kernels.blocks import Source
 from pfdist.kernels.memory import in_memory, zeros
@@ -22,6 +20,8 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.program import groups_of
 from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula, Traced, trace
+from pfdist.plugins.guided import kernel
+from pfdist.plugins.guided.formulas import Guide, guide_of
 
 _MOST_DERIVED = 5_000  # operations of a program: a larger one takes minutes to compile
 _MOST_NOISE = 2**21  # numbers of the noise of all paths, about
@@ -35,7 +35,7 @@ class Guided:
     """The extension of a guided filter; see `pfdist.kernels.filter.Extension`."""
 
     rows: tuple[int, ...]  # of each sensor's guide; 0 for a sensor that has none
-    sources: tuple[dict[int, Source], ...]  # the blocks of each, see `pfdist.guided.kernel`
+    sources: tuple[dict[int, Source], ...]  # the blocks of each, see `pfdist.plugins.guided.kernel`
     rounds: int  # of linearisations
     # (D, T+1, components): noise of the truth's step to each instant, if it is a particle
     truth_noise: NDArray[np.float64] | None = None
@@ -147,7 +147,7 @@ def _is_linear(guide: Guide, sources: dict[int, Source]) -> bool:
 
 
 def _sources(guide: Guide, instants: range) -> dict[int, Source]:
-    """The blocks of a guide; see `pfdist.guided.kernel`."""
+    """The blocks of a guide; see `pfdist.plugins.guided.kernel`."""
     model, (n, m, _), k = guide.model, guide.model.components, guide.rows
     x, z = {"x": n}, {"x": n, "z": k * n, "estimate": guide.sums}
     w, w0 = (

@@ -11,7 +11,7 @@ import pytest
 
 from pfdist import Filter, StateSpaceModel, load_model
 from pfdist.filters.evaluator import recorded_evaluator
-from pfdist.filters.evidence import exact_log_evidence, log_evidence
+from pfdist.plugins.fit.evidence import exact_log_evidence, log_evidence
 
 HORIZON, REPLICATES = 12, 6
 

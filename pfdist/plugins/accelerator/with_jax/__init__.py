@@ -1,7 +1,6 @@
 """The engine `jax`: recorded programs interpreted with `jax.numpy`, on a GPU, a TPU or processors.
 
-It needs the extra ``jax``. The package can do without this room, and without the engine in
-`pfdist.filters.engines`.
+It needs the extra ``jax``.
 """
 
 from pfdist.errors import MissingExtraError, PfdistError

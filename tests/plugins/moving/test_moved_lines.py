@@ -19,7 +19,7 @@ from pfdist.filters import kalman, plain
 from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
 from pfdist.filters.simulation import simulate
-from pfdist.moving import arrays
+from pfdist.plugins.moving import arrays
 
 Array = NDArray[np.float64]
 SENSORS = ThreeSensors(0.4, 0.95, 0.5, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), (0.3, 0.05, 0.5))

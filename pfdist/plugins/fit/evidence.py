@@ -17,7 +17,6 @@ from pfdist.common.stopping import check
 from pfdist.filters import kalman
 from pfdist.filters.draws import Draws, noise_of
 from pfdist.filters.particle_filter import filter_checked_draws
-from pfdist.filters.proposals import MOVING
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import EVIDENCE
 from pfdist.kernels.schemes import SYSTEMATIC
@@ -75,9 +74,9 @@ def log_evidence(
 
 
 def moved_log_evidence(
-    model: StateSpaceModel, y: Array, particles: int, stream: int, first: int = 0
+    model: StateSpaceModel, y: Array, particles: int, stream: int, first: int, proposal: str
 ) -> Array:
-    """The same by particles that move, which learn constants; see `pfdist.moving`.
+    """The same by particles that move, as a proposal of this name does, and so learn constants.
 
     Adaptive exponents bias the mean evidence by some per cent, and the mean log evidence by more.
     """
@@ -85,7 +84,7 @@ def moved_log_evidence(
     evidence = np.full(count, -np.inf)
     measured = [~np.isnan(y[:, :, part.y]).all(axis=2) for part in model.parts]
     points = np.stack(measured, axis=2).reshape(count, -1)
-    settings = Estimation(particles, SYSTEMATIC.name, EVIDENCE.name, proposal=MOVING.name)
+    settings = Estimation(particles, SYSTEMATIC.name, EVIDENCE.name, proposal=proposal)
     x, z = np.empty((1, 0, 0)), np.zeros((1, instants, model.components[2]))
     for row in range(count):  # each has its own times
         check()

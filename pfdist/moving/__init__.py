@@ -1,1 +1,0 @@
-"""Particles that move: at each measurement, whole lines of particles take Metropolis steps."""
