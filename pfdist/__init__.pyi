@@ -18,7 +18,6 @@ from .problem.job import load_job as load_job
 from .problem.problem import Problem as Problem
 from .questions.bound import bound as bound
 from .questions.budget import budget as budget
-from .questions.check_model import check_model as check_model
 from .questions.compare import compare as compare
 from .questions.evaluate import evaluate as evaluate
 from .questions.filter_measurements import filter_measurements as filter_measurements
@@ -26,7 +25,6 @@ from .questions.list_runs import list_runs as list_runs
 from .questions.next_time import next_time as next_time
 from .questions.online import online as online
 from .questions.options import Options as Options
-from .questions.particle_losses import particle_losses as particle_losses
 from .questions.plan import plan as plan
 from .questions.planner import Planner as Planner
 from .questions.report import report as report
@@ -40,6 +38,8 @@ from .runner.filter import Filter as Filter
 # isort: split
 # Names of plugins, written by docs/tables.py
 from .plugins.backtest.question import backtest as backtest
+from .plugins.check.losses import particle_losses as particle_losses
+from .plugins.check.question import check_model as check_model
 from .plugins.explorer.widget import explore as explore
 from .plugins.fit.question import fit as fit
 from .plugins.rule.question import rule as rule

@@ -199,18 +199,6 @@ COMMANDS: dict[str, Command] = {
             "pfdist init lake": "Write lake.toml and lake.py",
         },
     ),
-    "check-model": Command(
-        "pfdist.cli.own:check_model",
-        "Find what is wrong with a model.",
-        {
-            "pfdist check-model mine.py:model": "Check the object `model` in the file mine.py",
-            "pfdist check-model ungm --horizon 20": "Check a model that ships, on short draws",
-            "pfdist check-model jobs/plan.toml": "Check the models of a job, with its parameters",
-            'pfdist check-model mine.py:model --times "0:12:0.5 14 18"': (
-                "Check a model on a clock"
-            ),
-        },
-    ),
     "simulate": Command(
         "pfdist.cli.own:simulate",
         "Simulate a job's model, and write the systems as a table with a picture.",
@@ -255,7 +243,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Ask": ("evaluate", "compare", "bound"),
     "Real data": ("filter", "next", "online"),
     "Runs": ("status", "list", "table", "report", "plot", "verify"),
-    "Models": ("init", "check-model", "simulate", "models", "schema", "completion"),
+    "Models": ("init", "simulate", "models", "schema", "completion"),
 }
 """The groups of the help, with their commands in order: those of plugins follow."""
 

@@ -9,12 +9,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Literal, Unpack
 
 from pfdist.common.arguments import path_argument
-from pfdist.errors import ArgumentError, ModelError, StoreError
+from pfdist.errors import StoreError
 from pfdist.questions.options import Options, with_options
 
 if TYPE_CHECKING:  # each command imports what it needs, and no other command waits for that
     from pfdist.questions.foreseen import Foreseen
-    from pfdist.questions.model_checks import Check
     from pfdist.results import Run
 
 
@@ -185,41 +184,6 @@ def verify(run: str) -> Iterator[str]:
     is_finished = opened.state == "finished"
     unfinished = "" if is_finished else f"; not finished ({opened.state}, {parts} parts)"
     yield f"{run}: all files are unchanged, and no row or key is missing{unfinished}"
-
-
-def check_model(
-    model: str,
-    *,
-    horizon: int | None = None,
-    times: str | None = None,
-    particles: int | None = None,
-) -> Iterator["Check"]:
-    """Find what is wrong with a model.
-
-    Parameters
-    ----------
-    model : str
-        Name of a model as a job gives it, as path/file.py:object; or a job file, whose models and
-        filter are checked.
-    horizon : int, optional
-        Last instant of the draws of formulas; by default that of the job, or 60.
-    times : str, optional
-        A clock, for models that read p.time or p.dt: the time of every instant, as 0:48:0.5 or
-        "0 0.25 0.5 1:48". By default such models have the times 0, 1, 2, ..., T.
-    particles : int, optional
-        Number of particles; by default that of the job, or 500.
-    """
-    from pfdist.problem.written import clock_of
-    from pfdist.questions.check_model import checks_of
-
-    if horizon is not None and times is not None:
-        raise ArgumentError("--horizon and --times exclude each other: a clock has a last instant")
-    wrong = list[str]()
-    for check in checks_of(model, horizon, particles, clock_of(times).times if times else ()):
-        yield check
-        wrong += [check.name] * (check.state == "wrong")
-    if wrong:
-        raise ModelError(f"{model}: wrong: {', '.join(wrong)}")
 
 
 def models() -> Iterator[tuple[str, str]]:

@@ -7,6 +7,7 @@ reads it differently. Most parameters are options, whose names `WORDS` may chang
 
 import inspect
 import pkgutil
+from collections import ChainMap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
@@ -179,7 +180,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "simulate.out": Word(
         Path, Parameter(metavar="FILE", converter=read_each(_path), required=True)
     ),
-    "check-model.times": text_word("TIMES"),
 }
 """The words of each parameter by its name, or by its command and its name; others are switches."""
 
@@ -247,9 +247,9 @@ def __getattr__(name: str) -> Callable[..., Line]:
 
 def word_of(command: str, parameter: inspect.Parameter) -> Word:
     """How a parameter of a command is read; a KeyError if no table has it."""
-    for table in (WORDS, *added("words")):
-        if found := table.get(f"{command}.{parameter.name}") or table.get(parameter.name):
-            return found if isinstance(found, Word) else found()
+    words = ChainMap(WORDS, *added("words"))
+    if found := words.get(f"{command}.{parameter.name}") or words.get(parameter.name):
+        return found if isinstance(found, Word) else found()
     if isinstance(parameter.default, bool):
         return _SWITCH
     raise KeyError(parameter.name)

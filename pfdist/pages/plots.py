@@ -1,10 +1,7 @@
 """`pfdist.plots`: functions that draw one panel, from tables to axes.
 
-The functions `belief`, `bound`, `budget`, `comparison`, `degenerate_draws`,
-`effective_sample_size`, `error_profile`, `gain`, `likelihood_profile`, `one_draw`, `online_gain`,
-`online_shares`, `particle_losses`, `searches`, `times` and
-`worth` each draw a run, or tables, into ``ax`` or into a new figure of pyplot, and return the axes.
-So does `against`, which draws a table of many runs. `system` draws three panels into a new figure.
+Each function draws a run, or tables, into ``ax`` or into a new figure of pyplot, and returns the
+axes; `against` draws a table of many runs. `system` draws three panels into a new figure.
 ``plt.style.use("pfdist.pages.print")`` gives the look of printed figures, and
 ``pfdist.pages.screen`` that of figures on a screen.
 """

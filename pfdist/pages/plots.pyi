@@ -9,7 +9,6 @@ from .gains import gain as gain
 from .gains import one_draw as one_draw
 from .online import online_shares as online_shares
 from .particles import effective_sample_size as effective_sample_size
-from .particles import particle_losses as particle_losses
 from .searches import comparison as comparison
 from .searches import searches as searches
 from .sweeps import against as against
@@ -19,6 +18,7 @@ from .times_axis import times as times
 
 # isort: split
 # Names of plugins, written by docs/tables.py
+from ..plugins.check.figure import particle_losses as particle_losses
 from ..plugins.fit.figure import likelihood_profile as likelihood_profile
 from ..plugins.why.figures import error_profile as error_profile
 from ..plugins.why.figures import worth as worth

@@ -4,4 +4,15 @@ To remove a plugin, delete its folder here, its folder in ``tests/plugins``, its
 and its line below, and call ``python docs/tables.py``. To add one, see CONTRIBUTING.md.
 """
 
-PLUGINS = ("sweep", "why", "explorer", "rule", "backtest", "fit", "guided", "moving", "accelerator")
+PLUGINS = (
+    "accelerator",
+    "backtest",
+    "check",
+    "explorer",
+    "fit",
+    "guided",
+    "moving",
+    "rule",
+    "sweep",
+    "why",
+)

@@ -1,20 +1,23 @@
 """The work of a plan before it is made: the dry run of `pfdist plan`."""
 
 import contextlib
+import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from pfdist.common.formatted_sizes import formatted_size
+from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, ModelError
-from pfdist.filters.work import BLOCK
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import BLOCK, Estimation
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.about_run import PARTS
-from pfdist.questions.model_checks import seconds_a_step
 from pfdist.questions.plan import draws_of_bound, of_as_many
 from pfdist.questions.run import PATIENCE, minutes_of_bound
 from pfdist.questions.run_of_job import folder_of, searched_by
@@ -24,6 +27,7 @@ from pfdist.runner.build import Built, build
 from pfdist.runner.comparison_phase import TRAJECTORIES
 from pfdist.runner.driver import foreseen_by_part, prover_of
 
+_DRAWS, _MOST_STEPS = 1000, 1_000_000  # behind a speed; a tenth for particles of a draw
 _BYTES, _A_NUMBER = 1.5e6, 8  # of report, figures and other tables; of a number in a table
 
 
@@ -92,6 +96,27 @@ def _bytes(built: Built, steps: "pd.Series[float]") -> int:
     )
     draws, instants = built.job.comparison.draws, built.evaluator.horizon + 1
     return int(_BYTES + _A_NUMBER * (sums / BLOCK + 2 * draws + 5 * TRAJECTORIES * instants))
+
+
+@np.errstate(over="ignore", invalid="ignore")  # only the time counts
+def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -> float:
+    """The seconds of a particle-step, from as many draws as take long enough.
+
+    First draws, whose code may still be loaded, do not count.
+    """
+    particles = max(50, min(500, _MOST_STEPS // 10 // (evaluator.horizon + 1)))
+    # Processor time, which other processes do not lengthen; a black box may compute elsewhere.
+    clock = time.process_time if evaluator.computed_by.compiled else time.perf_counter
+    least = max(1, len(evaluator.scenarios))  # each has an evaluator of its own
+    work = evaluator.work((times,), 3, 3, (0, least), replace(estimation, particles=particles))
+    evaluator(work)
+    for draws in (least, 10 * least, 100 * least, _DRAWS * least):
+        start = clock()
+        evaluator(replace(work, draws=(0, draws)))
+        seconds = clock() - start
+        if seconds > 0.1:  # is long enough
+            break
+    return seconds / draws / work.steps_a_draw
 
 
 def seconds_of_step(built: Built) -> float:

@@ -17,9 +17,9 @@ from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
+from pfdist.plugins.check.model_checks import check_loaded
 from pfdist.plugins.sweep.question import foreseen
 from pfdist.pools.kinds import POOLS
-from pfdist.questions.model_checks import check_loaded
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 FILES = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))

@@ -29,7 +29,7 @@ from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.models.base import within_half_turn
 from pfdist.models.recorded import differences, recorded
-from pfdist.questions.model_checks import check_loaded
+from pfdist.plugins.check.model_checks import check_loaded
 
 HORIZON, TIMES = 8, (1, 4, 5)
 Array = NDArray[np.float64]

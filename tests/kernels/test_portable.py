@@ -17,8 +17,8 @@ from oracles.bytes_under import Case, hashes_under, names
 from pfdist import load_model
 from pfdist.filters.settings import RESAMPLING
 from pfdist.models import installed_models
+from pfdist.plugins.check import model_checks as checks_of_models
 from pfdist.pools.cores import usable_cores
-from pfdist.questions import model_checks as checks_of_models
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 DRAWN = ("oracles/drawn.py:model", "systematic")

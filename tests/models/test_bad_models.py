@@ -10,7 +10,7 @@ import pytest
 
 from pfdist import evaluate, load_model
 from pfdist.errors import ModelError
-from pfdist.questions.model_checks import check_loaded
+from pfdist.plugins.check.model_checks import check_loaded
 
 MODEL = """
 import numpy as np

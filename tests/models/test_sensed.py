@@ -27,8 +27,8 @@ from pfdist.models.base import formula_of_each_sensor
 from pfdist.models.sensed import sensed
 from pfdist.pages.terminal import lines_of
 from pfdist.pages.times_axis import forbidden_times
+from pfdist.plugins.check.measured import normalised
 from pfdist.problem.job import override
-from pfdist.questions.measured import normalised
 from pfdist.questions.run_page import answer_of
 from pfdist.results.export import export_plan
 from pfdist.runner.likelihood import Within, likelihood

@@ -23,10 +23,10 @@ from pfdist.filters.work import Estimation
 from pfdist.models.recorded import recorded
 from pfdist.models.sensed import sensed
 from pfdist.models.written import models_of, text_of_models
+from pfdist.plugins.check.measured import normalised
 from pfdist.plugins.fit.evidence import log_evidence, moved_log_evidence
 from pfdist.plugins.guided.proposal import GUIDED
 from pfdist.plugins.moving.proposal import MOVING
-from pfdist.questions.measured import normalised
 from pfdist.runner.likelihood import Within, likelihood
 
 # --- a trial that patients leave ------------------------------------------------------------------

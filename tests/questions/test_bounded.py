@@ -18,9 +18,9 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.work import Estimation
 from pfdist.models.sensed import sensed
-from pfdist.questions import model_checks as checks_of_models
-from pfdist.questions.check_model import checks_of
-from pfdist.questions.model_checks import Check, check_loaded
+from pfdist.plugins.check import model_checks as checks_of_models
+from pfdist.plugins.check.model_checks import Check, check_loaded
+from pfdist.plugins.check.question import checks_of
 
 WALK = load_model("random_walk")
 

@@ -16,7 +16,7 @@ from pfdist.errors import JobError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.work import Estimation, FilterWork
-from pfdist.questions.model_checks import check_loaded
+from pfdist.plugins.check.model_checks import check_loaded
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.runner import particles
 from pfdist.runner.build import build

@@ -14,10 +14,10 @@ from pfdist.errors import ModelError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.proposal import PLAIN
 from pfdist.filters.work import FilterWork
+from pfdist.plugins.check import model_checks as checks_of_models
+from pfdist.plugins.check.question import checks_of
 from pfdist.plugins.guided.proposal import GUIDED
 from pfdist.problem.job import Job
-from pfdist.questions import model_checks as checks_of_models
-from pfdist.questions.check_model import checks_of
 from pfdist.runner import choice, particles
 from pfdist.runner.build import build
 from pfdist.runner.choice import with_long_gap

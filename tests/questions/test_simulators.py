@@ -12,8 +12,8 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Run
 from pfdist.errors import EngineWarning, ModelError, RunMismatchError
-from pfdist.questions import model_checks as checks_of_models
-from pfdist.questions.model_checks import check_loaded
+from pfdist.plugins.check import model_checks as checks_of_models
+from pfdist.plugins.check.model_checks import check_loaded
 from pfdist.questions.run_page import page_of
 
 HELPER = """

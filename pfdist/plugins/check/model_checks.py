@@ -1,7 +1,6 @@
 """Checks that find mistakes in a model before a long run does."""
 
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,7 +33,8 @@ from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
 from pfdist.models.recorded import declarations, recorded
 from pfdist.models.twin import traced
-from pfdist.questions.measured import missing_components, normalised
+from pfdist.plugins.check.measured import missing_components, normalised
+from pfdist.questions.foreseen import seconds_a_step
 from pfdist.results.particle_loss import lost_text, top_percent_share
 from pfdist.runner.contract import few_draws, looked
 from pfdist.runner.likelihood import Within, likelihood
@@ -277,27 +277,6 @@ def _rival(evaluator: Evaluator, work: FilterWork) -> Iterator[Check]:
         why = why_plain(evaluator, work.measurement_times, 0, plain, rival, work.draws[1])
         text = f"plain': {why}" if why else f"{rival.name}': in the same time it loses less"
         yield Check("filter.proposal", "note" if why else "ok", f"'auto' takes '{text}")
-
-
-@np.errstate(over="ignore", invalid="ignore")  # a check reports infinite errors
-def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -> float:
-    """The seconds of a particle-step, from as many draws as take long enough.
-
-    First draws, whose code may still be loaded, do not count.
-    """
-    particles = max(50, min(500, _MOST_STEPS // 10 // (evaluator.horizon + 1)))
-    # Processor time, which other processes do not lengthen; a black box may compute elsewhere.
-    clock = time.process_time if evaluator.computed_by.compiled else time.perf_counter
-    least = max(1, len(evaluator.scenarios))  # each has an evaluator of its own
-    work = evaluator.work((times,), 3, 3, (0, least), replace(estimation, particles=particles))
-    evaluator(work)
-    for draws in (least, 10 * least, 100 * least, _DRAWS * least):
-        start = clock()
-        evaluator(replace(work, draws=(0, draws)))
-        seconds = clock() - start
-        if seconds > 0.1:  # is long enough
-            break
-    return seconds / draws / work.steps_a_draw
 
 
 def check_filter_model(

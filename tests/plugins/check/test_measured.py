@@ -14,8 +14,8 @@ from oracles.systems import one_state
 from pfdist import StateSpaceModel, load_model
 from pfdist.filters import plain
 from pfdist.models import installed_models
-from pfdist.questions.measured import missing_components, normalised
-from pfdist.questions.model_checks import check_loaded
+from pfdist.plugins.check.measured import missing_components, normalised
+from pfdist.plugins.check.model_checks import check_loaded
 from pfdist.runner.likelihood import Within
 
 SHIPPED = [name for name, (module, _) in installed_models().items() if "pfdist" in module]
@@ -206,8 +206,10 @@ def test_a_single_component_cannot_be_missing() -> None:
 def test_check_model_looks_at_what_a_model_declares(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pfdist.questions.model_checks._DRAWS", 50)
-    monkeypatch.setattr("pfdist.questions.model_checks.enough_particles", lambda *given: given[-1])
+    monkeypatch.setattr("pfdist.plugins.check.model_checks._DRAWS", 50)
+    monkeypatch.setattr(
+        "pfdist.plugins.check.model_checks.enough_particles", lambda *given: given[-1]
+    )
     text = "from dataclasses import replace\nfrom pfdist.models.library.ungm import model as ungm\n"
     text += "model = replace(ungm, normalised=True, missing_components=True)\n"
     (tmp_path / "mine.py").write_text(text)

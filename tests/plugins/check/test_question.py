@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pfdist import load_model
-from pfdist.questions.model_checks import Check, check_loaded
+from pfdist.plugins.check.model_checks import Check, check_loaded
 
 RIGHT = """
 import numpy as np

@@ -15,9 +15,9 @@ from pfdist.filters.engines import AUTO
 from pfdist.filters.proposal import PLAIN
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.models.sensed import sensed
+from pfdist.plugins.check.model_checks import EVERY_INSTANT, Check, check_filter_model, check_loaded
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, Problem, as_job
-from pfdist.questions.model_checks import EVERY_INSTANT, Check, check_filter_model, check_loaded
 from pfdist.runner.build import evaluator_of, models_of_job
 from pfdist.runner.searches import comparing_of
 
