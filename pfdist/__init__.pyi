@@ -20,7 +20,6 @@ from .questions.bound import bound as bound
 from .questions.budget import budget as budget
 from .questions.compare import compare as compare
 from .questions.evaluate import evaluate as evaluate
-from .questions.filter_measurements import filter_measurements as filter_measurements
 from .questions.list_runs import list_runs as list_runs
 from .questions.next_time import next_time as next_time
 from .questions.online import online as online
@@ -41,6 +40,7 @@ from .plugins.backtest.question import backtest as backtest
 from .plugins.check.losses import particle_losses as particle_losses
 from .plugins.check.question import check_model as check_model
 from .plugins.explorer.widget import explore as explore
+from .plugins.filter.question import filter_measurements as filter_measurements
 from .plugins.fit.question import fit as fit
 from .plugins.rule.question import rule as rule
 from .plugins.rule.rule_file import Rule as Rule

@@ -124,16 +124,6 @@ COMMANDS: dict[str, Command] = {
             ),
         },
     ),
-    "filter": Command(
-        "pfdist.questions.filter_measurements:filter_measurements",
-        "Filter real measurements of one system, with the filter of a job.",
-        {
-            "pfdist filter jobs/plan.toml patient.csv": "Filter the measurements of one system",
-            "pfdist filter jobs/plan.toml patient.csv --planned evenly_spaced --out new": (
-                "Compare them with evenly spaced times, and write to another folder"
-            ),
-        },
-    ),
     "next": Command(
         "pfdist.questions.next_time:next_time",
         "Choose when to measure a system next, from the measurements so far.",
@@ -241,7 +231,7 @@ COMMANDS: dict[str, Command] = {
 GROUPS: dict[str, tuple[str, ...]] = {
     "Plan": ("plan", "budget", "run"),
     "Ask": ("evaluate", "compare", "bound"),
-    "Real data": ("filter", "next", "online"),
+    "Real data": ("next", "online"),
     "Runs": ("status", "list", "table", "report", "plot", "verify"),
     "Models": ("init", "simulate", "models", "schema", "completion"),
 }

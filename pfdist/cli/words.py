@@ -167,7 +167,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "within": number_word("GAP", finite_number),
     "work": number_word("STEPS", finite_number),
     "workers": number_word("N"),
-    "filter.within": number_word("TIME", finite_number),
     "next.within": number_word("TIME", finite_number),
     "budget.measurements": Word(
         Any,

@@ -2,13 +2,9 @@ from .bounds import bound as bound
 from .bounds import budget as budget
 from .figure import draw_figures as draw_figures
 from .figure import draw_missing_figures as draw_missing_figures
-from .filtered import belief as belief
-from .filtered import draw_filtered as draw_filtered
-from .filtered import filtered_plot as filtered_plot
 from .gains import gain as gain
 from .gains import one_draw as one_draw
 from .online import online_shares as online_shares
-from .particles import effective_sample_size as effective_sample_size
 from .searches import comparison as comparison
 from .searches import searches as searches
 from .sweeps import against as against
@@ -19,6 +15,8 @@ from .times_axis import times as times
 # isort: split
 # Names of plugins, written by docs/tables.py
 from ..plugins.check.figure import particle_losses as particle_losses
+from ..plugins.filter.figure import belief as belief
+from ..plugins.filter.sizes_figure import effective_sample_size as effective_sample_size
 from ..plugins.fit.figure import likelihood_profile as likelihood_profile
 from ..plugins.why.figures import error_profile as error_profile
 from ..plugins.why.figures import worth as worth

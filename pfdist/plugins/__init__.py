@@ -9,6 +9,7 @@ PLUGINS = (
     "backtest",
     "check",
     "explorer",
+    "filter",
     "fit",
     "guided",
     "moving",

@@ -24,7 +24,6 @@ from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
-from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
 from pfdist.questions.planned_run import (
     Columns,
     PlannedRun,
@@ -38,6 +37,7 @@ from pfdist.questions.planned_run import (
 )
 from pfdist.questions.planner import Planner
 from pfdist.questions.subject import number_of
+from pfdist.questions.surprises import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
 

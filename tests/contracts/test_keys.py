@@ -36,7 +36,6 @@ UNITS = {
     "filters/scenarios.py scenarios_of_draws": "block of draws: begins",
     "filters/work.py filter_streams": "draws: stream",
     "questions/evaluate.py prepare_evaluation": "draws: fresh",
-    "questions/filter_measurements.py filter_measurements": "nothing, it is one system:",
     # Replicates with the same parameters have numbers. Groups of them share the numbers, which
     # changes neither the mean of the log evidence nor clearly its error.
     "questions/next_time.py _next_by_plan": "nothing, it is one system:",

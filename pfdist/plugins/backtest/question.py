@@ -42,7 +42,6 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.replicates import USED, Replicate, read_replicates
 from pfdist.questions.at_work import at_work
 from pfdist.questions.evaluate import OneSet, instants_evaluated
-from pfdist.questions.filter_measurements import IMPROBABLE
 from pfdist.questions.options import Chosen, Names, Options, following, with_options
 from pfdist.questions.planned_run import (
     Columns,
@@ -54,6 +53,7 @@ from pfdist.questions.planned_run import (
     table_argument,
 )
 from pfdist.questions.report import write_page
+from pfdist.questions.surprises import IMPROBABLE
 from pfdist.results import Run
 from pfdist.results.stored_run import measured_of
 from pfdist.runner.build import Built, build

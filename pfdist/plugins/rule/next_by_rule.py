@@ -18,7 +18,6 @@ from pfdist.plugins.rule.rule_file import rule_json, rule_of
 from pfdist.problem.clock import Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Reading, read_measurements
-from pfdist.questions.filter_measurements import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
 from pfdist.questions.planned_run import (
     PlannedRun,
     instant_now,
@@ -26,6 +25,7 @@ from pfdist.questions.planned_run import (
     system_of_table,
 )
 from pfdist.questions.subject import number_of
+from pfdist.questions.surprises import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
 from pfdist.results import finite
 
 _BEYOND = (

@@ -45,6 +45,7 @@ from pfdist.questions.planned_run import (
 )
 from pfdist.questions.report import write_page
 from pfdist.questions.subject import number_of
+from pfdist.questions.surprises import IMPROBABLE, few_at
 from pfdist.results import Run, finite
 from pfdist.runner.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.runner.identity import time_columns
@@ -53,7 +54,6 @@ from pfdist.store import FILTERED_PERCENTS, SMOOTHED_START, filtered_schema, fra
 from pfdist.store.schema import components_in
 from pfdist.store.user_tables import write_user_table
 
-IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
 _P_DIGITS = 2
 _FEW_ANCESTORS = 20
 _SMOOTHED_SIZE = f"{SMOOTHED_START}effective_sample_size"
@@ -61,9 +61,6 @@ _TIMES = ("measured", "missing", "extra", "to_come")
 _FACTS = ("surprise_of_all", "is_improbable", "collapsed", "log_evidence", "why_no_evidence")
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
 _SIZE = "Effective sample size of the filter's particles at each instant."
-SEE_SURPRISE = (
-    "The model may be wrong about this system: look at the surprise that pfdist filter shows."
-)
 
 
 @dataclass(frozen=True, repr=False)
@@ -266,7 +263,7 @@ def filter_measurements(
         The model cannot be loaded, or a formula failed.
     """
     # Not above: the help of the command waits for no Matplotlib.
-    from pfdist.pages import filtered  # noqa: PLC0415
+    from pfdist.plugins.filter import figure  # noqa: PLC0415
 
     table = table_argument("measurements", measurements)
     files = files_beside(table, out, "measurements", "filtered")[: 3 if report else 2]
@@ -274,7 +271,7 @@ def filter_measurements(
     of_job, believed = plan.built.job.problem.points, plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
-    check_files(files, time_columns(of_job).table(schema.empty_table()).schema, filtered.TITLE)
+    check_files(files, time_columns(of_job).table(schema.empty_table()).schema, figure.TITLE)
     filtering = filter_of(plan.built, plan.prior)
     reading = reading_of(plan.built, columns, within, say)
     rows = read_measurements(table, believed, of_job.clock, filtering.now.t, reading)
@@ -328,11 +325,9 @@ def filter_measurements(
     )
     if files:
         write_user_table(files[0], estimates)
-        filtered.draw_filtered(
+        figure.draw_filtered(
             files[1],
-            filtered.filtered_plot(
-                result.table, result.marked, result.is_smoothed, result.readings
-            ),
+            figure.filtered_plot(result.table, result.marked, result.is_smoothed, result.readings),
         )
     for file in files[2:]:
         write_page(_report_of(result), file)
@@ -480,17 +475,6 @@ def _estimate(answer: FilteredMeasurements) -> str:
     return f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * is_known
 
 
-def surprise_of(estimates: Iterable[FilterEstimate]) -> float | None:
-    """The p-value of the most surprising among all measurements (Bonferroni)."""
-    surprises = [each.surprise for each in estimates if each.surprise is not None]
-    return min(1.0, len(surprises) * min(surprises)) if surprises else None
-
-
-def few_at(t: Time | None, clock: Clock) -> list[str]:
-    """The sentence that the estimate is that of a few particles, if a filter collapses at t."""
-    return [] if t is None else [few_particles(f"at t = {clock.listed([t])}")]
-
-
 def _alarms(answer: FilteredMeasurements) -> list[str]:
     """Doubts about the estimate: few particles, an improbable measurement."""
     at, p, among = _surprise(answer) or ("", "", "")
@@ -505,7 +489,7 @@ def _alarms(answer: FilteredMeasurements) -> list[str]:
 
 def _belief(answer: FilteredMeasurements) -> Section:
     # Not above: the answers without pictures, and the help, wait for no Matplotlib.
-    from pfdist.pages.filtered import filtered_plot  # noqa: PLC0415
+    from pfdist.plugins.filter.figure import filtered_plot  # noqa: PLC0415
     from pfdist.questions.pictures import picture  # noqa: PLC0415
 
     plot = filtered_plot(answer.table, answer.marked, answer.is_smoothed, answer.readings)
@@ -516,7 +500,7 @@ def _belief(answer: FilteredMeasurements) -> Section:
 def _fit(answer: FilteredMeasurements) -> Section:
     """The fit of the measurements to the model, and the effective sample size."""
     from pfdist.pages.figure import Plot  # noqa: PLC0415  as in _belief
-    from pfdist.pages.particles import effective_sample_size  # noqa: PLC0415
+    from pfdist.plugins.filter.sizes_figure import effective_sample_size  # noqa: PLC0415
     from pfdist.questions.pictures import picture  # noqa: PLC0415
 
     blocks: list[Block] = []

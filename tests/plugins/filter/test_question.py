@@ -23,8 +23,8 @@ from pfdist.errors import JobError, MeasurementsError, PfdistWarning, PriorError
 from pfdist.filters import one_filter
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.simulation import simulate
+from pfdist.plugins.filter.question import IMPROBABLE, FilteredMeasurements
 from pfdist.problem.clock import Clock
-from pfdist.questions.filter_measurements import IMPROBABLE, FilteredMeasurements
 from pfdist.store import filtered_schema
 
 HORIZON = 12
@@ -404,7 +404,7 @@ def test_a_failed_measurement_off_the_clock_is_the_planned_one_nearest_to_it(
 
 
 def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
-    from pfdist.pages.plots import draw_filtered, filtered_plot
+    from pfdist.plugins.filter.figure import draw_filtered, filtered_plot
 
     for number, height in ((1, 825), (8, 3000)):
         names = filtered_schema(numbered_components(number)).names
