@@ -9,7 +9,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
-from oracles.clocked import times_of, with_clock
+from oracles.clocked import with_clock
 from oracles.in_turn import in_turn
 from pfdist import Job, load_job, load_model
 from pfdist.common.measurement_times import regular
@@ -17,8 +17,6 @@ from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
-from pfdist.plugins.check.model_checks import check_loaded
-from pfdist.plugins.sweep.question import foreseen
 from pfdist.pools.kinds import POOLS
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
@@ -51,14 +49,6 @@ def test_compiled_and_plain_filter_agree(name: str, resampling: str) -> None:
     fast, slow = (f(*arguments, trajectories=True) for f in (filter_draws, plain.filter_draws))
     np.testing.assert_allclose(fast.mse, slow.mse, rtol=1e-9)
     np.testing.assert_allclose(fast.estimate, slow.estimate, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", _by_model(SHIPPED, str))
-def test_check_model_finds_nothing_wrong(name: str) -> None:
-    times = times_of(30) if load_model(name).reads_clock else ()
-    checks = list(check_loaded(lambda: load_model(name), 30, 100, times))
-    assert [check for check in checks if check.state == "wrong"] == []
-    assert checks[-1].name == "an evaluation"
 
 
 @in_turn("name", SHIPPED)
@@ -106,15 +96,3 @@ def _small(path: Path) -> Job:
         for search in job.search
         for key in small.keys() & search.settings.keys()
     )
-
-
-@pytest.mark.zoo
-@pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
-def test_every_point_of_a_sweep_file_can_be_built(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The speed of the model is measured in tests of sweeps."""
-    monkeypatch.setattr("pfdist.questions.foreseen.seconds_a_step", lambda *_, **__: 1e-9)
-    points = foreseen(path)
-    assert len(points) > 1
-    assert (points["steps"] > 0).all()
