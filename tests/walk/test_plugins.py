@@ -1,5 +1,6 @@
 """A plugin is its folder and its line: without them, everything else stands."""
 
+import json
 import os
 import re
 import shutil
@@ -31,6 +32,23 @@ print(pfdist.__file__)
 def test_each_folder_is_in_the_list() -> None:
     folders = {each.parent.name for each in (ROOT / "pfdist" / "plugins").glob("*/__init__.py")}
     assert folders == {*PLUGINS}
+
+
+def test_the_example_of_contributing_is_a_plugin(tmp_path: Path) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.DOTALL)
+    assert len(code.splitlines()) <= 60
+    (tmp_path / "gaps.py").write_text(code)
+    metadata = tmp_path / "gaps-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: gaps\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[pfdist.plugins]\ngaps = gaps:PLUGIN\n")
+    words = "gaps", "results/example", "--json"
+    done = subprocess.run(
+        [sys.executable, "-m", "pfdist", *words], cwd=ROOT, capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)}, check=False, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["longest"]["evenly_spaced"] == 3.0
 
 
 @pytest.mark.slow
