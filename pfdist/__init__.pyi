@@ -20,7 +20,6 @@ from .questions.bound import bound as bound
 from .questions.budget import budget as budget
 from .questions.compare import compare as compare
 from .questions.evaluate import evaluate as evaluate
-from .questions.list_runs import list_runs as list_runs
 from .questions.next_time import next_time as next_time
 from .questions.online import online as online
 from .questions.options import Options as Options
@@ -29,7 +28,6 @@ from .questions.planner import Planner as Planner
 from .questions.report import report as report
 from .questions.run import run as run
 from .questions.simulate import simulate as simulate
-from .questions.table import table as table
 from .results import Run as Run
 from .results import open_run as open_run
 from .runner.filter import Filter as Filter
@@ -44,6 +42,8 @@ from .plugins.filter.question import filter_measurements as filter_measurements
 from .plugins.fit.question import fit as fit
 from .plugins.rule.question import rule as rule
 from .plugins.rule.rule_file import Rule as Rule
+from .plugins.runs.listing import list_runs as list_runs
+from .plugins.runs.question import table as table
 from .plugins.sweep.question import Sweep as Sweep
 from .plugins.sweep.question import sweep as sweep
 from .plugins.why.question import why as why

@@ -4,7 +4,7 @@ The options of a command are the parameters of its function, and their help is i
 a command, add a line here, and to `pfdist.cli.words.WORDS` the parameters whose values no other
 command reads.
 
-An answer is a DataFrame of runs, a path, a line, or an object with ``as_json()`` and ``_page()``;
+An answer is a path, a line, or an object with ``as_json()`` and ``_page()``;
 `pfdist.cli.shown` prints it. `tests/contracts/test_command.py` and `tests/cli/test_examples.py`
 test each command, and docs/commands.md is written from this table.
 """
@@ -144,22 +144,6 @@ COMMANDS: dict[str, Command] = {
             "pfdist status results/plan --json": "Print the same as JSON, for a program",
         },
     ),
-    "list": Command(
-        "pfdist.questions.list_runs:list_runs",
-        "List the runs in a folder: how far each is, and what it has found.",
-        {
-            "pfdist list": "Show all runs in the folder results",
-            "pfdist list results --json": "Print the same as JSON, for a program",
-        },
-    ),
-    "table": Command(
-        "pfdist.questions.table:table",
-        "Put many runs into one table: what differs between them, and what they found.",
-        {
-            "pfdist table results/plan": "Show the results of a run, a row for each found set",
-            "pfdist table results --out runs.csv": "Write all runs in a folder to a file",
-        },
-    ),
     "report": Command(
         "pfdist.questions.report:report",
         "Write the report of a run: one HTML file that can be sent to anybody.",
@@ -232,7 +216,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Plan": ("plan", "budget", "run"),
     "Ask": ("evaluate", "compare", "bound"),
     "Real data": ("next", "online"),
-    "Runs": ("status", "list", "table", "report", "plot", "verify"),
+    "Runs": ("status", "report", "plot", "verify"),
     "Models": ("init", "simulate", "models", "schema", "completion"),
 }
 """The groups of the help, with their commands in order: those of plugins follow."""
@@ -241,3 +225,4 @@ for plugin in plugins().values():
     for title, added in plugin.commands.items():
         COMMANDS |= added
         GROUPS[title] = (*GROUPS.get(title, ()), *added)
+COMMANDS = {name: COMMANDS[name] for group in GROUPS.values() for name in group}

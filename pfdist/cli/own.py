@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Literal, Unpack
 
 from pfdist.common.arguments import path_argument
+from pfdist.common.plugins import asked
 from pfdist.errors import StoreError
 from pfdist.questions.options import Options, with_options
 
@@ -104,17 +105,16 @@ def plot(run: str) -> Iterator[str]:
     run : str
         Folder of a run, or of a sweep.
     """
-    from pfdist.pages.plots import draw_figures, draw_points
-    from pfdist.questions.table import table
+    from pfdist.pages.plots import draw_figures
     from pfdist.results import open_run
     from pfdist.store import holds_run
     from pfdist.store.folder import FORMATS
 
     path = path_argument("run", run)
-    if holds_run(path):
-        yield from map(str, draw_figures(open_run(path), formats=FORMATS))
+    if (draw := asked("plot.folder")) and not holds_run(path):
+        yield from map(str, draw(path))
     else:
-        yield from map(str, draw_points(table(path), path, FORMATS))
+        yield from map(str, draw_figures(open_run(path), formats=FORMATS))
 
 
 def simulate(

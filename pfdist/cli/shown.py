@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
-import pandas as pd
-
 from pfdist.cli.words import Line
 from pfdist.common.parts import Page
 from pfdist.errors import one_line
@@ -15,7 +13,6 @@ from pfdist.pages.terminal import lines_of, wrapped
 from pfdist.questions.about_run import PARTS
 from pfdist.questions.run_page import answer_of
 from pfdist.results import Run, finite, reaching
-from pfdist.results.columns import records_of
 from pfdist.results.stored_run import steps_by_part
 from pfdist.store import listed_pages
 from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in
@@ -84,9 +81,6 @@ def _as_json(answer: Any, line: Line) -> dict[str, Any]:
             return answer.as_json() | asked
         case Run():
             return answer.as_json()
-        case pd.DataFrame():
-            known = {key: answer.attrs[key] for key in ("time_unit",) if key in answer.attrs}
-            return known | {"runs" if line.name == "list" else "rows": records_of(answer)}
     values: dict[str, Any] = answer.as_json()
     return values
 
@@ -104,10 +98,6 @@ def _show_text(answer: Any, line: Line) -> None:
             print(one_line(str(answer)))
         case Run():
             _show_run(answer, line)
-        case pd.DataFrame() if (out := line.options.get("out")) is not None:
-            print(one_line(out))
-        case pd.DataFrame():
-            _print_page(_page_of(answer, line), line)
         case _:
             _print_page(answer._page(), line)
             if files := getattr(answer, "files", ()):
@@ -132,14 +122,6 @@ def _show_run(run: Run, line: Line) -> None:
     print("\n" * (not page.place), end="")
     for name, at in places.items():
         print(one_line(f"{name}: {at}"))
-
-
-def _page_of(frame: pd.DataFrame, line: Line) -> Page:
-    from pfdist.questions import runs  # noqa: PLC0415
-
-    if line.name == "list":
-        return runs.list_page(frame, *line.arguments)
-    return runs.table_page(frame)
 
 
 def _places(run: Run) -> dict[str, Path]:

@@ -64,9 +64,10 @@ def read_all(read: Callable[[list[str]], T]) -> Callable[[Any, Sequence[Token]],
     return lambda _, tokens: read([token.value for token in tokens])
 
 
-def file_word(metavar: str) -> Word:
-    """A file or folder that stands alone."""
-    return Word(Path, Parameter(metavar=metavar, converter=read_each(_path)), stands_alone=True)
+def file_word(metavar: str, *, required: bool | None = None) -> Word:
+    """A file or folder that stands alone; by default, one without a default is required."""
+    settings = Parameter(metavar=metavar, converter=read_each(_path), required=required)
+    return Word(Path, settings, stands_alone=True)
 
 
 def folder_word(metavar: str) -> Word:
@@ -171,9 +172,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "budget.measurements": Word(
         Any,
         Parameter(metavar="NUMBERS", converter=read_each(lambda text: set(whole_numbers(text)))),
-    ),
-    "table.runs": Word(
-        Path, Parameter(metavar="RUN", converter=read_each(_path), required=True), stands_alone=True
     ),
     "evaluate.times": texts_word("TIMES", _sets_or_one),
     "simulate.out": Word(

@@ -7,8 +7,6 @@ from .gains import one_draw as one_draw
 from .online import online_shares as online_shares
 from .searches import comparison as comparison
 from .searches import searches as searches
-from .sweeps import against as against
-from .sweeps import draw_points as draw_points
 from .system import system as system
 from .times_axis import times as times
 
@@ -18,6 +16,7 @@ from ..plugins.check.figure import particle_losses as particle_losses
 from ..plugins.filter.figure import belief as belief
 from ..plugins.filter.sizes_figure import effective_sample_size as effective_sample_size
 from ..plugins.fit.figure import likelihood_profile as likelihood_profile
+from ..plugins.runs.figure import against as against
 from ..plugins.why.figures import error_profile as error_profile
 from ..plugins.why.figures import worth as worth
 

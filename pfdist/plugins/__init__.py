@@ -14,6 +14,7 @@ PLUGINS = (
     "guided",
     "moving",
     "rule",
+    "runs",
     "sweep",
     "why",
 )

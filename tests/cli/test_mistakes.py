@@ -210,7 +210,7 @@ def test_debug_shows_the_traceback_before_the_line(call: Callable[..., Any]) -> 
 @pytest.mark.parametrize(
     ("broken", "words"),
     [
-        ("pfdist.questions.list_runs.list_runs", ["list"]),
+        ("pfdist.plugins.runs.listing.list_runs", ["list"]),
         ("pfdist.cli.main.line_of", ["list"]),
     ],
 )

@@ -14,7 +14,7 @@ import pfdist
 from oracles.file_layer import Ended, FileLayer
 from pfdist.cli.own import verify
 from pfdist.errors import StoreError
-from pfdist.results.runs_table import runs_table
+from pfdist.plugins.runs.runs_table import runs_table
 from pfdist.results.sets import fault_of_summary, publish_sets, rows_of_sets
 from pfdist.results.summary import summary_of
 from pfdist.store.folder import SUMMARY

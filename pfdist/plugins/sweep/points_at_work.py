@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pfdist.errors import BusyError, PfdistError, StoreError, one_line
+from pfdist.plugins.runs.listing import FINISHED
 from pfdist.plugins.sweep.sweep_file import SweepJob
 from pfdist.pools.base import Pool
-from pfdist.questions.list_runs import FINISHED
 from pfdist.questions.run import compute
 from pfdist.results import Run, open_run
 from pfdist.runner.bound_settings import BoundSettings

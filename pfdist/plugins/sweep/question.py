@@ -13,6 +13,9 @@ from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import ArgumentError, SweepError
+from pfdist.plugins.runs.listing import FINISHED
+from pfdist.plugins.runs.pages import lowest_text, table_page
+from pfdist.plugins.runs.question import table
 from pfdist.plugins.sweep.points_at_work import compute_points
 from pfdist.plugins.sweep.sweep_file import SweepJob, SweepPart, parts_that_pay, read_sweep
 from pfdist.plugins.sweep.sweep_points import Values
@@ -20,12 +23,9 @@ from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource
 from pfdist.questions.at_work import at_work
 from pfdist.questions.foreseen import seconds_of_step
-from pfdist.questions.list_runs import FINISHED
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.report import tried, try_report
-from pfdist.questions.runs import lowest_text, table_page
 from pfdist.questions.subject import Subject
-from pfdist.questions.table import table
 from pfdist.results import Run, open_run, read_recorded
 from pfdist.results.columns import records_of
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
@@ -202,7 +202,7 @@ def sweep(
             with tried("table or figure", f"plot {path}", tell):
                 frame = table(path, out=path / TABLE)
                 if chosen.figures and len(set(frame["run"])) > 1:
-                    from pfdist.pages.plots import draw_points  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+                    from pfdist.plugins.runs.figure import draw_points  # noqa: PLC0415  Matplotlib loads if a figure is drawn
 
                     draw_points(frame, path)
     if failed:

@@ -391,7 +391,7 @@ def test_an_error_of_the_table_or_the_figure_is_a_line_and_the_sweep_stands(
     def fail(*_: Any) -> None:
         raise ZeroDivisionError("a\nmistake")
 
-    monkeypatch.setattr("pfdist.pages.plots.draw_points", fail)
+    monkeypatch.setattr("pfdist.plugins.runs.figure.draw_points", fail)
     sweep = start(results=tmp_path / "other")
     assert sweep.files == (tmp_path / "other" / "points.csv",)
     assert sweep.figures == ()

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pfdist.common.estimate import Estimate
-from pfdist.results.runs_table import formatted_value, is_missing, keys_of_runs, shown_names
+from pfdist.plugins.runs.runs_table import formatted_value, is_missing, keys_of_runs, shown_names
 from pfdist.store.folder import natural_key
 
 SEED = "seed"

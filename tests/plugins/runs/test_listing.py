@@ -155,7 +155,7 @@ def test_a_forged_run_does_not_end_a_list(
         shutil.copytree(runs / "plain", tmp_path / name)
     job = tmp_path / "bad" / "job.toml"
     rewrite(job, job.read_text().replace("\ndraws = 60", '\ndraws = "many"'))
-    monkeypatch.setattr("pfdist.questions.list_runs.extent", lambda folder: (1, 9e11))
+    monkeypatch.setattr("pfdist.plugins.runs.listing.extent", lambda folder: (1, 9e11))
     frame = pfdist.list_runs(tmp_path)
     assert frame["state"].tolist() == ["unreadable", "finished"]
     assert {*frame["changed"].dt.year} == {9999}

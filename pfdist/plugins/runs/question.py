@@ -13,8 +13,14 @@ import pyarrow as pa
 
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, PfdistWarning, reason_of, relative, shown
+from pfdist.plugins.runs.runs_table import (
+    CRITERION,
+    RESULTS,
+    formatted_value,
+    is_missing,
+    runs_table,
+)
 from pfdist.results import Run, open_run
-from pfdist.results.runs_table import CRITERION, RESULTS, formatted_value, is_missing, runs_table
 from pfdist.store import holds_run, write_file
 from pfdist.store.files import check_replaceable
 from pfdist.store.folder import runs_below

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pfdist.common.dotted_keys import short_names
-from pfdist.results.runs_table import differing_keys
+from pfdist.plugins.runs.runs_table import differing_keys
 
 JOB: dict[str, Any] = {
     "seed": 1,

@@ -28,9 +28,9 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY, SERIES
-from pfdist.problem.set_key import labels_of_sets
-from pfdist.results.runs_table import formatted_value, keys_of_runs, shown_names
-from pfdist.results.studies import (
+from pfdist.plugins.runs.question import table
+from pfdist.plugins.runs.runs_table import formatted_value, keys_of_runs, shown_names
+from pfdist.plugins.runs.studies import (
     SEED,
     SET,
     Average,
@@ -41,6 +41,8 @@ from pfdist.results.studies import (
     still_varying,
     values_of_points,
 )
+from pfdist.problem.set_key import labels_of_sets
+from pfdist.store.folder import FORMATS
 
 MOST_LINES = 20  # nobody could distinguish more
 _MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -152,6 +154,11 @@ def draw_points(frame: pd.DataFrame, folder: Path, formats: Sequence[str] = ()) 
     title = f"Expected MSE against {_key(frame, None)}."
     plot = Plot(2.6, lambda panels: against(frame, ax=panels[0]), title=title)
     return save_plots(folder, [("points", plot)], formats)
+
+
+def draw_folder(folder: Path) -> list[Path]:
+    """The files of the figure of a folder of runs, in all formats."""
+    return draw_points(table(folder), folder, FORMATS)
 
 
 def _key(frame: pd.DataFrame, key: str | None) -> str:

@@ -17,10 +17,8 @@ from pfdist.common.parts import Cell, Page, Section, Table, Text, without_column
 from pfdist.common.rounding import with_interval
 from pfdist.errors import one_line
 from pfdist.filters.criterion import MEAN, Criterion, WorstScenario, criterion_named
-from pfdist.problem.set_key import labels_of_sets, phrase_of
-from pfdist.questions.list_runs import FINISHED
-from pfdist.results.columns import interval_cell
-from pfdist.results.runs_table import (
+from pfdist.plugins.runs.listing import FINISHED
+from pfdist.plugins.runs.runs_table import (
     CRITERION,
     formatted_gain,
     formatted_mse,
@@ -28,7 +26,9 @@ from pfdist.results.runs_table import (
     keys_of_runs,
     shown_names,
 )
-from pfdist.results.studies import SEED, averages, formatted_point, is_numeric, still_varying
+from pfdist.plugins.runs.studies import SEED, averages, formatted_point, is_numeric, still_varying
+from pfdist.problem.set_key import labels_of_sets, phrase_of
+from pfdist.results.columns import interval_cell
 
 _ERROR = "expected MSE ± standard error"
 _FEW_KEYS = 3  # that a narrow terminal shows

@@ -19,9 +19,9 @@ from pfdist import plots
 from pfdist.common.rounding import with_interval
 from pfdist.errors import ArgumentError, JobError
 from pfdist.pages.style import BLUE, GREY, RED
-from pfdist.questions.runs import lowest_text
-from pfdist.results.runs_table import RESULTS
-from pfdist.results.studies import averages
+from pfdist.plugins.runs.pages import lowest_text
+from pfdist.plugins.runs.runs_table import RESULTS
+from pfdist.plugins.runs.studies import averages
 
 BUDGET, PARTICLES = "problem.measurement_budget", "filter.particles"
 
