@@ -6,14 +6,13 @@ import numpy as np
 
 from pfdist import StateSpaceModel, densities, linear_gaussian, ode
 from pfdist.filters.work import Estimation
-from pfdist.plugins.moving.proposal import MOVING
 
 HOURS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0)
 
 
 def moving(particles: int, **settings: Any) -> Estimation:
     """A filter that moves so many particles."""
-    return Estimation(particles, proposal=MOVING.name, **{"resampling": "systematic"} | settings)
+    return Estimation(particles, proposal="moving", **{"resampling": "systematic"} | settings)
 
 
 def level_and_slope(process: float, sensor: float) -> StateSpaceModel:
