@@ -27,7 +27,6 @@ from .questions.plan import plan as plan
 from .questions.planner import Planner as Planner
 from .questions.report import report as report
 from .questions.run import run as run
-from .questions.simulate import simulate as simulate
 from .results import Run as Run
 from .results import open_run as open_run
 from .runner.filter import Filter as Filter
@@ -44,6 +43,7 @@ from .plugins.rule.question import rule as rule
 from .plugins.rule.rule_file import Rule as Rule
 from .plugins.runs.listing import list_runs as list_runs
 from .plugins.runs.question import table as table
+from .plugins.simulate.question import simulate as simulate
 from .plugins.sweep.question import Sweep as Sweep
 from .plugins.sweep.question import sweep as sweep
 from .plugins.why.question import why as why

@@ -165,24 +165,6 @@ COMMANDS: dict[str, Command] = {
         "Check every byte, row and key of a run.",
         {"pfdist verify results/plan": "Check a run after it was copied"},
     ),
-    "init": Command(
-        "pfdist.cli.init:init",
-        "Write a job and a model that run, to begin with.",
-        {
-            "pfdist init": "Write mine.toml and mine.py, with the usual choices as comments",
-            "pfdist init lake": "Write lake.toml and lake.py",
-        },
-    ),
-    "simulate": Command(
-        "pfdist.cli.own:simulate",
-        "Simulate a job's model, and write the systems as a table with a picture.",
-        {
-            "pfdist simulate jobs/plan.toml --out systems.csv": (
-                "See the model before you plan: a table, and systems.png"
-            ),
-            "pfdist simulate jobs/plan.toml --out few.csv --draws 5": "Simulate five systems",
-        },
-    ),
     "models": Command(
         "pfdist.cli.own:models",
         "List the models that a job can name.",
@@ -217,7 +199,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Ask": ("evaluate", "compare", "bound"),
     "Real data": ("next", "online"),
     "Runs": ("status", "report", "plot", "verify"),
-    "Models": ("init", "simulate", "models", "schema", "completion"),
+    "Models": ("models", "schema", "completion"),
 }
 """The groups of the help, with their commands in order: those of plugins follow."""
 

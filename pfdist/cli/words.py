@@ -70,9 +70,10 @@ def file_word(metavar: str, *, required: bool | None = None) -> Word:
     return Word(Path, settings, stands_alone=True)
 
 
-def folder_word(metavar: str) -> Word:
+def folder_word(metavar: str, *, required: bool | None = None) -> Word:
     """An option that is a path."""
-    return Word(Path | None, Parameter(metavar=metavar, converter=read_each(_path)))
+    settings = Parameter(metavar=metavar, converter=read_each(_path), required=required)
+    return Word(Path | None, settings)
 
 
 def text_word(metavar: str) -> Word:
@@ -174,9 +175,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
         Parameter(metavar="NUMBERS", converter=read_each(lambda text: set(whole_numbers(text)))),
     ),
     "evaluate.times": texts_word("TIMES", _sets_or_one),
-    "simulate.out": Word(
-        Path, Parameter(metavar="FILE", converter=read_each(_path), required=True)
-    ),
 }
 """The words of each parameter by its name, or by its command and its name; others are switches."""
 

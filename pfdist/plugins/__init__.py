@@ -12,9 +12,11 @@ PLUGINS = (
     "filter",
     "fit",
     "guided",
+    "init",
     "moving",
     "rule",
     "runs",
+    "simulate",
     "sweep",
     "why",
 )

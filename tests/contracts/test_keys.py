@@ -42,7 +42,6 @@ UNITS = {
     "questions/planned_run.py system_of_table": "nothing, it is one system:",
     "questions/planned_run.py filter_of": "system: draw",
     "questions/planner.py Planner.__init__": "system: draw",  # `plan` gives it to the Replanner
-    "questions/simulate.py _simulated": "draws:",
     "runner/block_sums.py grown": "draws:",
     "runner/choice.py with_long_gap": "nothing, it is one choice:",
     "runner/choice.py steps_a_particle": "draws: pilot",

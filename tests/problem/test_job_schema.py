@@ -8,8 +8,8 @@ import jsonschema
 import pytest
 
 from oracles.in_turn import in_turn
-from pfdist.cli.init import JOB
 from pfdist.common.parsing import parse_toml
+from pfdist.plugins.init.command import JOB
 from pfdist.problem.job_schema import job_schema
 
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ import pytest
 
 import pfdist
 from pfdist import load_job
-from pfdist.cli.init import init
+from pfdist.plugins.init.command import init
 
 Call = Callable[..., Any]
 
