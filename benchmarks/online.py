@@ -24,7 +24,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.work import FilterWork
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
-from pfdist.questions.planner import Planner
+from pfdist.plugins.online.planner import Planner
 from pfdist.runner.build import Built, build
 
 TITLE = "Online planning"

@@ -32,13 +32,13 @@ from pfdist.filters.criterion import CRITERIA
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
+from pfdist.problem.added_sections import added_sections
 from pfdist.problem.clock_section import ClockSection
 from pfdist.problem.job import Job
 from pfdist.problem.job_schema import documented
 from pfdist.problem.limits_section import MostWithinSection, StoreSection
 from pfdist.problem.methods import METHODS
 from pfdist.problem.needs import capabilities
-from pfdist.problem.online_section import Online
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.search_section import CommonNoiseSettings, EvaluationSettings, SearchSection
@@ -108,7 +108,7 @@ _SECTIONS: Mapping[str, type[JobSection]] = {
     "[search.evaluation]": EvaluationSettings,
     "[comparison]": Comparison,
     "[budget]": Budget,
-    "[online]": Online,
+    **{f"[{key}]": section for key, section in added_sections().items()},
     "[execution]": Execution,
 }
 _KINDS = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "value"}

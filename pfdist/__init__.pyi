@@ -20,11 +20,8 @@ from .questions.bound import bound as bound
 from .questions.budget import budget as budget
 from .questions.compare import compare as compare
 from .questions.evaluate import evaluate as evaluate
-from .questions.next_time import next_time as next_time
-from .questions.online import online as online
 from .questions.options import Options as Options
 from .questions.plan import plan as plan
-from .questions.planner import Planner as Planner
 from .questions.report import report as report
 from .questions.run import run as run
 from .results import Run as Run
@@ -39,6 +36,9 @@ from .plugins.check.question import check_model as check_model
 from .plugins.explorer.widget import explore as explore
 from .plugins.filter.question import filter_measurements as filter_measurements
 from .plugins.fit.question import fit as fit
+from .plugins.online.next_time import next_time as next_time
+from .plugins.online.planner import Planner as Planner
+from .plugins.online.question import online as online
 from .plugins.rule.question import rule as rule
 from .plugins.rule.rule_file import Rule as Rule
 from .plugins.runs.listing import list_runs as list_runs

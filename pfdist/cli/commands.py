@@ -83,19 +83,6 @@ COMMANDS: dict[str, Command] = {
         },
         resumes=True,
     ),
-    "online": Command(
-        "pfdist.questions.online:online",
-        "Choose times one after another, and compare them with times found in advance.",
-        {
-            "pfdist online jobs/online.toml": (
-                "Compare times chosen one after another with times found in advance"
-            ),
-            "pfdist online jobs/plan.toml --draws 200": (
-                "The same for a job without a section [online], on few draws"
-            ),
-        },
-        resumes=True,
-    ),
     "bound": Command(
         "pfdist.questions.bound:bound",
         "Prove how much lower the expected MSE of any other times can be.",
@@ -122,17 +109,6 @@ COMMANDS: dict[str, Command] = {
             "pfdist evaluate jobs/plan.toml --times 0:60:3 --also worst_instant": (
                 "Also give the largest expected error at an instant"
             ),
-        },
-    ),
-    "next": Command(
-        "pfdist.questions.next_time:next_time",
-        "Choose when to measure a system next, from the measurements so far.",
-        {
-            "pfdist next jobs/plan.toml patient.csv": "Choose the patient's next measurement time",
-            "pfdist next jobs/plan.toml patient.csv --now 17": (
-                "The same, if nothing was measured since, up to t = 17"
-            ),
-            "pfdist next jobs/plan.toml patient.csv --rule": "Measure by the run's rule",
         },
     ),
     "status": Command(
@@ -197,7 +173,7 @@ COMMANDS: dict[str, Command] = {
 GROUPS: dict[str, tuple[str, ...]] = {
     "Plan": ("plan", "budget", "run"),
     "Ask": ("evaluate", "compare", "bound"),
-    "Real data": ("next", "online"),
+    "Real data": (),
     "Runs": ("status", "report", "plot", "verify"),
     "Models": ("models", "schema", "completion"),
 }

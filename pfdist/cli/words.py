@@ -169,7 +169,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "within": number_word("GAP", finite_number),
     "work": number_word("STEPS", finite_number),
     "workers": number_word("N"),
-    "next.within": number_word("TIME", finite_number),
     "budget.measurements": Word(
         Any,
         Parameter(metavar="NUMBERS", converter=read_each(lambda text: set(whole_numbers(text)))),

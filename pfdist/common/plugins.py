@@ -60,6 +60,21 @@ class Plugin:
         Modules that declare figures of a run. `pfdist.pages.figure` asks.
     capabilities : sequence of str
         Needs of jobs for the plugin: `pfdist.problem.needs.Capability`. That module asks.
+    sections : mapping
+        Sections of job files by their keys: classes made from
+        `pfdist.problem.added_sections.AddedSection`.
+        `pfdist.problem.job` asks. A key ``draws`` of one may grow in a run.
+    later : mapping
+        Work of a run after its comparison, by the section that asks for it:
+        `pfdist.runner.later.LaterWork`. That module asks.
+    summaries : mapping
+        Functions that give values of `Run.as_json` from a run, by their keys.
+        `pfdist.results.run` asks.
+    answers : sequence of str
+        Sections of the answer of a run, as `chapters`. `pfdist.questions.run_page` asks.
+    sentences : sequence of str
+        Sentences of this answer about its plan, of a `Subject`, which may be empty. That module
+        asks.
     files : sequence of str
         Sections of files that are no jobs, marked by their first keys, for the JSON schema.
         `pfdist.problem.job_schema` asks.
@@ -84,6 +99,11 @@ class Plugin:
     plots: Sequence[str] = ()
     figures: Sequence[str] = ()
     capabilities: Sequence[str] = ()
+    sections: Mapping[str, str] = field(default_factory=dict)
+    later: Mapping[str, str] = field(default_factory=dict)
+    summaries: Mapping[str, str] = field(default_factory=dict)
+    answers: Sequence[str] = ()
+    sentences: Sequence[str] = ()
     files: Sequence[str] = ()
     chapters: Sequence[str] = ()
     engines: Sequence[str] = ()
@@ -124,6 +144,11 @@ def added(hook: str) -> Iterator[Any]:
     for plugin in plugins().values():
         for name in getattr(plugin, hook):
             yield resolve_name(name)
+
+
+def hooked(hook: str) -> dict[str, str]:
+    """The names of objects that all plugins give for a hook, by their keys."""
+    return {key: name for each in plugins().values() for key, name in getattr(each, hook).items()}
 
 
 def import_modules(hook: str) -> None:

@@ -269,6 +269,14 @@ class Followed:
         return other.with_truths()
 
 
+def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArray[np.float64]:
+    """The measurement y, (m,), with NaN for what is not measured at these times of an instant."""
+    measured = np.full_like(y, np.nan)
+    for part in (model.parts[model.points.way(time)] for time in times):
+        measured[part.y] = y[part.y]
+    return measured
+
+
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:
     """The possible measurements in y(t), (m,): those of sensors with a component."""
     here = zip(model.points.at(t), model.parts, strict=True)

@@ -25,7 +25,6 @@ from pfdist.errors import StoreError, one_line, printable
 from pfdist.pages.panel import scaled, table_of
 from pfdist.pages.style import styled
 from pfdist.results import ComparisonStatistics, Run
-from pfdist.results.online import OnlineDraws, online_draws
 from pfdist.results.stored_run import statistics_of
 from pfdist.store import holds_run, record_pages, write_file
 from pfdist.store.files import begins_with, check_replaceable
@@ -96,11 +95,6 @@ class Tables:
         """Relative gains of the draws that have trajectories, by draw."""
         draws = int(self.trajectories["draw"].max()) + 1
         return self.run.table("gains", draws).set_index("draw")
-
-    @cached_property
-    def online(self) -> OnlineDraws:
-        """The draws whose times were chosen one after another."""
-        return online_draws(self.run)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ PLUGINS = (
     "guided",
     "init",
     "moving",
+    "online",
     "rule",
     "runs",
     "simulate",

@@ -26,12 +26,12 @@ from pfdist.filters.criterion import (
     other_criteria_of,
 )
 from pfdist.filters.engines import is_exact
+from pfdist.problem.added_sections import AddedSection, added_sections, with_added_sections
 from pfdist.problem.covariates import times_of_file, with_columns, with_columns_by_time
 from pfdist.problem.even_sets import has_even_sets
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
 from pfdist.problem.needs import CONTROL, fault_of
-from pfdist.problem.online_section import Online, Search
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import (
@@ -44,6 +44,7 @@ from pfdist.problem.sections import (
     Execution,
     FilterSection,
     Model,
+    Search,
     is_list_of,
 )
 
@@ -146,8 +147,6 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
 
 # --- the job --------------------------------------------------------------------------------------
 
-ONLINE: Final = "online"
-"""Name of the times that are chosen online; no search may have it."""
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
 _NOTHING: Mapping[str, Any] = {}
 
@@ -156,11 +155,15 @@ class Origin(NamedTuple):
     """The source of a job."""
 
     path: Path = Path("job.toml")  # paths of models are relative to its folder; a run has its name
-    names_searches: bool = False  # whether the file has a [[search]]; else the job has the default
-    names_online: bool = False  # whether the file has a section [online]
+    sections: frozenset[str] = frozenset()  # that the file has; the job has more, by default
     # Models that were given as objects, for the parts "model" and "filter_model".
     models: Mapping[str, "NamedModel"] = _NOTHING
     is_file: bool = True  # a problem in Python has no job file
+
+    @property
+    def names_searches(self) -> bool:
+        """Whether the file has a [[search]]."""
+        return "search" in self.sections
 
 
 _NO_FILE = Origin()
@@ -181,6 +184,7 @@ def _with_times(value: Any, key: str, data: Mapping[str, Any], folder: Path) -> 
     return times_of_file(value, points, folder, partial(warnings.warn, category=PfdistWarning), key)
 
 
+@with_added_sections
 class Job(JobSection):
     """A validated job: everything that identifies a run, and where it is computed.
 
@@ -214,7 +218,6 @@ class Job(JobSection):
     )
     comparison: Comparison = Comparison()
     budget: Budget | None = None
-    online: Online | None = None
     execution: Execution = Execution()
     _origin: Origin = PrivateAttr()
 
@@ -272,6 +275,21 @@ class Job(JobSection):
             raise ValueError(why)
         return self
 
+    def section(self, key: str) -> Any:
+        """The section that a plugin adds; None without it."""
+        return getattr(self, key, None)
+
+    @property
+    def added(self) -> list[AddedSection]:
+        """The sections of plugins that the job has."""
+        return [each for key in added_sections() if (each := getattr(self, key)) is not None]
+
+    @model_validator(mode="after")
+    def _goes_with_sections(self) -> Self:
+        for each in self.added:
+            each.check(self)
+        return self
+
     @model_validator(mode="after")
     def _has_sets_of_every_number(self) -> Self:
         if self.budget is None:
@@ -302,21 +320,6 @@ class Job(JobSection):
         if self.comparison.is_even and not all(map(has_even_sets, each)):
             regular = self.comparison.model_copy(update={"reference": REGULAR})
             object.__setattr__(self, "comparison", regular)  # frozen from now on
-        return self
-
-    @model_validator(mode="after")
-    def _has_draws_to_compare(self) -> Self:
-        if self.online is None:
-            return self
-        draws = self.comparison.draws
-        names = {*self.comparison.named, *(search.name for search in self.search)}
-        _needs(
-            "online",
-            (bool(self.search), "a search for the first plan, got search = []"),
-            (ONLINE not in names, f"searches and sets of other names, got {ONLINE!r}"),
-            (self.online.draws <= draws, f"online.draws of at most comparison.draws = {draws}, got "
-                                         f"{self.online.draws}: the same draws are compared"),
-        )  # fmt: skip
         return self
 
     @property
@@ -480,7 +483,7 @@ def load_job(
     data = toml_of_file(path)
     if "job" in data:
         raise JobError(f"{path} is a sweep file, not a job: run it by `pfdist sweep {path}`")
-    origin = Origin(path, "search" in data, "online" in data)
+    origin = Origin(path, frozenset(data))
     try:
         return _validated(data, origin, overrides, sections, settings)
     except JobError:

@@ -14,10 +14,9 @@ from pfdist.errors import JobError
 from pfdist.filters.criterion import MEAN, Criterion, OtherCriterion
 from pfdist.filters.engines import NUMPY, is_exact
 from pfdist.problem.methods import METHODS
-from pfdist.problem.online_section import Online, Search
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
-from pfdist.problem.sections import Budget, Comparison, FilterSection, Model
+from pfdist.problem.sections import Budget, Comparison, FilterSection, Model, Search
 
 
 class JobParts(Protocol):
@@ -30,7 +29,8 @@ class JobParts(Protocol):
     search: tuple[Search, ...]
     comparison: Comparison
     budget: Budget | None
-    online: Online | None
+
+    def section(self, key: str) -> Any: ...  # noqa: D102
 
     @property
     def path(self) -> Path: ...  # noqa: D102
@@ -86,7 +86,7 @@ def _takes_lag(job: JobParts) -> str:
 
 ONE_NUMBER = Fact("no `[budget]`", "a job without a section budget", lambda job, _: not job.budget)
 PLANNED_AHEAD = Fact(
-    "no `[online]`", "a job without a section online", lambda job, _: job.online is None
+    "no `[online]`", "a job without a section online", lambda job, _: job.section("online") is None
 )
 EXPECTED_MSE = Fact(
     "the expected MSE, not another `problem.criterion`",
@@ -253,16 +253,6 @@ LEARNING = Capability(
     '`scenarios.filter = "learned"`', {PARTICLES: ""},
     lambda job: "scenarios.filter = 'learned'" * (_of_scenarios(job, "filter") == "learned"),
 )  # fmt: skip
-ON_THE_WAY = Capability(
-    "`[online]`, `pfdist online`, `next`, `Planner`",
-    {
-        FILTERED: "particles of now have no past: make measured times problem.required, allow only "
-        "them and later ones, and plan again (docs/afterwards.md)",
-        LEARNED: "the filter learns nothing about the scenario of a draw",
-        EXPECTED_MSE: "", SAME_STATES: "systems are simulated from the filter's particles",
-    },
-    lambda job: "online" * (job.online is not None),
-)  # fmt: skip
 BOUND = Capability(
     "a lower bound of the error", {SQUARED_NORM: "0 draws of the bound leave it out"}
 )
@@ -273,7 +263,7 @@ REAL_DATA = Capability(
     "`pfdist filter`, `next`, `backtest`", {NOT_TOLD: "nobody knows the scenario of a real system"}
 )
 _CAPABILITIES = (
-    BUDGET, ON_THE_WAY, CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, EXACT,
+    BUDGET, CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, EXACT,
     WRONG_FILTER, LEARNING, BOUND, LOSS, REAL_DATA,
 )  # fmt: skip
 

@@ -188,9 +188,7 @@ class Problem(Shown):
                 raise JobError(f"unknown section {shown(name)}{listed}; {other}")
         given = {"model": self._model, "filter_model": self._filter_model}
         models = {part: each for part, each in given.items() if isinstance(each, NamedModel)}
-        origin = Origin(
-            Path(f"{self.name}.toml"), "search" in sections, "online" in sections, models, False
-        )
+        origin = Origin(Path(f"{self.name}.toml"), frozenset(sections), models, False)
         filled = {name: section for name, section in sections.items() if section is not None}
         section = _section_of(self._model)
         if self._filter_model is not None and self._filter_model != self._model:

@@ -25,7 +25,8 @@ from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
 from pfdist.problem.clock import Time, plain_time
-from pfdist.problem.search_section import Degenerate, is_name
+from pfdist.problem.methods import any_section
+from pfdist.problem.search_section import Degenerate, SearchSection, is_name
 
 DEFAULT_METHOD: Final = "relaxation"  # of a search; the name of its set, too
 EVENLY_SPACED: Final = "evenly spaced"  # a reference: the best evenly spaced times
@@ -40,9 +41,11 @@ _LONGEST_TEXT = 4096  # characters of a path
 if TYPE_CHECKING:
     Particles = int  # where something is computed
     PoolName = str
+    Search = SearchSection
 else:
     Particles = Annotated[int, Field(ge=1, le=10_000_000)] | Literal[AUTO]
     PoolName = Literal[(AUTO_POOL, *POOLS)]
+    Search = any_section()
 
 
 def is_list_of(value: Any, *kinds: type) -> bool:

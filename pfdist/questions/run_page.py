@@ -26,6 +26,7 @@ from pfdist.common.plugins import added
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
 from pfdist.filters.aspects import ErrorBeside
+from pfdist.problem.added_sections import added_sections
 from pfdist.problem.even_sets import has_even_sets
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.about_run import computed, made_by, problem, question, using
@@ -35,8 +36,6 @@ from pfdist.questions.compared_page import (
     beside_given_sets,
     compared,
     criterion_effect,
-    online_section,
-    online_sentence,
     scenarios,
 )
 from pfdist.questions.methods_page import methods_section
@@ -101,11 +100,12 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
     """
     subject = Subject(run, target=target)
     title = "When to measure"
-    chapters: tuple[Chapter, ...] = (answer, online_section, scenarios, proof, *added("chapters"))
+    of_plugins = *added("answers"), scenarios, proof, *added("chapters")
+    chapters: tuple[Chapter, ...] = (answer, *of_plugins)
     if "budget" in run.job:
         title, chapters = "How many measurements are enough", (budget_section,)
-    elif run.job.get("online"):
-        title = "Fixed or online times"
+    elif titles := [each.title for key, each in added_sections().items() if key in run.job]:
+        (title, *_) = titles
     elif not run.job["search"]:
         title, chapters = "Which times are best", (compared, *chapters)
     warnings = _warnings(subject)
@@ -135,7 +135,7 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         Whether the proof and the searches are described, too.
     """
     subject = Subject(run, target=target)
-    chapters: Sequence[Chapter] = (answer, compared, gains, scenarios, online_section)
+    chapters: Sequence[Chapter] = (answer, compared, gains, scenarios, *added("answers"))
     if "budget" in run.job:
         chapters = (budget_section,)
     place = (
@@ -193,7 +193,8 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     sentences = [
         (_beating if row.beats_search else _gain)(subject, row),
         _as_good(subject, row), _proof(subject, row),
-        "" if row.beats_search else online_sentence(subject),  # a rule of another set
+        # Plugins say nothing of another set.
+        *([] if row.beats_search else [say(subject) for say in added("sentences")]),
         provenance_of(subject.run).get("on_the_way", ""),
     ]  # fmt: skip
     yield Text(" ".join(filter(None, sentences)), prominent=True)

@@ -22,7 +22,6 @@ from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.criteria import other_criteria
-from pfdist.results.online import is_online, online_draws
 from pfdist.results.particle_loss import particle_losses_of
 from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import (
@@ -143,11 +142,6 @@ class Subject:
         """The rows of the table ``scenarios``, if the job has scenarios."""
         is_known = "scenarios" in self.run.tables
         return rows_of(self.run.table("scenarios")) if is_known else []
-
-    @cached_property
-    def online(self) -> dict[str, Any] | None:
-        """Results of online times; None if there are none."""
-        return online_draws(self.run).summary() if is_online(self.run) else None
 
     @cached_property
     def criterion(self) -> Criterion:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
@@ -12,13 +13,13 @@ from pydantic import Field
 from pfdist.common.arguments import path_argument
 from pfdist.common.nearest import must_be
 from pfdist.common.parts import Page
+from pfdist.common.plugins import hooked
 from pfdist.common.registry import Registry
 from pfdist.common.section import Arguments, Whole
 from pfdist.common.shown import Shown, as_fragment
 from pfdist.errors import ArgumentError, PfdistError, StoreError
 from pfdist.results.columns import Row, finite, records_of
 from pfdist.results.export import export_plan
-from pfdist.results.online import is_online, online_draws
 from pfdist.results.over_time import RANGE_SUMS, error_over_time
 from pfdist.results.pairs import pairs_of, ranks_of
 from pfdist.results.sets import recommended, sets_of
@@ -170,8 +171,8 @@ class Run(StoredRun, Shown):
             - sets: the rows of the table ``sets``; empty before the searches have ended.
             - pairs, ranks: rows of these tables, if the job names sets; else None.
             - scenarios: rows of this table, if the job has scenarios; else None.
-            - online: results of times that were chosen one after another, or None; see
-              `pfdist.results.online.OnlineDraws.summary`.
+            - what plugins add, or None: ``online`` has results of times that were chosen one after
+              another, see `pfdist.plugins.online.draws.OnlineDraws.summary`.
         """
         problem, criterion, has = problem_of(self), criterion_of(self), self.tables
         named = "comparison" in has and bool(named_sets(self))
@@ -190,7 +191,7 @@ class Run(StoredRun, Shown):
             "pairs": records_of(self.table("pairs")) if named else None,
             "ranks": records_of(self.table("ranks")) if named else None,
             "scenarios": records_of(self.table("scenarios")) if "scenarios" in has else None,
-            "online": finite(online_draws(self).summary()) if is_online(self) else None,
+            **{key: finite(resolve_name(name)(self)) for key, name in hooked("summaries").items()},
         }
 
     def _page(self) -> Page:

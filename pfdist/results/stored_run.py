@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times
+from pfdist.common.plugins import hooked
 from pfdist.errors import JobError, StoreError
 from pfdist.filters.criterion import MEAN, Criterion, WorstScenario, criterion_named
 from pfdist.filters.engines import AUTO
@@ -98,9 +99,10 @@ class StoredRun:
         if self._store.has_parts(without=QUESTIONS):
             return "comparing"
         enough = self.draws_compared == self.job["comparison"]["draws"]
-        online = sum(map(len, self._store.draws("online")))
-        wanted = self.job.get("online", {}).get("draws", 0)
-        return "finished" if enough and online >= wanted else "comparing"
+        wanted = {key: self.job.get(key, {}).get("draws", 0) for key in hooked("sections")}
+        has = {key: sum(map(len, self._store.draws(key))) for key in wanted if wanted[key]}
+        enough = enough and all(has[key] >= wanted[key] for key in has)
+        return "finished" if enough else "comparing"
 
     @cached_property
     def _measured(self) -> dict[str, Times]:
@@ -142,12 +144,12 @@ def read_recorded(
 
 def _lacking_searches(job: dict[str, Any]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
     """The searches of a job whose methods this process lacks, each with its section and its key."""
-    searches, online = job.get("search"), job.get("online")
-    found: list[tuple[str, Any, Any]] = []
+    searches, found = job.get("search"), list[tuple[str, Any, Any]]()
     if isinstance(searches, list):
         found += [("search", *each) for each in enumerate(searches)]
-    if isinstance(online, dict):
-        found.append(("online", "search", online.get("search")))
+    for key in hooked("sections"):
+        if isinstance(section := job.get(key), dict) and "search" in section:
+            found.append((key, "search", section["search"]))
     for section, key, search in found:
         if isinstance(search, dict) and str(search.get("method", DEFAULT_METHOD)) not in METHODS:
             yield section, key, search

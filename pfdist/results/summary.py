@@ -17,6 +17,7 @@ import numpy as np
 
 from pfdist import __version__
 from pfdist.common.parsing import parse_json
+from pfdist.common.plugins import hooked
 from pfdist.problem.set_key import labels_of_sets
 from pfdist.results.columns import COLUMNS, Row
 from pfdist.results.stored_run import StoredRun, evaluations_of
@@ -47,8 +48,9 @@ class Summary(NamedTuple):
 
     def state_of(self, run: StoredRun) -> str:
         """The state of the run to which the summary belongs."""
-        is_plain = self.draws == run.job["comparison"]["draws"] and "online" not in run.job
-        return "finished" if is_plain else run.state
+        is_plain = run.job.keys().isdisjoint(hooked("sections"))
+        is_whole = is_plain and self.draws == run.job["comparison"]["draws"]
+        return "finished" if is_whole else run.state
 
 
 def summary_of(run: StoredRun) -> Summary | None:

@@ -31,8 +31,8 @@ from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
 from pfdist.problem.clock import Clock
-from pfdist.problem.job import ONLINE, Job
-from pfdist.problem.needs import LOSS, ON_THE_WAY
+from pfdist.problem.job import Job
+from pfdist.problem.needs import LOSS
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
 from pfdist.runner.budget_study import BudgetStudy
@@ -47,12 +47,12 @@ from pfdist.runner.choice import (
 )
 from pfdist.runner.contract import few_draws
 from pfdist.runner.design import design_of
+from pfdist.runner.later import later_of
 from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
     Settings,
     comparing_of,
     named_search,
-    planning_of,
 )
 from pfdist.runner.study import Study
 
@@ -157,15 +157,15 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
     searches = tuple(named_search(study, job, section, evaluator) for section in job.search)
     wanted = [comparing_of(job), Settings.from_job(job).estimation]
     wanted += [settings.estimation for search in searches for settings in search.all_settings]
-    if job.online is not None:
-        ON_THE_WAY.check("online", job, evaluator)
-        wanted.append(planning_of(job, evaluator.variance_is_error).estimation)
+    for work in later_of(job):
+        wanted += work.estimations(job, evaluator)
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
     evaluator = replace(evaluator, engine=_compiled_or_batched(evaluator))
     check_beside_truth(evaluator, comparing_of(job))
     built = Built(job, feasible, study, evaluator, searches)
-    sets = built.names if job.online is None else [*built.names, ONLINE]
-    check_estimate_columns(sets, evaluator.model.named("z"))
+    check_estimate_columns(
+        [*built.names, *(e.part for e in later_of(job))], evaluator.model.named("z")
+    )
     return built
 
 

@@ -1,27 +1,22 @@
-"""The driver of a run: searches, then the comparison, then online draws; it uses no pool itself."""
+"""The driver of a run: searches, the comparison, then what plugins add; it uses no pool itself."""
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple, get_args
 
-import numpy as np
 import pyarrow as pa
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.plugins import added
-from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError, SearchError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.exact import exact_mse
-from pfdist.filters.work import FilterWork, Result, cut
-from pfdist.problem.online_section import Online
 from pfdist.results.stored_run import StoredRun
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import (
     COMPARISON,
-    TRAJECTORIES,
     comparison_steps,
     run_comparison,
     tables_of_first_draws,
@@ -31,13 +26,11 @@ from pfdist.runner.design import design_of
 from pfdist.runner.door import Part, RunSession, WorkBatch
 from pfdist.runner.evenly_spaced import scan_steps
 from pfdist.runner.information_prover import InformationProver
-from pfdist.runner.online_work import OnlineWork, affordable
+from pfdist.runner.later import later_of
 from pfdist.runner.opponent import SHARE, best_evenly_spaced, opponent_steps
 from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover
-from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.search_phase import is_too_long, run_search, search_steps
-from pfdist.runner.searches import planning_of
 from pfdist.runner.smoothed_budget import budget_of_smoothed, budget_steps, is_smoothed_budget
 from pfdist.store import Store, schema
 
@@ -78,12 +71,13 @@ def drive(session: RunSession) -> Generator[WorkBatch, None, None]:
             sets = {name: points.read(times) for name, times in written.items()}
             reporter.note(done=_searching_steps(built))
         yield from run_comparison(session, sets)
-        if built.job.online is not None:
-            yield from run_online(session, sets)
+        for work in later_of(built.job):
+            yield from work.drive(session, sets)
     finally:  # also if the driver is closed early: rows that still wait are committed
         session.commit()
         with store.together():
-            for phase in (*built.phases, COMPARISON, ONLINE_TIMES):
+            later = (work.phase for work in later_of(built.job))
+            for phase in (*built.phases, COMPARISON, *later):
                 store.settle("timings", phase)
 
 
@@ -95,7 +89,8 @@ def prover_of(built: Built, settings: BoundSettings) -> Prover:
 
 def foreseen_steps(built: Built) -> float:
     """Approximate number of particle-steps of a whole run."""
-    return _searching_steps(built) + comparison_steps(built) + online_steps(built)
+    later = sum(work.steps(built) for work in later_of(built.job))
+    return _searching_steps(built) + comparison_steps(built) + later
 
 
 def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, float]:
@@ -106,7 +101,8 @@ def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, f
     foreseen["comparison"] = comparison_steps(built)
     for table in tables_of_first_draws(built):
         foreseen[table.part] += table.steps
-    foreseen["online"] = online_steps(built)
+    for work in later_of(built.job):
+        foreseen[work.part] += work.steps(built)
     if prover is not None:
         foreseen["proof"], foreseen["likelihood"] = prover.steps, prover.rank_steps
         foreseen["scan"] = scan_steps(built, SHARE * core_steps(built, prover))
@@ -214,79 +210,3 @@ def _exact_columns(built: Built, sets: Sequence[Times]) -> dict[str, tuple[Any, 
 def _publish_compared(store: Store, table: pa.Table) -> None:
     store.commit("compared", COMPARED, table)  # a part shows that publishing was cut short
     store.publish("compared", COMPARED, [table])
-
-
-# --- times chosen one after another ---------------------------------------------------------------
-
-ONLINE_TIMES = "online.times"
-"""Name of the phase; no search may have it."""
-_BLOCK = 200  # draws, whose rows are published together
-
-
-def run_online(session: RunSession, sets: Mapping[str, Times]) -> Generator[WorkBatch, None, None]:
-    """Choose the times of the draws that the store lacks, and publish the table ``online``.
-
-    The job must have a section [online]. The initial plan is the compared set of the first search.
-    """
-    built, reporter = session.built, session.reporter
-    plan = sets[built.searches[0].name]
-    first = next(name for name, times in sets.items() if times == plan)  # whose noise it has
-    work, start = online_work(built, plan, first), reporter.progress.done
-    draws = work.draws[1]
-    reporter.begin("online")
-
-    def learn(piece: FilterWork, result: Result) -> None:
-        reporter.advance(piece.steps, len(result.mse))
-
-    works = [work.part(block) for block in cut(range(draws), _BLOCK)]
-    rows = RowsByDraw("online", _rows, _result)
-    yield WorkBatch(session, ONLINE_TIMES, works, rows, learn, part="online")
-    reporter.reach(start + draws * work.steps_a_draw)
-    session.store.settle("online", ONLINE_TIMES)
-
-
-def _result(rows: pa.Table) -> Result:
-    """The result from which these rows were made: the errors."""
-    return Result(rows["mse"].to_numpy()[:, None])
-
-
-def online_steps(built: Built) -> int:
-    """Approximate number of particle-steps of the phase; 0 without a section [online]."""
-    if built.job.online is None:
-        return 0
-    work = online_work(built, built.job.problem.feasible.regular(), "")
-    return work.draws[1] * work.steps_a_draw
-
-
-def online_work(built: Built, plan: Times, name: str) -> OnlineWork:
-    """The work for all draws of a job with a section [online]; `name` keys the filters' noise."""
-    job, purpose, online = built.job, built.study.purpose, built.job.online or Online()
-    return OnlineWork(
-        measurement_times=(plan,),
-        ends=(job.problem.feasible.horizon,),
-        filter_streams=(stream_of(purpose, job.seed, "filter", name),),
-        draws_stream=stream_of(purpose, job.seed, "draws"),
-        draws=(0, online.draws),
-        estimation=built.comparing,
-        ids=("online",),
-        feasible=built.feasible,
-        planning=affordable(
-            built, built.feasible, planning_of(job, built.evaluator.variance_is_error)
-        ),
-        planning_stream=stream_of(purpose, job.seed, "planning"),
-        shown=TRAJECTORIES,
-        sensors=built.evaluator.points.ways,
-    )
-
-
-def _rows(piece: FilterWork, result: Result) -> pa.Table:
-    estimates = [estimate.ravel() for estimate in result.estimates]
-    later = len(result.mse) - len(estimates)
-    columns = [
-        pa.array(np.arange(*piece.draws)),
-        pa.array(result.mse[:, 0]),
-        pa.array(result.degenerate[:, 0]),
-        pa.array(result.measurement_times, pa.list_(pa.int16())),
-        pa.array([*estimates, *[None] * later], pa.list_(pa.float64())),
-    ]
-    return pa.Table.from_arrays(columns, schema=schema("online"))

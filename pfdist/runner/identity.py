@@ -13,6 +13,7 @@ from typing import Any
 
 from pfdist.common.dotted_keys import leaves
 from pfdist.common.measurement_times import CLOCK, DATES
+from pfdist.common.plugins import hooked
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.filters.engines import AUTO
 from pfdist.filters.particle_filter import KERNEL_VERSION
@@ -43,7 +44,7 @@ from pfdist.store.folder import ABOUT, FILES, MODELS
 from pfdist.store.listing import read_listing
 
 _HASH = re.compile("[0-9a-f]{16,64}")
-_LENGTHS = ("comparison.draws", "online.draws")
+_LENGTHS = tuple(f"{key}.draws" for key in ("comparison", *hooked("sections")))
 """Keys of a job that set the length of a run; see `_may_change`."""
 
 
@@ -288,4 +289,4 @@ def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
     """Whether a run may resume with this change: more draws."""
     if "nothing" in (was, is_now) or key.removeprefix("job.") not in _LENGTHS:
         return False
-    return bool(is_now >= (was if key == "job.online.draws" else committed))
+    return bool(is_now >= (committed if key == "job.comparison.draws" else was))

@@ -15,10 +15,8 @@ from pfdist.kernels.estimators import (
 )
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
-from pfdist.problem.online_section import Online
 from pfdist.problem.search_section import EvaluationSettings, SearchSection
 from pfdist.runner.design import linearized_of
-from pfdist.runner.planning import Planning
 from pfdist.runner.study import Study
 from pfdist.search import Optimiser
 from pfdist.search.linearized import LinearizedDesign
@@ -203,10 +201,3 @@ def check_memory(job: Job, section: SearchSection, draws: int) -> None:
                 f"{wanted / 1e9:.3g} GB of memory, and this machine has {present / 1e9:.3g} GB: "
                 f"take at most {present * count // wanted:,} ({job.path})"
             )
-
-
-def planning_of(job: Job, variance_is_error: bool) -> Planning:
-    """The settings for planning the remaining measurements, from [online] or its defaults."""
-    online = job.online or Online()
-    settings = Settings.from_job(job, online.search.evaluation, variance_is_error)
-    return Planning(online.search, settings.draws, online.judging_draws, settings.estimation)

@@ -23,6 +23,7 @@ from pfdist.common.parsing import (
     parse_toml,
     text_of,
 )
+from pfdist.common.plugins import hooked
 from pfdist.common.section import explained
 from pfdist.common.streams import stream_key
 from pfdist.errors import StoreError, shown
@@ -35,7 +36,7 @@ from pfdist.store.tables import REMEDY
 if TYPE_CHECKING:
     from pfdist.models import StateSpaceModel
 
-_GROWS = {"comparison": ("draws",), "online": ("draws",)}  # keys that may change
+_GROWS = dict.fromkeys(("comparison", *hooked("sections")), ("draws",))  # keys that may change
 
 
 class _Recorded(BaseModel):

@@ -210,8 +210,8 @@ def test_debug_shows_the_traceback_before_the_line(call: Callable[..., Any]) -> 
 @pytest.mark.parametrize(
     ("broken", "words"),
     [
-        ("pfdist.plugins.runs.listing.list_runs", ["list"]),
-        ("pfdist.cli.main.line_of", ["list"]),
+        ("pfdist.results.open_run", ["status", "run"]),
+        ("pfdist.cli.main.line_of", ["status", "run"]),
     ],
 )
 def test_an_unexpected_exception_is_one_line(

@@ -25,7 +25,7 @@ from pfdist.cli.main import main
 from pfdist.cli.program import line_of
 from pfdist.filters.simulation import simulate
 from pfdist.models.loader import installed_models
-from pfdist.problem.online_section import Online
+from pfdist.plugins.online.section import Online
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

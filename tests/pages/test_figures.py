@@ -31,13 +31,13 @@ from pfdist.pages.plots import (
 from pfdist.pages.searches import legend_inches
 from pfdist.pages.style import BLUE, COLUMN_INCHES, RED, styled
 from pfdist.pages.system import _stretch
+from pfdist.plugins.online.draws import OnlineDraws
 from pfdist.problem.calendar import Calendar
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Gain, Run, open_run
 from pfdist.results.budget_curve import best_reference
-from pfdist.results.online import OnlineDraws
 from pfdist.results.over_time import errors_over_time_of, ranges_of
 from pfdist.results.stored_run import statistics_of
 from pfdist.store.folder import FORMATS

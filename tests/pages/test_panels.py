@@ -25,11 +25,11 @@ from pfdist.pages import panel
 from pfdist.pages.figure import FIGURES, Tables, drawn
 from pfdist.pages.panel import label_ends, label_instants, label_quantity, styles_of
 from pfdist.pages.style import BLUE, GREY, OCHRE, PRINT, RED, SCREEN, styled
+from pfdist.plugins.online.draws import OnlineDraws
 from pfdist.plugins.runs.runs_table import RESULTS
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.results import Run
-from pfdist.results.online import OnlineDraws
 from pfdist.store import filtered_schema
 
 NAMES = [

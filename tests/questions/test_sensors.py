@@ -19,12 +19,12 @@ from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.pages.terminal import lines_of
+from pfdist.plugins.online.work import seen
 from pfdist.problem.clock import Clock
 from pfdist.problem.measurements import read_measurements
 from pfdist.questions.bound_page import bound_page
 from pfdist.questions.run_page import answer_of
 from pfdist.results.stored_run import found_sets
-from pfdist.runner.online_work import seen
 
 BUDGET = 6
 

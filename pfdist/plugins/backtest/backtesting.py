@@ -14,6 +14,7 @@ from pfdist.errors import MeasurementsError
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
+from pfdist.filters.one_filter import seen
 from pfdist.filters.proposal import PLAIN
 from pfdist.filters.scenarios import stretches
 from pfdist.filters.work import Estimation
@@ -22,10 +23,9 @@ from pfdist.kernels.schemes import resample_written
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import repeated, within_half_turn
 from pfdist.models.sensed import when_made
+from pfdist.plugins.online.planning import Now, Planning, Replanner
 from pfdist.problem.feasible import Feasible
 from pfdist.runner.filter import Filter
-from pfdist.runner.online_work import seen
-from pfdist.runner.planning import Now, Planning, Replanner
 
 Array = NDArray[np.float64]
 _SIGNED = 2**63  # from a key of 64 bits to a seed, which may be negative

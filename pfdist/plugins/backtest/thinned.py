@@ -28,14 +28,14 @@ from pfdist.plugins.backtest.backtesting import (
     with_repeats,
 )
 from pfdist.plugins.backtest.needs import PLAN_EACH
+from pfdist.plugins.online.planner import first_planning
+from pfdist.plugins.online.planning import planning_of
 from pfdist.pools.base import Pool
 from pfdist.problem.points import Points
 from pfdist.problem.replicates import Replicate
-from pfdist.questions.planner import first_planning
 from pfdist.runner.build import Built
 from pfdist.runner.progress import Progress, Show
 from pfdist.runner.replicates import evaluator_for, outcomes
-from pfdist.runner.searches import planning_of
 
 Array = NDArray[np.float64]
 PLAN, FROM_START, CENTRED = "plan", "from_start", "centred"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pfdist.common.changes import change_of, effect, is_clear
 from pfdist.common.estimate import Estimate
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
+from pfdist.common.plugins import asked
 from pfdist.common.rounding import rounded, unrounded
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
@@ -47,7 +48,6 @@ from pfdist.questions.options import (
 from pfdist.questions.run_of_job import own_store, run_and_job
 from pfdist.questions.subject import mse_cell, number_of
 from pfdist.results import Run, finite
-from pfdist.results.online import online_errors
 from pfdist.results.pairs import pairs_table
 from pfdist.results.particle_loss import lost_text
 from pfdist.results.sets import recommended
@@ -410,7 +410,8 @@ def unit_of(model: StateSpaceModel) -> str:
 def _compared(run: Run, draws: int | None) -> tuple[pd.DataFrame, dict[str, str]]:
     """The errors of a run's sets and online times with the same draws, and labels of the latter."""
     table = run.table("comparison", draws).filter(regex="^(draw|mse_.*)$")
-    beside = online_errors(run, draws)
+    errors_beside = asked("rule.beside")
+    beside = None if errors_beside is None else errors_beside(run, draws)
     if beside is not None:
         table = table.merge(beside, on="draw")
     labels = {} if beside is None else beside.attrs["labels"]

@@ -19,7 +19,7 @@ from pfdist.filters.interface import EACH_DRAW
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
 from pfdist.filters.simulation import simulate
-from pfdist.runner.planning import Replanner
+from pfdist.plugins.online.planning import Replanner
 
 SENSORS = ThreeSensors(0.4, 0.95, 0.5, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), (0.3, 0.05, 0.5))
 MODELS = [level_and_slope(0.1, 0.05), constants(2, 0.05), SENSORS.as_model()]

@@ -35,7 +35,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.kernels.estimators import EVIDENCE
 from pfdist.plugins.moving import plain
 from pfdist.plugins.moving.proposal import MOVING
-from pfdist.runner import online_work
+from pfdist.plugins.online import work as online_work
 
 READINGS = 8
 DRUG = drug(0.03).on_clock(HOURS)

@@ -17,12 +17,12 @@ from pfdist.filters.exact import exact_mse
 from pfdist.filters.one_filter import Followed, OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
+from pfdist.plugins.online.needs import ON_THE_WAY
+from pfdist.plugins.online.planning import Now, Planning, Replanner, _Outlook
+from pfdist.plugins.online.section import PLANNING
+from pfdist.plugins.online.work import OnlineWork
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
-from pfdist.problem.needs import ON_THE_WAY
-from pfdist.problem.online_section import PLANNING
-from pfdist.runner.online_work import OnlineWork
-from pfdist.runner.planning import Now, Planning, Replanner, _Outlook
 
 QUICK = Planning(PLANNING, 32, 64, Estimation(32, "systematic", "filter_variance"))
 SEARCHED = replace(QUICK, search=METHODS["exhaustive"].section())

@@ -12,15 +12,13 @@ from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.formulas import operations_of
-from pfdist.filters.one_filter import Followed, OneFilter
+from pfdist.filters.one_filter import Followed, OneFilter, seen
 from pfdist.filters.proposal import PLAIN
 from pfdist.filters.strategy import follow
 from pfdist.filters.work import FilterWork, Result
-from pfdist.models import StateSpaceModel
+from pfdist.plugins.online.planning import Now, Planning, Replanner, Replanning, planning_of
 from pfdist.problem.feasible import Feasible
 from pfdist.runner.build import Built
-from pfdist.runner.planning import Now, Planning, Replanner, Replanning
-from pfdist.runner.searches import planning_of
 
 # A step of a plan takes longer than a step of the comparison: measurements are near each other,
 # particles are few, and the search itself takes time.
@@ -83,14 +81,6 @@ class OnlineWork(FilterWork):
         with suppress(MeasurementsError):  # the draw is degenerate
             follow(strategy, Followed(first), look, instants, delays)
         return (*strategy.taken, *strategy.plan)
-
-
-def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArray[np.float64]:
-    """The measurement y, (m,), with NaN for what is not measured at these times of an instant."""
-    measured = np.full_like(y, np.nan)
-    for part in (model.parts[model.points.way(time)] for time in times):
-        measured[part.y] = y[part.y]
-    return measured
 
 
 def affordable(built: Built, feasible: Feasible, planning: Planning) -> Planning:

@@ -56,5 +56,5 @@ def online(
     """
     settings = {"online": {} if draws is None else {"draws": draws}}
     job = as_job(job, changes, settings=settings)
-    results = folder_of(job, results, "" if job.origin.names_online else "-online")
+    results = folder_of(job, results, "" if "online" in job.origin.sections else "-online")
     return run(job, results, reuse=reuse, **options)

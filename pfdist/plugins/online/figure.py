@@ -18,11 +18,11 @@ from pfdist.pages.panel import (
     styles_of,
     verbatim,
 )
+from pfdist.plugins.online.draws import OnlineDraws, online_draws
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
-from pfdist.results.online import OnlineDraws, online_draws
 
 MOST_ROWS = 200  # draws in the raster: nobody could distinguish more
 
@@ -30,7 +30,7 @@ MOST_ROWS = 200  # draws in the raster: nobody could distinguish more
 @figure("online_times", applies=lambda run: "online" in run.tables)
 def online_times_figure(tables: Tables) -> Plot:
     """Share of the draws that online times measure at each instant, and the planned times."""
-    draws = tables.online
+    draws = online_draws(tables.run)
     differ = 100 * float(np.mean(draws.differ)) if len(draws.rows) else 0.0
     plan = phrase_of(tables.run.labels[draws.plan])
     title = f"In {differ:.0f} % of the draws, online times differ from {plan}."

@@ -121,3 +121,8 @@ def online_draws(run: StoredRun) -> OnlineDraws:
     columns = [f"{start}_{name}" for name in (reference, plan) for start in ("mse", "degenerate")]
     rows = chosen.merge(compared[["draw", *columns]], on="draw")
     return OnlineDraws(reference, plan, run.sets[plan], rows, problem_of(run).points)
+
+
+def online_summary(run: StoredRun) -> dict[str, Any] | None:
+    """The results of a run's online times; None if it has none."""
+    return online_draws(run).summary() if is_online(run) else None

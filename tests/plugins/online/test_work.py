@@ -18,12 +18,12 @@ from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError
 from pfdist.filters.work import Estimation, FilterWork
+from pfdist.plugins.online.draws import online_draws
 from pfdist.results import Run
-from pfdist.results.online import online_draws
 from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
 
-ASSETS = Path(__file__).parents[1] / "assets"
+ASSETS = Path(__file__).parents[2] / "assets"
 HORIZON, PARTICLES = 12, 50
 JOB = f"""
 seed = 1

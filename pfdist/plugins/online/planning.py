@@ -21,9 +21,12 @@ from pfdist.filters.one_filter import Followed
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.variates import generator
+from pfdist.plugins.online.section import Online, online_of
 from pfdist.problem.feasible import Feasible
+from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.search_section import SearchSection
+from pfdist.runner.searches import Settings
 from pfdist.search.base import Candidate, Optimiser
 
 _BETTER = 1.0  # standard errors by which a new plan must be better than the plan at hand
@@ -294,3 +297,10 @@ class _Outlook:
     def evaluator(self) -> Evaluator:
         """The evaluator from now on."""
         return replace(self.replanner.evaluator, prior=self.now.prior, estimations=())
+
+
+def planning_of(job: Job, variance_is_error: bool) -> Planning:
+    """The settings for planning the remaining measurements, from [online] or its defaults."""
+    online = online_of(job) or Online()
+    settings = Settings.from_job(job, online.search.evaluation, variance_is_error)
+    return Planning(online.search, settings.draws, online.judging_draws, settings.estimation)

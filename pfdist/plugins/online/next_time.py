@@ -21,6 +21,7 @@ from pfdist.errors import ArgumentError, PfdistWarning
 from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import FilterEstimate
+from pfdist.plugins.online.planner import Planner
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, Reading, read_measurements
 from pfdist.problem.problem import JobSource
@@ -35,7 +36,6 @@ from pfdist.questions.planned_run import (
     system_of_table,
     table_argument,
 )
-from pfdist.questions.planner import Planner
 from pfdist.questions.subject import number_of
 from pfdist.questions.surprises import IMPROBABLE, SEE_SURPRISE, few_at, surprise_of
 from pfdist.results import Run, finite

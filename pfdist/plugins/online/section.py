@@ -1,11 +1,11 @@
-"""The section [online] of a job file: online choice of measurement times."""
+"""The section [online] of a job file."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
 from pydantic import Field, field_validator
 
-from pfdist.common.section import JobSection
+from pfdist.problem.added_sections import AddedSection
 from pfdist.problem.methods import METHODS, any_section
 from pfdist.problem.search_section import CommonNoiseSettings, SearchSection
 
@@ -14,14 +14,15 @@ PLANNING: Final = METHODS["corridor"].section(
     evaluation=CommonNoiseSettings(draws=64, particles=64), **_QUICK
 )
 """A quick search that plans the remaining measurements, unless a job names another search."""
+ONLINE: Final = "online"
+"""Name of the times that are chosen online; no search may have it."""
 if TYPE_CHECKING:
-    Search = SearchSection
     OnlineSearch = SearchSection
 else:
-    Search, OnlineSearch = any_section(), any_section(online=True)
+    OnlineSearch = any_section(online=True)
 
 
-class Online(JobSection):
+class Online(AddedSection):
     """Online choice: each time is chosen after the measurement before it is known.
 
     The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` have no effect.
@@ -39,6 +40,8 @@ class Online(JobSection):
         The search that plans the remaining measurements: the keys of a ``[[search]]``.
     """
 
+    title: ClassVar[str] = "Fixed or online times"
+
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     judging_draws: Annotated[int, Field(ge=2, le=1_000_000)] = 1024
     search: OnlineSearch = PLANNING
@@ -53,3 +56,25 @@ class Online(JobSection):
         if isinstance(evaluation, dict):
             value = {**value, "evaluation": {**quick["evaluation"], **evaluation}}
         return {**quick, **value}
+
+    def check(self, job: Any) -> None:
+        """Raise a `ValueError` unless the job has a plan, and enough draws."""
+        draws, names = job.comparison.draws, {each.name for each in job.search}
+        needed = ""
+        if not job.search:
+            needed = "a search for the first plan, got search = []"
+        elif ONLINE in names or ONLINE in job.comparison.named:
+            needed = f"searches and sets of other names, got {ONLINE!r}"
+        elif self.draws > draws:
+            needed = (
+                f"online.draws of at most comparison.draws = {draws}, got {self.draws}: the same "
+                "draws are compared"
+            )
+        if needed:
+            raise ValueError(f"online needs {needed}")
+
+
+def online_of(job: Any) -> Online | None:
+    """The section of a `pfdist.Job`."""
+    section: Online | None = job.section("online")
+    return section

@@ -26,19 +26,18 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FilterEstimate
 from pfdist.filters.one_filter import made
 from pfdist.filters.user_prior import as_prior
+from pfdist.plugins.online.needs import ON_THE_WAY
+from pfdist.plugins.online.planning import Now, Planning, Replanner, Replanning, planning_of
+from pfdist.plugins.online.work import affordable
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.measurements import Measurements, instant_on
 from pfdist.problem.methods import METHODS
-from pfdist.problem.needs import ON_THE_WAY
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.filter import Filter
-from pfdist.runner.online_work import affordable
-from pfdist.runner.planning import Now, Planning, Replanner, Replanning
-from pfdist.runner.searches import planning_of
 
 EXPECTED_DRAWS = 2000
 """Simulated systems on which an expected MSE is estimated."""

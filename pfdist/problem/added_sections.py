@@ -1,0 +1,42 @@
+"""Sections of job files that plugins add."""
+
+from functools import cache
+from pkgutil import resolve_name
+from typing import Any, ClassVar, TypeVar, cast
+
+from pydantic import create_model
+
+from pfdist.common.plugins import hooked
+from pfdist.common.section import JobSection
+
+T = TypeVar("T", bound=type[JobSection])
+
+
+class AddedSection(JobSection):
+    """Base class of a section that a plugin adds; a job without it has None in its place."""
+
+    title: ClassVar[str] = ""
+    """The title of a report of a run with the section."""
+
+    @property
+    def amounts(self) -> tuple[int, ...]:
+        """Numbers of measurements, or prices, that have sets of their own; none if there is one."""
+        return ()
+
+    def check(self, job: Any) -> None:
+        """Raise a `ValueError` if a `pfdist.Job` does not go with the section."""
+
+
+@cache
+def added_sections() -> dict[str, type[AddedSection]]:
+    """The sections by their keys."""
+    return {key: resolve_name(name) for key, name in hooked("sections").items()}
+
+
+def with_added_sections(job: T) -> T:
+    """A class of jobs whose last fields are the sections."""
+    fields: Any = {key: (section | None, None) for key, section in added_sections().items()}
+    kind: Any = create_model(
+        job.__name__, __base__=job, __module__=job.__module__, __doc__=job.__doc__, **fields
+    )
+    return cast(T, kind)
