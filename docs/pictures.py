@@ -240,8 +240,16 @@ _PAGE = ("questions/report.py", "pages/page.html", "pages/style.css")
 GROUPS = {
     "blood": Group(_blood, ("pages/system.py",)),
     "example": Group(_example, _RUN),
-    "plan": Group(_plan, ("pages/bounds.py", "plugins/why/figures.py", "pages/searches.py")),
-    "paper": Group(_paper, ("pages/searches.py", "pages/gains.py", "pages/online.py")),
+    "plan": Group(
+        _plan,
+        (
+            "pages/bounds.py",
+            "plugins/budget/figure.py",
+            "plugins/why/figures.py",
+            "pages/searches.py",
+        ),
+    ),
+    "paper": Group(_paper, ("pages/searches.py", "pages/gains.py", "plugins/online/figure.py")),
     "sensors": Group(_sensors, ("pages/times_axis.py",)),
     "lake": Group(_lake, ("plugins/filter/figure.py",)),
     "real-data": Group(_real_data, ("plugins/backtest/figures.py",)),

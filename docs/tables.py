@@ -44,7 +44,6 @@ from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.search_section import CommonNoiseSettings, EvaluationSettings, SearchSection
 from pfdist.problem.sections import (
     DEFAULT_METHOD,
-    Budget,
     Comparison,
     EvaluationSection,
     Execution,
@@ -107,7 +106,6 @@ _SECTIONS: Mapping[str, type[JobSection]] = {
     "[[search]]": SearchSection,
     "[search.evaluation]": EvaluationSettings,
     "[comparison]": Comparison,
-    "[budget]": Budget,
     **{f"[{key}]": section for key, section in added_sections().items()},
     "[execution]": Execution,
 }

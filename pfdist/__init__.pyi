@@ -17,7 +17,6 @@ from .problem.job import Job as Job
 from .problem.job import load_job as load_job
 from .problem.problem import Problem as Problem
 from .questions.bound import bound as bound
-from .questions.budget import budget as budget
 from .questions.compare import compare as compare
 from .questions.evaluate import evaluate as evaluate
 from .questions.options import Options as Options
@@ -31,6 +30,7 @@ from .runner.filter import Filter as Filter
 # isort: split
 # Names of plugins, written by docs/tables.py
 from .plugins.backtest.question import backtest as backtest
+from .plugins.budget.question import budget as budget
 from .plugins.check.losses import particle_losses as particle_losses
 from .plugins.check.question import check_model as check_model
 from .plugins.explorer.widget import explore as explore

@@ -54,22 +54,6 @@ COMMANDS: dict[str, Command] = {
         },
         resumes=True,
     ),
-    "budget": Command(
-        "pfdist.questions.budget:budget",
-        "Find times for each number or price, and compare them with evenly spaced ones.",
-        {
-            "pfdist budget jobs/plan.toml --measurements 5:41": (
-                "Show how the error falls with 5, 6, ..., 41 measurements"
-            ),
-            "pfdist budget jobs/plan.toml --measurements 10:40:10 --results results/tens": (
-                "Try only 10, 20, 30 and 40 measurements"
-            ),
-            "pfdist budget jobs/plan.toml --measurements 5:41 --target 25": (
-                "Find the smallest number of measurements that reaches an error of 25"
-            ),
-        },
-        resumes=True,
-    ),
     "compare": Command(
         "pfdist.questions.compare:compare",
         "Compare named sets of times, and the sets of runs, on the same fresh draws.",
@@ -171,7 +155,7 @@ COMMANDS: dict[str, Command] = {
 """All commands by name: those of the core, and those of plugins."""
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Plan": ("plan", "budget", "run"),
+    "Plan": ("plan", "run"),
     "Ask": ("evaluate", "compare", "bound"),
     "Real data": (),
     "Runs": ("status", "report", "plot", "verify"),

@@ -17,7 +17,7 @@ from cyclopts import Parameter, Token
 from pfdist.cli.commands import COMMANDS
 from pfdist.common.arguments import columns_argument, sets_argument
 from pfdist.common.measurement_times import REGULAR
-from pfdist.common.parsing import finite_number, whole_number, whole_numbers
+from pfdist.common.parsing import finite_number, whole_number
 from pfdist.common.plugins import added
 from pfdist.errors import shown
 from pfdist.pools.kinds import AUTO, POOLS
@@ -169,10 +169,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "within": number_word("GAP", finite_number),
     "work": number_word("STEPS", finite_number),
     "workers": number_word("N"),
-    "budget.measurements": Word(
-        Any,
-        Parameter(metavar="NUMBERS", converter=read_each(lambda text: set(whole_numbers(text)))),
-    ),
     "evaluate.times": texts_word("TIMES", _sets_or_one),
 }
 """The words of each parameter by its name, or by its command and its name; others are switches."""

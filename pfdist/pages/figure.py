@@ -24,6 +24,7 @@ from pfdist.common.stopping import check
 from pfdist.errors import StoreError, one_line, printable
 from pfdist.pages.panel import scaled, table_of
 from pfdist.pages.style import styled
+from pfdist.problem.added_sections import has_amounts
 from pfdist.results import ComparisonStatistics, Run
 from pfdist.results.stored_run import statistics_of
 from pfdist.store import holds_run, record_pages, write_file
@@ -144,7 +145,7 @@ FIGURES: Registry[Figure] = Registry("pfdist.pages", hook="figures")
 
 def one_number(run: Run) -> bool:
     """Whether the sets of a run have one number of measurements."""
-    return "budget" not in run.job
+    return not has_amounts(run.job)
 
 
 def figure(

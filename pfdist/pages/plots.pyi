@@ -1,5 +1,4 @@
 from .bounds import bound as bound
-from .bounds import budget as budget
 from .figure import draw_figures as draw_figures
 from .figure import draw_missing_figures as draw_missing_figures
 from .gains import gain as gain
@@ -11,6 +10,7 @@ from .times_axis import times as times
 
 # isort: split
 # Names of plugins, written by docs/tables.py
+from ..plugins.budget.figure import budget as budget
 from ..plugins.check.figure import particle_losses as particle_losses
 from ..plugins.filter.figure import belief as belief
 from ..plugins.filter.sizes_figure import effective_sample_size as effective_sample_size

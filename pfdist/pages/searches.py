@@ -28,6 +28,7 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.methods import METHODS
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import ComparisonStatistics, Run
@@ -180,7 +181,7 @@ def searches(
         run, ways = evaluations, ways_of(evaluations)
         own = _methods(run)
         names = {name: own[chosen(name, own, "searches")] for name in names or own}
-        if run.draws_compared and "budget" not in run.job:
+        if run.draws_compared and not has_amounts(run.job):
             lines = _on_fresh_draws(run, statistics_of(run))
             reference, best = reference or lines["reference"], best or lines["best"]
         evaluations = run.table("evaluations")

@@ -7,6 +7,7 @@ and its line below, and call ``python docs/tables.py``. To add one, see CONTRIBU
 PLUGINS = (
     "accelerator",
     "backtest",
+    "budget",
     "check",
     "explorer",
     "filter",

@@ -1,5 +1,6 @@
 """Sections of job files that plugins add."""
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pkgutil import resolve_name
 from typing import Any, ClassVar, TypeVar, cast
@@ -18,9 +19,16 @@ class AddedSection(JobSection):
     title: ClassVar[str] = ""
     """The title of a report of a run with the section."""
 
+    chapter: ClassVar[str] = ""
+    """``module:function`` of the one section of its answer; none for those of other runs."""
+    study: ClassVar[str] = ""
+    """``module:class`` of the `pfdist.runner.study.Study` of a run; none for the usual one."""
+    has_amounts: ClassVar[bool] = False
+    """Whether there are sets of several numbers of measurements, or prices."""
+
     @property
-    def amounts(self) -> tuple[int, ...]:
-        """Numbers of measurements, or prices, that have sets of their own; none if there is one."""
+    def amounts(self) -> Sequence[int]:
+        """These numbers, or prices."""
         return ()
 
     def check(self, job: Any) -> None:
@@ -31,6 +39,16 @@ class AddedSection(JobSection):
 def added_sections() -> dict[str, type[AddedSection]]:
     """The sections by their keys."""
     return {key: resolve_name(name) for key, name in hooked("sections").items()}
+
+
+def sections_of(job: Mapping[str, Any]) -> list[type[AddedSection]]:
+    """The sections that the resolved job of a run has."""
+    return [section for key, section in added_sections().items() if key in job]
+
+
+def has_amounts(job: Mapping[str, Any]) -> bool:
+    """Whether a run has sets of several numbers of measurements, or prices, by its resolved job."""
+    return any(section.has_amounts for section in sections_of(job))
 
 
 def with_added_sections(job: T) -> T:

@@ -1,7 +1,7 @@
 """The job: all sections of a job file, checked together, and the functions that read it."""
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import cached_property, partial
@@ -38,7 +38,6 @@ from pfdist.problem.sections import (
     DEFAULT_METHOD,
     EVENLY_SPACED,
     RESERVED,
-    Budget,
     Comparison,
     EvaluationSection,
     Execution,
@@ -217,7 +216,6 @@ class Job(JobSection):
         strict=False,
     )
     comparison: Comparison = Comparison()
-    budget: Budget | None = None
     execution: Execution = Execution()
     _origin: Origin = PrivateAttr()
 
@@ -284,6 +282,11 @@ class Job(JobSection):
         """The sections of plugins that the job has."""
         return [each for key in added_sections() if (each := getattr(self, key)) is not None]
 
+    @property
+    def amounts(self) -> Sequence[int]:
+        """The numbers of measurements, or prices, with sets of their own; none if there is one."""
+        return next((each.amounts for each in self.added if each.amounts), ())
+
     @model_validator(mode="after")
     def _goes_with_sections(self) -> Self:
         for each in self.added:
@@ -291,32 +294,9 @@ class Job(JobSection):
         return self
 
     @model_validator(mode="after")
-    def _has_sets_of_every_number(self) -> Self:
-        if self.budget is None:
-            return self
-        methods, comparison = [search.method for search in self.search], self.comparison
-        is_one = comparison.reference in (EVENLY_SPACED, REGULAR) and not comparison.named
-        got = "comparison.sets" if comparison.named else "a single set of times"
-        _needs(
-            "budget",
-            (is_one, f"comparison.reference = {EVENLY_SPACED!r} or {REGULAR!r}, got {got}"),
-            (methods == [DEFAULT_METHOD],
-             f"one search of method {DEFAULT_METHOD!r}, got {', '.join(methods)}"),
-            (not any(each.polish for each in self.search), "a search with polish = false"),
-        )  # fmt: skip
-        for number in (self.budget.least, self.budget.most):
-            try:
-                self.feasible(number)
-            except MeasurementTimesError as error:
-                what = " measurements" * (self.problem.total_price is None)
-                raise ValueError(f"budget of {number}{what}: {error}") from error
-        return self
-
-    @model_validator(mode="after")
     def _has_evenly_spaced_sets(self) -> Self:
         """Take regular times as the reference where no evenly spaced set has the required ones."""
-        numbers = () if self.budget is None else self.budget.each
-        each = [*map(self.feasible, numbers)] or [self.problem.feasible]
+        each = [*map(self.feasible, self.amounts)] or [self.problem.feasible]
         if self.comparison.is_even and not all(map(has_even_sets, each)):
             regular = self.comparison.model_copy(update={"reference": REGULAR})
             object.__setattr__(self, "comparison", regular)  # frozen from now on
@@ -350,7 +330,7 @@ class Job(JobSection):
         The times of all given sets must be those of the clock.
         """
         feasible = self.problem.feasible
-        if feasible.references and self.comparison.sets is None and self.budget is None:
+        if feasible.references and self.comparison.sets is None and not self.amounts:
             sets = {
                 name: (name,)
                 for name, times in feasible.references.items()

@@ -4,7 +4,7 @@ A capability declares facts that it needs. Each refusal of a combination is made
 manual prints the table of all of them (docs/limits.md).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -16,7 +16,7 @@ from pfdist.filters.engines import NUMPY, is_exact
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
-from pfdist.problem.sections import Budget, Comparison, FilterSection, Model, Search
+from pfdist.problem.sections import Comparison, FilterSection, Model, Search
 
 
 class JobParts(Protocol):
@@ -28,7 +28,9 @@ class JobParts(Protocol):
     scenarios: Scenarios | None
     search: tuple[Search, ...]
     comparison: Comparison
-    budget: Budget | None
+
+    @property
+    def amounts(self) -> Sequence[int]: ...  # noqa: D102
 
     def section(self, key: str) -> Any: ...  # noqa: D102
 
@@ -84,10 +86,7 @@ def _takes_lag(job: JobParts) -> str:
     return f"a search of method {names}, got {got}"
 
 
-ONE_NUMBER = Fact("no `[budget]`", "a job without a section budget", lambda job, _: not job.budget)
-PLANNED_AHEAD = Fact(
-    "no `[online]`", "a job without a section online", lambda job, _: job.section("online") is None
-)
+ONE_NUMBER = Fact("no `[budget]`", "a job without a section budget", lambda job, _: not job.amounts)
 EXPECTED_MSE = Fact(
     "the expected MSE, not another `problem.criterion`",
     _got("the expected MSE as criterion", _criterion),
@@ -227,11 +226,6 @@ SMOOTHED = Capability(
     "a smoothed estimate, or a lag", {ADDS_SMOOTHED: "errors of prefixes do not add up"},
     lambda job: job.problem.estimate_written * bool(job.problem.instants_of_lag),
 )  # fmt: skip
-BUDGET = Capability(
-    "`[budget]`",
-    {EXPECTED_MSE: "", MEAN_OF_SCENARIOS: "", PLANNED_AHEAD: ""},
-    lambda job: "budget" * (job.budget is not None),
-)
 CONTROL = Capability(
     "`comparison.control`",
     {PARTICLES: "", TRUE_FILTER: "", NOT_NOMINAL: "", NO_MOTION: ""},
@@ -263,7 +257,7 @@ REAL_DATA = Capability(
     "`pfdist filter`, `next`, `backtest`", {NOT_TOLD: "nobody knows the scenario of a real system"}
 )
 _CAPABILITIES = (
-    BUDGET, CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, EXACT,
+    CRITERION, WORST_SCENARIO, INFORMATION, SMOOTHED, CONTROL, EXACT,
     WRONG_FILTER, LEARNING, BOUND, LOSS, REAL_DATA,
 )  # fmt: skip
 

@@ -1,7 +1,5 @@
 """The sections of a job file other than [problem] and [[search]], with bounds and defaults."""
 
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 from pydantic import (
@@ -346,48 +344,6 @@ class Comparison(JobSection):
     def is_even(self) -> bool:
         """Whether the reference is the best of evenly spaced sets."""
         return self.reference == EVENLY_SPACED
-
-
-class Budget(JobSection):
-    """The numbers of measurements of a budget study; `pfdist budget` writes this section.
-
-    They are all numbers from ``least`` to ``most``, unless ``numbers`` lists them.
-
-    Parameters
-    ----------
-    least : int
-        Smallest number of measurements.
-    most : int
-        Largest number of measurements.
-    numbers : list of int
-        Only these numbers, in ascending order from ``least`` to ``most``; by default all.
-    """
-
-    least: Annotated[int, Field(ge=1, lt=2**63)]
-    most: Annotated[int, Field(ge=1, lt=2**63)]
-    numbers: Listed[int] | None = None
-
-    @property
-    def each(self) -> Sequence[int]:
-        """The numbers of measurements, from the least to the largest."""
-        return range(self.least, self.most + 1) if self.numbers is None else self.numbers
-
-    @model_validator(mode="after")
-    def _are_in_order(self) -> Self:
-        if self.least > self.most:
-            raise ValueError(
-                f"budget.least must be at most budget.most = {self.most}, got {self.least}"
-            )
-        numbers = self.numbers
-        if numbers is None:
-            return self
-        ends = numbers[:1] + numbers[-1:]
-        if ends != (self.least, self.most) or any(a >= b for a, b in pairwise(numbers)):
-            raise ValueError(
-                "budget.numbers must be in ascending order, from budget.least = "
-                f"{self.least} to budget.most = {self.most}, got {shown(list(numbers))}"
-            )
-        return self
 
 
 class Execution(JobSection):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pfdist.common.measurement_times import EVEN, MOST_REGULAR, REGULAR
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.methods import METHODS
 from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED, REFERENCE
 
@@ -79,7 +80,7 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
         found = [column for column in keys if column.endswith((*METHODS,))]
         searches = [DEFAULT_METHOD] * (found == [DEFAULT_METHOD])
     number = job.get("problem", {}).get("measurement_budget") or MOST_REGULAR + 1
-    labels = {EVEN: REGULAR if number <= MOST_REGULAR and "budget" not in job else EVENLY_SPACED}
+    labels = {EVEN: REGULAR if number <= MOST_REGULAR and not has_amounts(job) else EVENLY_SPACED}
     labels |= job.get("comparison", {}).get("labels") or {}
     for sensor in job.get("problem", {}).get("sensors", ()):
         labels |= {f"alone_{sensor.lower().replace('-', '_')}": f"{sensor}{_ALONE}"}
@@ -128,7 +129,7 @@ def _label(origin: str, key: SetKey, is_money: bool) -> str:
 
 def set_key_of(column: str, job: Mapping[str, Any]) -> SetKey:
     """The key of a set by its name in columns, and the resolved job of its run."""
-    if "budget" not in job:
+    if not has_amounts(job):
         return SetKey(column)
     origin, _, number = column.rpartition("_")
     return SetKey(origin, number)

@@ -10,6 +10,7 @@ from typing import Any
 from pfdist.common.parts import Block, Code, Facts, Section, Text
 from pfdist.errors import relative
 from pfdist.filters.engines import is_exact
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.job import job_toml
 from pfdist.questions.subject import Subject, number_of, without_folder
 from pfdist.results.stored_run import about_of, problem_of, provenance_of, version_of
@@ -68,7 +69,7 @@ def question(subject: Subject) -> str:
     first, last = map(problem.clock.formatted, (0, problem.clock.horizon))
     between, form = f"between t = {first} and {last}", subject.criterion
     give = f"give {form.aim(z)}?"
-    if "budget" in job:
+    if has_amounts(job):
         return f"How many measurements {between} are enough to estimate {z}?"
     if not subject.found_rows and subject.rows:
         return f"Which of these times {between} {give}"
@@ -140,7 +141,7 @@ def using(subject: Subject) -> Section:
         Text("Please cite the paper whose method pfdist implements, and the program."),
         Code(_CITE.format(version=version_of(subject.run))),
     ]
-    is_budget = "budget" in subject.run.job
+    is_budget = has_amounts(subject.run.job)
     return Section("How to use and cite it", rest if is_budget else [*by_hand, *rest])
 
 

@@ -215,7 +215,7 @@ def bound(
             )
             for gap in look.gaps
         ],
-        {} if built.job.budget else particle_losses_of(proved),  # a budget's run says them itself
+        {} if built.job.amounts else particle_losses_of(proved),  # a budget's run says them itself
         built.job.problem.is_constrained,
         built.feasible.relaxed,
         bool(built.evaluator.scenarios),
@@ -224,5 +224,5 @@ def bound(
         proved.labels,
         built.job.criterion,
         built.feasible.has_fewer,
-        "" if built.job.budget else recommended(proved).name,
+        "" if built.job.amounts else recommended(proved).name,
     )

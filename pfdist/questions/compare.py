@@ -9,6 +9,7 @@ from typing import Any, Unpack
 from pfdist.common.arguments import sets_argument
 from pfdist.common.measurement_times import EVEN, REGULAR, Times
 from pfdist.errors import JobError
+from pfdist.problem.added_sections import added_sections
 from pfdist.problem.job import Job
 from pfdist.problem.points import Points
 from pfdist.problem.problem import JobSource, as_job
@@ -143,9 +144,8 @@ class SetsToCompare:
         comparison = self._job.comparison.model_dump(mode="json")
         return self._job.with_changes(
             sections={
+                **dict.fromkeys(added_sections()),
                 "search": [],
-                "budget": None,
-                "online": None,
                 "comparison": comparison | {"reference": reference, "sets": named},
             }
         ).with_control()

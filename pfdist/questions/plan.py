@@ -115,4 +115,4 @@ def of_as_many(job: Job, against: Any) -> Job:
 
 def draws_of_bound(job: Job, given: int | None) -> int:
     """Number of draws of a plan's bound: the given one, or the default."""
-    return (0 if job.budget else LEAST_DRAWS) if given is None else given
+    return (0 if job.amounts else LEAST_DRAWS) if given is None else given

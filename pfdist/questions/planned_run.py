@@ -28,6 +28,7 @@ from pfdist.errors import (
 from pfdist.filters.cloud import Prior
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.calendar import names_dates
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import NO_CODES, Measurements, Reading
@@ -204,7 +205,7 @@ def _planned_set(run: Run, name: str) -> str:
     if name:
         rule = f"a compared set of {run.path}, {', '.join(sets)}"
         raise JobError(must_be("planned", rule, name, sets), argument="planned")
-    if "budget" in run.job:
+    if has_amounts(run.job):
         raise JobError(
             f"{run.path} has times of several numbers of measurements: planned must say which, "
             f"for instance {list(sets)[-1]}",

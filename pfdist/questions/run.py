@@ -13,6 +13,7 @@ from pfdist.errors import JobError, ModelError, TaskError, relative
 from pfdist.filters.constants import constants_of
 from pfdist.filters.formulas import operations_of
 from pfdist.filters.proposals import PROPOSALS
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
@@ -225,7 +226,7 @@ def compute(
                 yield from each.look(session, run, SHARE * core_steps(built, prover))
         if prover is not None and proves:
             publish_sets(run)
-            if "budget" in run.job:
+            if has_amounts(run.job):
                 found = f"`pfdist status {relative(str(run.path))}` shows the plans"
             else:
                 subject = Subject(run)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pkgutil import resolve_name
 from typing import Any
 
 from pfdist.common.changes import change_of, effect, is_clear
@@ -26,12 +27,11 @@ from pfdist.common.plugins import added
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
 from pfdist.filters.aspects import ErrorBeside
-from pfdist.problem.added_sections import added_sections
+from pfdist.problem.added_sections import has_amounts, sections_of
 from pfdist.problem.even_sets import has_even_sets
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.about_run import computed, made_by, problem, question, using
 from pfdist.questions.bound_page import proof
-from pfdist.questions.budget_page import budget_section
 from pfdist.questions.compared_page import (
     beside_given_sets,
     compared,
@@ -99,12 +99,10 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
         An expected MSE: how many measurements reach it.
     """
     subject = Subject(run, target=target)
-    title = "When to measure"
+    title, alone = "When to measure", _alone(run)
     of_plugins = *added("answers"), scenarios, proof, *added("chapters")
-    chapters: tuple[Chapter, ...] = (answer, *of_plugins)
-    if "budget" in run.job:
-        title, chapters = "How many measurements are enough", (budget_section,)
-    elif titles := [each.title for key, each in added_sections().items() if key in run.job]:
+    chapters = alone or (answer, *of_plugins)
+    if titles := [each.title for each in sections_of(run.job)]:
         (title, *_) = titles
     elif not run.job["search"]:
         title, chapters = "Which times are best", (compared, *chapters)
@@ -113,7 +111,7 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
         draws = number_of(run.draws_compared, "draw")
         unfinished = f"This run is not finished: {draws} are compared so far, and all results may "
         warnings.insert(0, f"{unfinished}change.")
-    others = () if "budget" in run.job else (compared, gains)
+    others = () if alone else (compared, gains)
     folded = [problem, *others, searches_section, computed, methods, using]
     last = _sections(subject, [make for make in folded if make not in chapters])
     sections = [*_sections(subject, chapters), *(replace(each, folded=True) for each in last)]
@@ -135,9 +133,8 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         Whether the proof and the searches are described, too.
     """
     subject = Subject(run, target=target)
-    chapters: Sequence[Chapter] = (answer, compared, gains, scenarios, *added("answers"))
-    if "budget" in run.job:
-        chapters = (budget_section,)
+    usual = answer, compared, gains, scenarios, *added("answers")
+    chapters = _alone(run) or usual
     place = (
         f"{run.path}: {run.state}, {evaluations_of(run):,} evaluations, "
         f"{run.draws_compared:,} draws compared"
@@ -148,6 +145,11 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
 
 
 SHOWN.declare("answer", answer_of)
+
+
+def _alone(run: Run) -> tuple[Chapter, ...]:
+    """The one section of the answer that a plugin gives to its runs; none to others."""
+    return tuple(resolve_name(each.chapter) for each in sections_of(run.job) if each.chapter)
 
 
 def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
@@ -213,7 +215,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
 
 def methods(subject: Subject) -> Section | None:
     """A paragraph about what was done and found, for a proposal or a paper."""
-    if not subject.is_compared or "budget" in subject.run.job:
+    if not subject.is_compared or has_amounts(subject.run.job):
         return None
     row, problem = subject.rows[subject.by_error[0]], problem_of(subject.run)
     times = row.measurement_times
@@ -360,7 +362,7 @@ def _degenerate(subject: Subject) -> list[Text]:
 
 def _broken(subject: Subject) -> Iterator[Text]:
     problem = problem_of(subject.run)
-    is_exact = problem.feasible.counted and "budget" not in subject.run.job
+    is_exact = problem.feasible.counted and not has_amounts(subject.run.job)
     budget = (problem.measurement_budget or 0) * is_exact
     for name, row in subject.rows.items():
         times = f"The set {row.label}" if name in subject.others else "The reference"

@@ -15,6 +15,7 @@ from pfdist.common.rounding import rounded, with_error
 from pfdist.filters.aspects import DISTANCE, ErrorBeside
 from pfdist.filters.criterion import Criterion
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.clock import Clock
 from pfdist.problem.sections import EVENLY_SPACED
 from pfdist.problem.set_key import phrase_of
@@ -117,7 +118,7 @@ class Subject:
     @cached_property
     def lost(self) -> list[str]:
         """That much of the best set's error is lost by its particles."""
-        best = self.by_error[:1] if self.is_compared and "budget" not in self.run.job else []
+        best = self.by_error[:1] if self.is_compared and not has_amounts(self.run.job) else []
         losses = particle_losses_of(self.run) if best else {}
         said = [losses[name].alarm for name in best if name in losses]
         return [f"With {phrase_of(self.rows[best[0]].label)}, {text}" for text in said if text]

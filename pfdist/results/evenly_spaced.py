@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.set_key import set_key_of
 from pfdist.results.moments import Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, blocks_of, exact_errors
@@ -74,7 +75,7 @@ def columns_of_even_times(run: StoredRun, errors: Mapping[str, float]) -> dict[s
     errors : mapping of str to float
         The expected MSE of each found set.
     """
-    if "budget" in run.job:
+    if has_amounts(run.job):
         on_the_curve = _on_the_curve(run)
         return {name: doing_as_well(on_the_curve[name], error) for name, error in errors.items()}
     if not (errors and run._store.has("evenly_spaced")):

@@ -19,6 +19,7 @@ from pfdist.filters.aspects import VARIANCE
 from pfdist.filters.criterion import CriterionValue
 from pfdist.filters.estimate import Evaluation
 from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.clock import Time
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.set_key import set_key_of
@@ -153,7 +154,7 @@ def _given(run: StoredRun) -> Iterable[Row]:
             row.price = float(problem.feasible.price_of(measured[name]))
         if is_found:
             row.add({each: entry[each] for each in ("search_mse", "search_standard_error")})
-        elif "budget" not in run.job:
+        elif not has_amounts(run.job):
             row.add(described(run.job, name, tuple(times), problem))
         if not math.isnan(exact := entry.get("exact_mse", math.nan)):
             row.add(_exact("expected_mse", exact) | {"standard_error": 0.0})
@@ -224,7 +225,7 @@ def _beating(run: StoredRun, rows: Sequence[Row]) -> list[str]:
     """Names of the given sets and opponents that clearly beat every found set, by common draws."""
     judged = [row for row in rows if row.expected_mse is not None and not row.broken_constraints]
     found = [row for row in judged if row.kind == FOUND]
-    if not found or "budget" in run.job or not criterion_of(run).is_mean:
+    if not found or has_amounts(run.job) or not criterion_of(run).is_mean:
         return []
     best = min(found, key=lambda row: row.expected_mse)
     others = [row for row in judged if row.kind != FOUND and row.expected_mse < best.expected_mse]
@@ -403,7 +404,7 @@ def _add_particle_losses(
         return
     unmeasured = float(run._store.rows(VARIANCE.table)["unmeasured"].to_pandas().mean())
     # A budget curve has many sets: the largest loss speaks for all.
-    worst = max(losses, key=lambda name: losses[name].limit) if "budget" in run.job else ""
+    worst = max(losses, key=lambda name: losses[name].limit) if has_amounts(run.job) else ""
     for name, loss in losses.items():
         row = rows[name]
         row.add(loss.columns() | {"unmeasured_mse": unmeasured})

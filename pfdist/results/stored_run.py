@@ -21,6 +21,7 @@ from pfdist.errors import JobError, StoreError
 from pfdist.filters.criterion import MEAN, Criterion, WorstScenario, criterion_named
 from pfdist.filters.engines import AUTO
 from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem_section import ProblemSection
@@ -212,7 +213,7 @@ def found_sets(run: StoredRun) -> list[str]:
 
 def check_one_number(run: StoredRun) -> None:
     """Raise a `StoreError` if the run has times of several numbers of measurements."""
-    if "budget" in run.job:
+    if has_amounts(run.job):
         raise StoreError(
             f"{run.path} has times of several numbers of measurements: give a run of one number"
         )

@@ -35,7 +35,6 @@ from pfdist.problem.job import Job
 from pfdist.problem.needs import LOSS
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
-from pfdist.runner.budget_study import BudgetStudy
 from pfdist.runner.built import Built as Built  # noqa: PLC0414  `build` returns it
 from pfdist.runner.choice import (
     check_beside_truth,
@@ -54,7 +53,7 @@ from pfdist.runner.searches import (
     comparing_of,
     named_search,
 )
-from pfdist.runner.study import Study
+from pfdist.runner.study import study_of
 
 Models = tuple[StateSpaceModel, StateSpaceModel]
 """The true model, and that of the filter."""
@@ -153,7 +152,7 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
     is_wrong = evaluator.truth is not evaluator
     smaller = feasible.smaller or (is_wrong and not feasible.counted)
     feasible = replace(feasible, smaller=smaller)
-    study = (Study if job.budget is None else BudgetStudy)(job, feasible)
+    study = study_of(job, feasible)
     searches = tuple(named_search(study, job, section, evaluator) for section in job.search)
     wanted = [comparing_of(job), Settings.from_job(job).estimation]
     wanted += [settings.estimation for search in searches for settings in search.all_settings]

@@ -10,7 +10,6 @@ import pyarrow as pa
 from pfdist.common.measurement_times import Times
 from pfdist.common.plugins import added
 from pfdist.errors import ModelError, SearchError
-from pfdist.filters.estimate import Evaluation
 from pfdist.filters.exact import exact_mse
 from pfdist.results.stored_run import StoredRun
 from pfdist.runner.bound_settings import BoundSettings
@@ -31,7 +30,6 @@ from pfdist.runner.opponent import SHARE, best_evenly_spaced, opponent_steps
 from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover
 from pfdist.runner.search_phase import is_too_long, run_search, search_steps
-from pfdist.runner.smoothed_budget import budget_of_smoothed, budget_steps, is_smoothed_budget
 from pfdist.store import Store, schema
 
 COMPARED = "search"
@@ -119,7 +117,7 @@ def core_steps(built: Built, prover: Prover | None = None) -> float:
 
 def _usual_steps(built: Built) -> float:
     searched = sum(search_steps(built, search, usual=True) for search in built.searches)
-    return searched + budget_steps(built)
+    return searched + built.study.raced_steps(built)
 
 
 def _searching_steps(built: Built) -> float:
@@ -130,10 +128,8 @@ def _search(session: RunSession) -> Generator[WorkBatch, None, dict[str, Times]]
     """The sets that are compared, by name, after every search has ended."""
     built = session.built
     given = {**built.study.unsearched}
-    tried, better = dict[str, int](), dict[str, Evaluation]()
-    # The programme of gaps has errors that are too low, so its plans for each number race, too.
-    if is_smoothed_budget(built):
-        better = yield from budget_of_smoothed(session, given, tried)
+    tried = dict[str, int]()
+    better = yield from built.study.raced(session, given, tried)
     for name in built.study.even if not better else ():
         found = yield from best_evenly_spaced(session, name)
         given[name], tried[name] = found.times, found.tried
@@ -186,7 +182,7 @@ def _rivals(built: Built, given: Mapping[str, Times]) -> list[Times]:
     """
     opponent, rivals = next(iter(given.values())), list[Times]()
     polishes = any(each.is_polished and not is_too_long(built, each) for each in built.searches)
-    if polishes and built.job.budget is None and not built.evaluator.exact:
+    if polishes and not built.job.amounts and not built.evaluator.exact:
         with suppress(ModelError):
             most = SHARE * core_steps(built)
             rivals.append(design_of(built.job, built.evaluator, [opponent], most))

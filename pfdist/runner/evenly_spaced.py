@@ -41,7 +41,7 @@ _TOO_LONG = (
 
 def is_known(built: Built) -> bool:
     """Whether a run has a single plan, and any number of its measurements can be evenly spaced."""
-    problem, is_alone = built.job.problem, len(built.searches) == 1 and built.job.budget is None
+    problem, is_alone = built.job.problem, len(built.searches) == 1 and not built.job.amounts
     is_free = problem.feasible.counted and not problem.is_constrained
     return is_alone and is_free and problem.points.ways == 1 and built.job.criterion.is_mean
 

@@ -102,7 +102,7 @@ class EvenSearch:
     def best(self, session: RunSession) -> Generator[WorkBatch, None, Opponent]:
         """The best of the candidates and the given sets, by a race on draws of its own."""
         given, tried, spent = dict.fromkeys(self.given.values()), 0, 0.0
-        is_single = self.built.job.budget is None and self.feasible.counted
+        is_single = not self.built.job.amounts and self.feasible.counted
         if is_single and self.feasible.total <= MOST_REGULAR:
             ranked = [self.feasible.regular()]  # every set is evenly spaced
         elif self._is_exact:
@@ -285,7 +285,7 @@ def best_evenly_spaced(
 ) -> Generator[WorkBatch, None, Opponent]:
     """The best evenly spaced set of this name, and the best of it and other sets."""
     job, feasible = session.built.job, session.built.study.even[name]
-    sets = others if job.budget else job.given_sets
+    sets = others if job.amounts else job.given_sets
     given = {
         each: times for each, times in sets.items() if times is not None and feasible.allows(times)
     }

@@ -17,6 +17,7 @@ from pfdist.errors import JobError, ModelError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.exact import exact_mse
 from pfdist.filters.work import BLOCK, with_truth
+from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.constraints import Constraints
 from pfdist.problem.needs import BOUND
 from pfdist.results import Run
@@ -156,7 +157,7 @@ class Prover:
         # kill in between errors no filter: the next proof finds all sums by their ids. If it is
         # stopped, the sums stay parts, because those of single draws are not published.
         built, tables = self._built, ["draws", "timings"]
-        if "budget" not in run.job and (best := recommended(run)).beats_search:
+        if not has_amounts(run.job) and (best := recommended(run)).beats_search:
             self.ignored = run.sets.keys() - {best.name}
         try:
             looks = yield from self._looks(session, run)

@@ -167,7 +167,7 @@ def _race_of_all(built: Built, search: NamedSearch) -> Phase | None:
 
     It takes as much work as the search, at most. Criteria of draws need more.
     """
-    may = search.is_polished and search.criterion.additive and built.job.budget is None
+    may = search.is_polished and search.criterion.additive and not built.job.amounts
     if not may or built.evaluator.exact or not 1 < built.feasible.size <= _FEW_SETS:
         return None
     own = search.settings.estimation

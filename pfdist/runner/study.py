@@ -1,12 +1,14 @@
 """The sets that a run finds and compares, and the optimiser that finds them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from pkgutil import resolve_name
+from typing import Any, ClassVar
 
 from pfdist.common.measurement_times import EVEN, Times
 from pfdist.errors import JobError
+from pfdist.filters.estimate import Evaluation
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
@@ -17,10 +19,7 @@ from pfdist.search.relaxation import Relaxation
 
 @dataclass(frozen=True)
 class Study:
-    """The sets that a run with one number of measurements finds and compares.
-
-    See `pfdist.runner.budget_study` for several numbers.
-    """
+    """The sets that a run with one number of measurements finds and compares."""
 
     job: Job
     feasible: Feasible
@@ -88,6 +87,20 @@ class Study:
         """Names of the sets of a search or a reference, one for each number."""
         return [origin]
 
+    def raced(
+        self, session: Any, given: dict[str, Times], tried: dict[str, int]
+    ) -> Generator[Any, None, dict[str, Evaluation]]:
+        """Search in another way than usual: the plan of each number, by name; none if not.
+
+        A driver for a `pfdist.runner.door.RunSession`; evenly spaced sets go into what is given.
+        """
+        yield from ()
+        return {}
+
+    def raced_steps(self, built: Any) -> float:
+        """The particle-steps that this takes beside the search of a `pfdist.runner.build.Built`."""
+        return 0.0
+
     def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """The optimiser of a section [[search]], whose evaluations have so many draws.
 
@@ -110,3 +123,10 @@ class Study:
     def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
         """The best set of each number of measurements, by name, from sets ranked best first."""
         return dict(zip(self.names(search), ranked, strict=False))
+
+
+def study_of(job: Job, feasible: Feasible) -> Study:
+    """The study of a job, which a section of a plugin may give."""
+    names = (each.study for each in job.added if each.study)
+    kind: type[Study] = next(map(resolve_name, names), Study)
+    return kind(job, feasible)

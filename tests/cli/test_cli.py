@@ -184,7 +184,7 @@ def test_a_damaged_file_is_named_and_the_remedy_is_true(small_run: pfdist.Run, c
     [
         ("run {run}/job.toml", "pfdist.questions.run.run", True),
         ("plan {run}/job.toml", "pfdist.questions.plan.plan", True),
-        ("budget {run}/job.toml --measurements 2:3", "pfdist.questions.budget.budget", True),
+        ("budget {run}/job.toml --measurements 2:3", "pfdist.plugins.budget.question.budget", True),
         ("status {run}", "pfdist.results.open_run", False),
         ("sweep {run}/job.toml --over seed=1:2", "pfdist.plugins.sweep.question.sweep", True),
         (

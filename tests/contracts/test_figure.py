@@ -25,7 +25,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory, finished: Callable[..., Path]
     folder = tmp_path_factory.mktemp("figures")
     shutil.copytree(ROOT / "assets" / "kept", folder / "run")
     job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
-    several = pfdist.budget(job, (2, 3), folder / "budget", draws=20, figures=False)
+    several = []
+    if "budget" in plugins():
+        several.append(pfdist.budget(job, (2, 3), folder / "budget", draws=20, figures=False))
     online = ["online.draws=20"] * ("online" in plugins())
     proved = shutil.copytree(finished(*EXACT, *online), folder / "proved")
     pfdist.bound(proved / "job.toml", pool="serial", figures=False)
@@ -37,7 +39,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory, finished: Callable[..., Path]
     short = pfdist.load_job(ROOT / "small.toml", EXACT)
     named = pfdist.compare(short, times=sets, results=folder / "sets", draws=20, figures=False)
     opened = [pfdist.open_run(path) for path in (folder / "run", proved, explained)]
-    return [*opened, several, named]
+    return [*opened, *several, named]
 
 
 @every

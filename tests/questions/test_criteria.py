@@ -18,7 +18,7 @@ from pfdist.filters.criteria.quantile import Quantile
 from pfdist.filters.criterion import Sample, criterion_named
 from pfdist.filters.kalman import expected_errors
 from pfdist.pages.terminal import lines_of
-from pfdist.questions.budget import budget
+from pfdist.plugins.budget.question import budget
 from pfdist.questions.evaluate import evaluated
 from pfdist.questions.run_page import answer_of
 from pfdist.runner.build import build

@@ -10,9 +10,9 @@ import pfdist
 from pfdist.cli.words import WORDS, Word
 from pfdist.common.arguments import columns_argument, names_argument, paths_argument, sets_argument
 from pfdist.errors import ArgumentError, JobError
+from pfdist.plugins.budget.question import _section
 from pfdist.plugins.sweep.sweep_file import read_sweep
 from pfdist.problem.problem import as_job
-from pfdist.questions.budget import _section
 from pfdist.questions.options import Options
 from pfdist.questions.plan import of_as_many
 

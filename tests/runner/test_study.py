@@ -5,8 +5,8 @@ import pytest
 from pfdist import Job
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import CHOOSING
+from pfdist.plugins.budget.study import BudgetStudy
 from pfdist.problem.sections import DEFAULT_METHOD
-from pfdist.runner.budget_study import BudgetStudy
 from pfdist.runner.study import Study
 
 PLAN = {"search": [{"method": DEFAULT_METHOD, "polish": False}]}

@@ -98,7 +98,7 @@ class ExplorerSession:
             self._beside[each] = FilteredSets(of_error, stream, estimation)
         self._lock = threading.Lock()
         self._judged, self._judgements = list[Judgement](), 0
-        self.best = self.run.best if self.run and self.job.budget is None else None
+        self.best = self.run.best if self.run and not self.job.amounts else None
         name = self.best.name if self.best else ""
         measured = measured_of(self.run) if self.run and self.best else {}
         self.plan = measured.get(name)

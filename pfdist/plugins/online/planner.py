@@ -473,7 +473,7 @@ def _feasible(built: Built, planned: Times | None) -> Feasible:
     job, feasible = built.job, built.feasible
     if planned is None:
         return feasible
-    if job.budget is not None and planned:
+    if job.amounts and planned:
         feasible = job.feasible(len(planned))
     times = tuple(job.problem.points.written_of(planned))
     if broken := feasible.broken(planned):

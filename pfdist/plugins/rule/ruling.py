@@ -216,11 +216,7 @@ def look_work(built: Built, most: float) -> tuple[int, int]:
 
     Both are 0 if they allow too few, or if the run has several plans or numbers of measurements.
     """
-    if (
-        RULES.lacks(built.job, built.evaluator)
-        or len(built.searches) > 1
-        or built.job.budget is not None
-    ):
+    if RULES.lacks(built.job, built.evaluator) or len(built.searches) > 1 or built.job.amounts:
         return 0, 0
     a_draw = _TRIALS_OF_LOOK * work_of(built, Thresholds((1.0,)), 1, "rule").steps
     fewest, largest = _LOOKED

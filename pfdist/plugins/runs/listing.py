@@ -12,6 +12,7 @@ from pfdist.common.changes import is_clear
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError, reason_of, relative
+from pfdist.problem.added_sections import has_amounts
 from pfdist.results import Run, open_run
 from pfdist.results.columns import Row
 from pfdist.results.sets import best_first, rows_of_sets
@@ -117,7 +118,7 @@ def _found(run: Run) -> dict[str, Any]:
         "state": _state(run, state),
         "draws": int(draws),
         "draws_wanted": int(run.job["comparison"]["draws"]),  # whatever the job.toml has
-        "has_budget": "budget" in run.job,
+        "has_budget": has_amounts(run.job),
         "criterion": form.label,
     }
     if not draws:

@@ -17,8 +17,8 @@ from oracles.results_of import results_of
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.rounding import with_error
 from pfdist.pages.terminal import aligned, line_width, lines_of, lines_of_blocks
+from pfdist.plugins.budget.page import budget_section
 from pfdist.plugins.runs.pages import list_page, table_page
-from pfdist.questions.budget_page import budget_section
 from pfdist.results import columns
 
 Printed = Callable[..., str]

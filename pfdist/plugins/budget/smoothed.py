@@ -54,8 +54,8 @@ def budget_of_smoothed(
 
 
 def is_smoothed_budget(built: Built) -> bool:
-    """Whether a job has several numbers of measurements, a smoothed estimate, and opponents."""
-    return built.job.budget is not None and bool(built.evaluator.lag and built.study.even)
+    """Whether a study has a smoothed estimate, and opponents."""
+    return bool(built.evaluator.lag and built.study.even)
 
 
 def budget_steps(built: Built) -> float:

@@ -1,14 +1,18 @@
 """The sets of a run with several numbers of measurements: a job with a section [budget]."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from functools import cached_property
 from typing import ClassVar
 
 from pfdist.common.measurement_times import Times
+from pfdist.filters.estimate import Evaluation
+from pfdist.plugins.budget.smoothed import budget_of_smoothed, budget_steps, is_smoothed_budget
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.search_section import SearchSection
 from pfdist.problem.set_key import SetKey, set_key_of
+from pfdist.runner.build import Built
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.study import Study
 from pfdist.search import Optimiser, StateSpaceRelaxation
 from pfdist.search.relaxation import Relaxation
@@ -26,8 +30,7 @@ class BudgetStudy(Study):
     @cached_property
     def _each(self) -> dict[int, Feasible]:
         """Feasible sets by number of measurements or total price, the smallest first."""
-        numbers = self.job.budget.each if self.job.budget else ()
-        return {number: self.job.feasible(number) for number in numbers}
+        return {number: self.job.feasible(number) for number in self.job.amounts}
 
     @property
     def each(self) -> Sequence[Feasible]:
@@ -75,6 +78,18 @@ class BudgetStudy(Study):
         """The origin with each number, padded to the same number of digits."""
         digits = len(str(max(self.feasible.horizon + 1, *self._each)))
         return [SetKey(origin, f"{number:0{digits}}").column for number in self._each]
+
+    def raced(
+        self, session: RunSession, given: dict[str, Times], tried: dict[str, int]
+    ) -> Generator[WorkBatch, None, dict[str, Evaluation]]:
+        """Race the plans of a smoothed estimate, whose programme has errors that are too low."""
+        if not is_smoothed_budget(session.built):
+            return {}
+        return (yield from budget_of_smoothed(session, given, tried))
+
+    def raced_steps(self, built: Built) -> float:
+        """The exchanges of these plans."""
+        return budget_steps(built)
 
     def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """State-space relaxation, which finds a set for each number."""

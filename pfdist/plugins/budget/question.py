@@ -10,6 +10,7 @@ from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.common.section import Arguments, Number, Whole, checked
 from pfdist.errors import ArgumentError, JobError, shown
+from pfdist.problem.added_sections import added_sections
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED
 from pfdist.questions.options import Chosen, ComparedDraws, Options, with_options
@@ -85,7 +86,8 @@ def budget(
         As `pfdist.run` raises.
     """
     numbers = _section(measurements)
-    own = {"search": [{"method": DEFAULT_METHOD, "polish": False}], "online": None}
+    search = {"method": DEFAULT_METHOD, "polish": False}
+    own = dict.fromkeys(added_sections()) | {"search": [search]}
     asked = as_job(job, changes, sections=own | {"search": [{"method": DEFAULT_METHOD}]})
     is_even = asked.comparison.reference != REGULAR
     comparison = {"draws": draws, "reference": EVENLY_SPACED if is_even else REGULAR}
