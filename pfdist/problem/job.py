@@ -231,7 +231,11 @@ class Job(JobSection):
         try:
             super().__init__(**data)
         except ValidationError as error:
-            raise JobError(explained(error, Job)) from error
+            why, keys = explained(error, Job), Job.model_fields.keys()
+            added = [key for key, value in data.items() if key not in keys and type(value) is dict]
+            if added and why.startswith(f"unknown key {added[0]!r}, "):  # it is like no other
+                why += f"; [{added[0]}] needs a plugin that adds it"
+            raise JobError(why) from error
         self._origin = origin._replace(path=origin.path.absolute())  # a model may move the process
 
     @model_validator(mode="after")

@@ -88,7 +88,7 @@ def test_every_pool_gives_a_job_the_same_bytes(name: str, tmp_path: Path) -> Non
 def _small(path: Path) -> Job:
     small = {"population": 4, "generations": 2, "evaluations": 4}
     changes = ["comparison.draws=50", "evaluation.draws=20", "filter.particles=50"]
-    if load_job(path).online is not None:
+    if load_job(path).section("online") is not None:
         changes.append("online.draws=2")
     job = load_job(path, changes)
     return job.with_changes(

@@ -45,7 +45,7 @@ def exact_job(small_job: Job) -> Job:
 @pytest.fixture(scope="module")
 def exact(tmp_path_factory: pytest.TempPathFactory) -> pfdist.Run:
     """Times and a lower bound for 1 to 6 measurements, all exact."""
-    job = pfdist.load_job(Path(__file__).parents[1] / "small.toml", EXACT)
+    job = pfdist.load_job(Path(__file__).parents[2] / "small.toml", EXACT)
     folder = tmp_path_factory.mktemp("exact") / "run"
     return pfdist.budget(job, (1, 6), folder, draws=300, figures=False)
 
