@@ -186,6 +186,7 @@ def test_a_mistake_is_named_with_what_it_got_what_is_allowed_and_where(write, ro
         ("seed = 1", "seed = 1", ["problem.budget=3"], "; did you mean 'measurement_budget'"),
         ("seed = 1", "seed = 1", ["budget=3"], "got 3; did you mean 'problem.measurement_budget'"),
         ("seed = 1", "sed = 1", ["evaluation.draws=5"], r"^unknown key 'sed'"),
+        ("seed = 1", "seed = 1\n[new]\na = 1", [], r"; \[new\] needs a plugin that adds it \(FILE"),
         ('"genetic"', '"genetic"\npopulation = 7', [], r"must be a multiple of 2, got 7 \(FILE\)$"),
         (JOB[JOB.index("[[search]]") :], "", ["search.a.b=4"], r"no search 'a', allowed: none"),
     ],
