@@ -10,10 +10,10 @@ from pfdist.cli.words import Line
 from pfdist.common.parts import Page
 from pfdist.errors import one_line
 from pfdist.pages.terminal import lines_of, wrapped
-from pfdist.questions.about_run import PARTS
 from pfdist.questions.run_page import answer_of
 from pfdist.results import Run, finite, reaching
 from pfdist.results.stored_run import steps_by_part
+from pfdist.runner.parts import PARTS
 from pfdist.store import listed_pages
 from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in
 

@@ -64,6 +64,8 @@ class Plugin:
         Sections of job files by their keys: classes made from
         `pfdist.problem.added_sections.AddedSection`.
         `pfdist.problem.job` asks. A key ``draws`` of one may grow in a run.
+    parts : mapping
+        Parts of the work of a run, in words, by their names. `pfdist.runner.parts` asks.
     later : mapping
         Work of a run after its comparison, by the section that asks for it:
         `pfdist.runner.later.LaterWork`. That module asks.
@@ -100,6 +102,7 @@ class Plugin:
     figures: Sequence[str] = ()
     capabilities: Sequence[str] = ()
     sections: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[str, str] = field(default_factory=dict)
     later: Mapping[str, str] = field(default_factory=dict)
     summaries: Mapping[str, str] = field(default_factory=dict)
     answers: Sequence[str] = ()

@@ -41,20 +41,6 @@ particle filtering", IEEE International Conference on Image Processing (ICIP), 2
 
 The pfdist developers, "pfdist: when to measure", version {version}.
 """
-PARTS = {
-    "search": "search",
-    "opponent": "finding the best evenly spaced times",
-    "comparison": "comparison on fresh draws",
-    "other estimate": "the error at the moment, or afterwards",
-    "statistics": "pictures, and the loss by few particles",
-    "scan": "how many evenly spaced ones do as well",
-    "proof": "proof",
-    "likelihood": "check of the model's likelihood",
-    "online": "online times",
-    "rule": "what deciding on the way wins",
-    "why": "what each measurement is worth",
-}
-"""What work is for, in words; the keys are those of `pfdist.runner.door.Part`."""
 
 
 def problem(subject: Subject) -> Section:

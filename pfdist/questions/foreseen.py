@@ -17,7 +17,6 @@ from pfdist.errors import JobError, ModelError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import BLOCK, Estimation
 from pfdist.problem.problem import JobSource, as_job
-from pfdist.questions.about_run import PARTS
 from pfdist.questions.plan import draws_of_bound, of_as_many
 from pfdist.questions.run import PATIENCE, minutes_of_bound
 from pfdist.questions.run_of_job import folder_of, searched_by
@@ -26,6 +25,7 @@ from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build
 from pfdist.runner.comparison_phase import TRAJECTORIES
 from pfdist.runner.driver import foreseen_by_part, prover_of
+from pfdist.runner.parts import PARTS
 
 _DRAWS, _MOST_STEPS = 1000, 1_000_000  # behind a speed; a tenth for particles of a draw
 _BYTES, _A_NUMBER = 1.5e6, 8  # of report, figures and other tables; of a number in a table

@@ -23,7 +23,8 @@ from pfdist.filters.estimate import Evaluation
 from pfdist.filters.exact import exact_by_instant
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.runner.build import Built
-from pfdist.runner.door import Part, RunSession, WorkBatch
+from pfdist.runner.door import RunSession, WorkBatch
+from pfdist.runner.parts import Part
 from pfdist.runner.row_formats import BLOCK_OF_SUMS
 from pfdist.search import Candidate, Counted
 from pfdist.search.relaxation import Relaxation

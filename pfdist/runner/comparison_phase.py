@@ -40,7 +40,8 @@ from pfdist.results.over_time import (
     read_ranges,
 )
 from pfdist.runner.build import Built
-from pfdist.runner.door import Part, RunSession, WorkBatch
+from pfdist.runner.door import RunSession, WorkBatch
+from pfdist.runner.parts import Part
 from pfdist.runner.progress import SetGain
 from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.search_phase import search_steps

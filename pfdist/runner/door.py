@@ -1,8 +1,7 @@
 """The one door for numbers, and the loop that serves a driver.
 
 A driver is a generator: it yields a `WorkBatch` of works and resumes when all results are there.
-Searches, the comparison, block sums, the worth of measurements, online draws and the proof get
-every number in this way.
+Searches, the comparison, block sums, the proof and plugins get every number in this way.
 
 The steps of a batch, in this order, and the cost of a kill at each:
 
@@ -41,7 +40,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from types import MappingProxyType
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -54,6 +53,7 @@ from pfdist.filters.work import FilterWork, Result, sum_of_draws, whole_block
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
+from pfdist.runner.parts import Part
 from pfdist.runner.progress import Reporter, Say, Show
 from pfdist.search.programme import Programme
 from pfdist.store import QUESTIONS, Store, schema
@@ -67,11 +67,6 @@ EVALUATIONS = "evaluations"
 
 StoredResults = Iterator[tuple[FilterWork, Result]]
 Learn = Callable[[FilterWork, Result], None]
-Part = Literal[
-    "search", "opponent", "comparison", "other estimate", "statistics", "scan", "proof",
-    "likelihood", "online", "rule", "why",
-]  # fmt: skip
-"""What work is for, as it is counted; a sentence of an answer has a share of the whole."""
 
 
 class RowFormat(Protocol):

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
@@ -22,11 +22,12 @@ from pfdist.runner.comparison_phase import (
     ways_out,
 )
 from pfdist.runner.design import design_of
-from pfdist.runner.door import Part, RunSession, WorkBatch
+from pfdist.runner.door import RunSession, WorkBatch
 from pfdist.runner.evenly_spaced import scan_steps
 from pfdist.runner.information_prover import InformationProver
 from pfdist.runner.later import later_of
 from pfdist.runner.opponent import SHARE, best_evenly_spaced, opponent_steps
+from pfdist.runner.parts import PARTS, Part
 from pfdist.runner.phase import unpublished
 from pfdist.runner.prover import Prover
 from pfdist.runner.search_phase import is_too_long, run_search, search_steps
@@ -93,7 +94,7 @@ def foreseen_steps(built: Built) -> float:
 
 def foreseen_by_part(built: Built, prover: Prover | None = None) -> dict[Part, float]:
     """Approximate number of particle-steps of a run and of a proof, by what they are for."""
-    foreseen: dict[Part, float] = dict.fromkeys(get_args(Part), 0.0)
+    foreseen: dict[Part, float] = dict.fromkeys(PARTS, 0.0)
     foreseen["search"] = _usual_steps(built)
     foreseen["opponent"] = opponent_steps(built)
     foreseen["comparison"] = comparison_steps(built)

@@ -10,12 +10,13 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation
 from pfdist.problem.job import Job
 from pfdist.runner.built import Built
+from pfdist.runner.parts import Part
 
 
 class LaterWork(NamedTuple):
     """Work after the comparison, for jobs with a section of a plugin."""
 
-    part: Any  # a `pfdist.runner.door.Part`; the estimates of its draws have this name, too
+    part: Part  # what it is for; the estimates of its draws have this name, too
     phase: str  # of its timings
     # the estimations by filters that it takes; raises an error if the job cannot have it
     estimations: Callable[[Job, Evaluator], list[Estimation]]

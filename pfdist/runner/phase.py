@@ -28,7 +28,8 @@ from pfdist.kernels.variates import generator
 from pfdist.runner.block_sums import BlockSums, evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.by_instant import evaluated_in_groups
-from pfdist.runner.door import EVALUATIONS, Part, RunSession, WorkBatch
+from pfdist.runner.door import EVALUATIONS, RunSession, WorkBatch
+from pfdist.runner.parts import Part
 from pfdist.runner.progress import Reporter
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.runner.searches import Settings

@@ -38,6 +38,7 @@ PLUGIN = Plugin(
     figures=("pfdist.plugins.online.figure",),
     capabilities=("pfdist.plugins.online.needs:ON_THE_WAY",),
     sections={"online": "pfdist.plugins.online.section:Online"},
+    parts={"online": "online times"},
     later={"online": "pfdist.plugins.online.driver:LATER"},
     summaries={"online": "pfdist.plugins.online.draws:online_summary"},
     answers=("pfdist.plugins.online.page:online_section",),

@@ -15,6 +15,7 @@ PLUGIN = Plugin(
     commands={"Real data": {"rule": _RULE}},
     names=("pfdist.plugins.rule.question:rule", "pfdist.plugins.rule.rule_file:Rule"),
     capabilities=("pfdist.plugins.rule.needs:RULES",),
+    parts={"rule": "what deciding on the way wins"},
     looks=("pfdist.plugins.rule.ruling:LOOK",),
     others={"online.next": "pfdist.plugins.rule.next_by_rule:next_by_rule"},
 )

@@ -17,5 +17,6 @@ PLUGIN = Plugin(
     plots=("pfdist.plugins.why.figures:error_profile", "pfdist.plugins.why.figures:worth"),
     figures=("pfdist.plugins.why.figures",),
     capabilities=("pfdist.plugins.why.needs:WHY",),
+    parts={"why": "what each measurement is worth"},
     chapters=("pfdist.plugins.why.page:worth_section",),
 )
