@@ -269,7 +269,7 @@ def capabilities() -> tuple[Capability, ...]:
 
 def fault_of(job: JobParts) -> str:
     """Why the settings of a job do not go together; empty if they do."""
-    for capability in capabilities():
+    for capability in (*added("capabilities"), *_CAPABILITIES):  # sections of plugins first
         if (what := capability.asked(job)) and (lacking := capability.lacks(job)):
             return f"{what} needs {lacking}"
     return ""

@@ -15,8 +15,6 @@ from pfdist.problem.sections import DEFAULT_METHOD, EVENLY_SPACED, REFERENCE
 
 PLAN = "plan"
 """Label of the set that a search found; that of one of several searches ends with it."""
-KINDS = {EVEN: EVENLY_SPACED, REGULAR: REGULAR, "found": PLAN}
-"""Labels of the sets of a budget, by their kind."""
 _ALONE, _IN_TURN = " alone", "sensors in turn"  # labels of regular times of sensors
 
 
@@ -67,10 +65,6 @@ def labels_of_sets(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, 
     {'evenly_spaced': 'regular'}
     >>> labels_of_sets(["hand"], {"comparison": {"labels": {"hand": "an hour after meals"}}})
     {'hand': 'an hour after meals'}
-    >>> labels_of_sets(["evenly_spaced_05", "genetic_05"], {**job, "budget": {}})
-    {'evenly_spaced_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
-    >>> labels_of_sets(["genetic_300"], {**job, "budget": {}, "problem": {"total_price": 500}})
-    {'genetic_300': 'plan for 300'}
     >>> labels_of_sets(["alone_ct", "rotation"], {"problem": {"sensors": {"ct": {}}}})
     {'alone_ct': 'ct alone', 'rotation': 'sensors in turn'}
     """

@@ -96,12 +96,6 @@ def worse_than(rows: Iterable[Row], blocks: Iterable[Any]) -> dict[str, int]:
     }
 
 
-def best_reference(table: pd.DataFrame) -> pd.Series[Any]:
-    """The reference of least expected MSE: more measurements are not always better."""
-    rows = table[table["kind"] != FOUND].sort_values("budget", kind="stable")
-    return rows.sort_values("expected_mse", kind="stable").iloc[0]
-
-
 def reaching(table: pd.DataFrame, target: float, error: float = 0.0) -> dict[str, dict[str, Any]]:
     """The least number of measurements whose expected MSE is at most a target, and its interval.
 

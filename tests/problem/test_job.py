@@ -108,8 +108,6 @@ def test_a_search_is_named_after_its_method_unless_it_has_a_name(write):
 
 ONLINE = ", ".join(repr(name) for name, method in METHODS.items() if method.online)
 PRICED = "problem={{horizon=10, total_price=3, price={}}}"
-BUDGET = "budget={least=2, most=4}"
-RELAXATION = "search=[{method='relaxation', polish=false}]"
 
 # Changes of JOB, and last what the error says: a row for each rule, and for each kind of value.
 MISTAKES = [
@@ -151,18 +149,10 @@ MISTAKES = [
     ("search.random.name=genetic", r"must differ from each other, got 'genetic' twice"),
     ("comparison.reference=even", r"reference must be .* got 'even' "),
     ("online.draws=100001", r"online\.draws of at most comparison\.draws = 100000, got 100001"),
-    ("online={}", RELAXATION, BUDGET, "budget needs a job without a section online"),
     (
         "online={}",
         "search.random.name=online",
         "needs searches and sets of other names, got 'online'",
-    ),
-    (BUDGET, r"needs one search of method 'relaxation', got genetic, random \("),
-    (
-        RELAXATION,
-        BUDGET,
-        "comparison.reference=[0, 3]",
-        r"needs comparison\.reference = 'evenly spaced' or 'regular'",
     ),
 ]
 

@@ -18,7 +18,6 @@ from pfdist.filters.criteria.quantile import Quantile
 from pfdist.filters.criterion import Sample, criterion_named
 from pfdist.filters.kalman import expected_errors
 from pfdist.pages.terminal import lines_of
-from pfdist.plugins.budget.question import budget
 from pfdist.questions.evaluate import evaluated
 from pfdist.questions.run_page import answer_of
 from pfdist.runner.build import build
@@ -348,7 +347,7 @@ def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> No
     assert head in " ".join("\n".join(lines_of(answer_of(run))).split())
     refused: dict[str, Callable[[], Any]] = {
         "needs the expected MSE as": lambda: pfdist.Planner(pfdist.load_job(job, changes)),
-        "budget needs the expected MSE": lambda: budget(job, (1, 2), changes=changes),
+        "budget needs the expected MSE": lambda: pfdist.budget(job, (1, 2), changes=changes),
         "online needs the expected MSE": lambda: pfdist.load_job(
             job, [*changes, "online.draws=20"]
         ),

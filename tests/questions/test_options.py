@@ -10,7 +10,6 @@ import pfdist
 from pfdist.cli.words import WORDS, Word
 from pfdist.common.arguments import columns_argument, names_argument, paths_argument, sets_argument
 from pfdist.errors import ArgumentError, JobError
-from pfdist.plugins.budget.question import _section
 from pfdist.plugins.sweep.sweep_file import read_sweep
 from pfdist.problem.problem import as_job
 from pfdist.questions.options import Options
@@ -56,7 +55,6 @@ AS_LISTS: dict[str, Callable[[], bool]] = {
         == of_as_many(as_job(WALK), "last=0,6")
         == of_as_many(as_job(WALK), {"last": [0, 6]})
     ),
-    "budget.measurements": lambda: _section([2, 5]) == _section({5, 2}) != _section((2, 5)),
     "over": lambda: (
         read_sweep(WALK, ["seed=1:3"], (), (), {}).points
         == read_sweep(WALK, {"seed": [1, 2, 3]}, (), (), {}).points
@@ -64,7 +62,7 @@ AS_LISTS: dict[str, Callable[[], bool]] = {
     "changes": lambda: as_job(WALK, ["seed=3"]).seed == 3,
     "reuse": lambda: paths_argument("reuse", ["a"]) == paths_argument("reuse", "a"),
 }
-LISTS = {"also", "columns", "reuse", "budget.measurements"} | {
+LISTS = {"also", "columns", "reuse"} | {
     name for name, word in WORDS.items() if isinstance(word, Word) and word.settings.n_tokens == -1
 }
 

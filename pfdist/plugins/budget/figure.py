@@ -20,10 +20,9 @@ from pfdist.pages.panel import (
     thin,
 )
 from pfdist.pages.style import RED, set_style
+from pfdist.plugins.budget.page import KINDS, best_reference
 from pfdist.problem.added_sections import has_amounts
-from pfdist.problem.set_key import KINDS
 from pfdist.results import Run, reaching
-from pfdist.results.budget_curve import best_reference
 
 _BOUND: dict[str, Any] = {"color": "black", "label": "lower bound"}
 

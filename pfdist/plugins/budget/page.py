@@ -4,16 +4,23 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_FLOOR, Decimal
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from pfdist.common.measurement_times import EVEN, REGULAR
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
 from pfdist.common.percent import particle_loss_text
 from pfdist.common.rounding import with_interval
-from pfdist.problem.set_key import KINDS
+from pfdist.problem.sections import EVENLY_SPACED
+from pfdist.problem.set_key import PLAN
 from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of_times
-from pfdist.results.budget_curve import FOUND, best_reference
+from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+KINDS = {EVEN: EVENLY_SPACED, REGULAR: REGULAR, FOUND: PLAN}
+"""Labels of the sets of a budget, by their kind."""
 _ERROR = COLUMNS["expected_mse"]
 _BOUND = (
     "No times of the same number or price have a lower expected MSE than the lower bound, with any "
@@ -86,6 +93,12 @@ def _answer(subject: Subject) -> list[Text]:
     if untried := _untried(subject, number):
         text += f" {untried}."
     return [Text(text, prominent=True)]
+
+
+def best_reference(table: "pd.DataFrame") -> "pd.Series[Any]":
+    """The reference of least expected MSE: more measurements are not always better."""
+    rows = table[table["kind"] != FOUND].sort_values("budget", kind="stable")
+    return rows.sort_values("expected_mse", kind="stable").iloc[0]
 
 
 def _target(subject: Subject) -> Iterator[Text]:

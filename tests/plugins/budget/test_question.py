@@ -24,6 +24,7 @@ from pfdist.common.rounding import rounded
 from pfdist.errors import JobError
 from pfdist.filters.exact import exact_mse
 from pfdist.filters.kalman import expected_mse
+from pfdist.plugins.budget.question import _section
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.run_page import answer_of, page_of
@@ -67,6 +68,10 @@ def test_few_measurements_are_as_good_in_a_wide_range_for_a_smoothed_estimate(
     every = [*Feasible(30, 2).every()]
     least = expected_mse(WALK, 30, every, lag=30).min()
     assert table["expected_mse"][2] == pytest.approx(least, rel=1e-9)
+
+
+def test_numbers_may_be_a_list_and_a_pair_has_all_between() -> None:
+    assert _section([2, 5]) == _section({5, 2}) != _section((2, 5))
 
 
 def _two_levels() -> StateSpaceModel:
