@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
@@ -396,7 +396,8 @@ def test_a_fit_has_the_evidence_of_the_exact_filter(moves: bool) -> None:
     model, y = sensed(chain()), np.full((1, 15, 1), np.nan)
     for t, value in READINGS.items():
         y[0, t, 0] = value
-    function, particles = (moved_log_evidence, 300) if moves else (log_evidence, 5000)
+    moved = partial(moved_log_evidence, proposal=MOVING.name, first=0)
+    function, particles = (moved, 300) if moves else (log_evidence, 5000)
     found = np.exp([function(model, y, particles, seed)[0] for seed in range(20)])
     evidence = math.exp(exactly(READINGS, 14)[1])
     assert abs(found.mean() - evidence) < 4 * stats.sem(found) + 0.05 * moves * evidence
