@@ -61,9 +61,9 @@ class Plugin:
     capabilities : sequence of str
         Needs of jobs for the plugin: `pfdist.problem.needs.Capability`. That module asks.
     sections : mapping
-        Sections of job files by their keys: classes made from
-        `pfdist.problem.added_sections.AddedSection`.
-        `pfdist.problem.job` asks. A key ``draws`` of one may grow in a run.
+        Sections of job files by their keys: forms of
+        `pfdist.problem.added_sections.AddedSection`, for which that module asks. A key ``draws`` of
+        one may grow in a run.
     parts : mapping
         Parts of the work of a run, in words, by their names. `pfdist.runner.parts` asks.
     later : mapping
