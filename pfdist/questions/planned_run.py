@@ -26,6 +26,7 @@ from pfdist.errors import (
     shown,
 )
 from pfdist.filters.cloud import Prior
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.user_prior import as_prior
 from pfdist.models.base import repeated
 from pfdist.problem.added_sections import has_amounts
@@ -263,18 +264,25 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0, repeats: 
     return Filter(**settings, prior=prior, draw=draw)
 
 
-def system_of_table(plan: PlannedRun, rows: Measurements) -> tuple[Filter, Times, tuple[Any, ...]]:
-    """The filter of a table's system, the job's points nearest to those measured, and their texts.
+class SystemOfTable(NamedTuple):
+    """The system of a table of measurements, on the clock of the table."""
 
-    A measurement without a value is spent, too.
-    """
+    filtering: Filter  # a new filter
+    evaluator: Evaluator
+    taken: Times  # the points of the job nearest to those measured; one without a value is spent
+    written: tuple[Any, ...]  # those measured, as the user reads them
+
+
+def system_of_table(plan: PlannedRun, rows: Measurements) -> SystemOfTable:
+    """The filter and the evaluator of a table's system, and what was measured."""
     points = plan.built.job.problem.points
     on, fine = replace(points, clock=rows.clock), on_clock_of(plan, rows)
     made = sorted({*rows.made_with(plan.built.evaluator.believed), *rows.failed})
     near = points.clock.nearest(rows.clock.times[on.instant(point)] for point in made)
     taken = sorted(points.first(k) + points.way(t) for k, t in zip(near, made, strict=True))
     filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
-    return filtering, tuple(taken), tuple(on.written_of(made))
+    written = tuple(on.written_of(made))
+    return SystemOfTable(filtering, fine.built.evaluator, tuple(taken), written)
 
 
 def instant_now(

@@ -394,6 +394,5 @@ def _tell_all(
         instant = instant_now(now, until - (not passed), clock, note)
         if instant >= until:
             until, passed = instant, True
-    filtering, taken, _ = system_of_table(plan, rows)
-    estimates = planner._follow(filtering, rows, taken, until, passed=passed)
+    estimates = planner._follow(system_of_table(plan, rows), rows, until, passed=passed)
     return until - (not passed), surprise_of(estimates)

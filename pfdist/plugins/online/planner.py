@@ -35,7 +35,7 @@ from pfdist.problem.measurements import Measurements, instant_on
 from pfdist.problem.methods import METHODS
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.options import ComparedDraws
-from pfdist.questions.planned_run import filter_of
+from pfdist.questions.planned_run import SystemOfTable, filter_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.filter import Filter
 
@@ -347,7 +347,7 @@ class Planner:
         clouds = list[Any]()
         if isinstance(now.prior, Cloud) and now.prior.truths:  # something was measured
             filters = range(min(_CLOUDS, draws))
-            clouds = [_at(now.t, self._filter.again(number)) for number in filters]
+            clouds = [self._filter.again(number) for number in filters]
         complete = [tuple(sorted({*plan, *in_flight})) for plan in wanted]
         evaluations = self.rest.replanner.expected(
             now, complete, draws, self._built.comparing, self.rest.draw, clouds
@@ -390,15 +390,15 @@ class Planner:
         return self._points.instant(self.rest.plan[0])
 
     def _follow(
-        self, filtering: Filter, rows: Measurements, taken: Times, until: int, *, passed: bool
+        self, system: SystemOfTable, rows: Measurements, until: int, *, passed: bool
     ) -> list[FilterEstimate]:
         """Take all measurements of a table, whose clock may have more instants, and plan once.
 
-        `filtering` is a new filter on the clock of the table. `taken` are the points of the job
-        that count as measured, sorted, and `until` is the first instant of the job that no
-        measurement follows; if it has `passed`, it can no longer be measured.
+        `until` is the first instant of the job that no measurement follows; if it has `passed`, it
+        can no longer be measured.
         """
-        self._filter, self._times = filtering, rows.clock
+        filtering = self._filter = system.filtering
+        self._times, extra = rows.clock, rows.clock.horizon - self.clock.horizon
         last = rows.clock.instant(self.clock.times[until])
         seen: dict[int, Any] = dict.fromkeys((*rows.missed, last))
         seen |= dict(zip(rows.t, rows.y, strict=True))
@@ -406,7 +406,10 @@ class Planner:
             filtering.wait(t) if y is None else filtering.update(t, y)
             for t, y in sorted(seen.items(), key=itemgetter(0))
         ]
-        self._again(Now(_at(until, filtering.with_truths()), passed), taken)
+        weights = self._built.evaluator.weights
+        weights = weights and (1.0,) * extra + weights  # those before now do not count
+        evaluator = replace(system.evaluator, weights=weights)
+        self._again(Now(filtering.with_truths(), passed, extra), system.taken, evaluator=evaluator)
         return estimates
 
     def _with_failures(self, y: Any, planned: Sequence[int]) -> Any:
@@ -429,13 +432,16 @@ class Planner:
         here = chain.from_iterable(made(self._filter.model, *each) for each in new)
         self._again(Now(self._filter.with_truths(), measured=True), here, failed)
 
-    def _again(self, now: Now, taken: Iterable[int], failed: Iterable[int] = ()) -> None:
+    def _again(
+        self, now: Now, taken: Iterable[int], failed: Iterable[int] = (),
+        evaluator: Evaluator | None = None,
+    ) -> None:  # fmt: skip
         """Plan again what is left from now on; sensors that may fail are spent without a value."""
         sensings, parts = self._built.job.problem.sensed, self._filter.model.parts
         passed = (e for e in self.rest.in_flight if e < self._points.first(now.first))
         ways = ((each, self._points.way(each)) for each in chain(failed, passed))
         spent = (e for e, way in ways if sensings.by_way(way).fails or parts[way].model.works)
-        evaluator = _with_past(self._built.evaluator, now)
+        evaluator = _with_past(evaluator or self._built.evaluator, now)
         self.rest.replanner = replace(self.rest.replanner, evaluator=evaluator)
         self.rest.again(now, chain(taken, spent))
 
@@ -443,18 +449,11 @@ class Planner:
 def _with_past(evaluator: Evaluator, now: Now) -> Evaluator:
     """The evaluator with the values that came with readings, so that lines can be continued."""
     lines, own = getattr(now.prior, "lines", None), evaluator.believed
-    if lines is None or not (given := lines.given(own, now.t)):
+    if lines is None or not (given := lines.given(own, now.t + now.extra)):
         return evaluator
     believed = own.with_parameters(given)
     model = believed if evaluator.model == own else evaluator.model
     return replace(evaluator, model=model, filter_model=believed)
-
-
-def _at(t: int, prior: Prior) -> Prior:
-    """A prior at an instant of another clock at the same time."""
-    truths = prior.truths if isinstance(prior, Cloud) else None
-    more: Any = {} if truths is None else {"truths": replace(truths, t=t)}
-    return replace(prior, t=t, **more)
 
 
 def first_planning(planning: Planning) -> Planning:

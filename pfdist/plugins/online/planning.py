@@ -57,11 +57,12 @@ class Now(NamedTuple):
 
     prior: Prior | None = None  # of x(t); None before anything is measured: `initial` gives x(0)
     measured: bool = False  # whether t was measured, or can no longer be
+    extra: int = 0  # instants before t that the clock of prior and evaluator has, not the job's
 
     @property
     def t(self) -> int:
-        """The instant."""
-        return 0 if self.prior is None else self.prior.t
+        """The instant, of the job."""
+        return 0 if self.prior is None else self.prior.t - self.extra
 
     @property
     def first(self) -> int:
@@ -76,7 +77,8 @@ class Replanner:
     Raises `ModelError` if the filter's model has states of another size than the true model.
     """
 
-    # Its model simulates systems, and its filter model filters them, both from `Now.prior`.
+    # Its model simulates systems, and its filter model filters them, both from `Now.prior`. Its
+    # clock may have more instants before now.
     evaluator: Evaluator
     feasible: Feasible  # of the whole horizon
     planning: Planning
@@ -143,12 +145,16 @@ class Replanner:
         any, all start from the prior of `now`. Raises `ModelError` if a formula failed.
         """
         stream = stream_key(self.stream, draw, now.first, "expected")
-        ends = [self.evaluator.horizon] * len(plans)
+        ends, skipped = (
+            [self.evaluator.horizon] * len(plans),
+            self.evaluator.points.first(now.extra),
+        )
+        sets = [tuple(skipped + time for time in plan) for plan in plans]
         evaluations, index = list[list[Evaluation]](), range(-(-draws // max(1, len(clouds))))
         for number, prior in enumerate(clouds or [now.prior]):
             key = stream_key(stream, number) if clouds else stream
             outlook = _Outlook(self, now._replace(prior=prior), key)
-            evaluations.append(outlook.of_sets(outlook.draws(index), plans, ends, estimation))
+            evaluations.append(outlook.of_sets(outlook.draws(index), sets, ends, estimation))
         each_plan = (Evaluation.together(parts) for parts in zip(*evaluations, strict=True))
         return [replace(evaluation, purpose="evaluate") for evaluation in each_plan]
 
@@ -259,7 +265,7 @@ class _Outlook:
     ) -> list[Evaluation]:
         """Evaluations of candidates on common draws with common noise."""
         evaluator, last = self.evaluator, self.evaluator.horizon
-        first = self.now.first
+        first = self.now.first + self.now.extra
         skipped = evaluator.points.first(first)
         sets = [tuple(skipped + time for time in each.measurement_times) for each in candidates]
         ends = [last if each.end is None else first + each.end for each in candidates]

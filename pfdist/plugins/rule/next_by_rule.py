@@ -93,7 +93,7 @@ def next_by_rule(
     rule, clock = rule_of(run, feasible), points.clock
     start = 0 if plan.prior is None else plan.prior.t
     rows = read_measurements(table, plan.built.evaluator.believed, clock, start, reading)
-    filtering, taken, measured = system_of_table(plan, rows)
+    filtering, _, taken, measured = system_of_table(plan, rows)
     estimates = [filtering.update(*each, warn=False) for each in zip(rows.t, rows.y, strict=True)]
     at, last = rows.clock.nearest(clock.times), max((*rows.t, *rows.missed), default=-1)
     passed = max([start - 1, *(k for k in range(len(clock.times)) if at[k] <= last)])

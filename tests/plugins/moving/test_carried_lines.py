@@ -243,8 +243,10 @@ def test_lines_of_a_sensor_that_works_or_not_go_on_with_the_same_formula_alone()
         assert replace(cloud, lines=replace(cloud.lines, model=model)).lines_for(other) is None
 
 
-def test_a_table_off_the_clock_is_planned_from_particles_without_lines() -> None:
-    # The filter has an instant for each time of the table, so its lines have other steps.
+def test_a_table_off_the_clock_is_planned_from_lines_that_move(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # The filter has an instant for each time of the table, and so has the evaluator of the plan.
     model = StateSpaceModel(
         name="decay",
         initial=lambda w, p: (1.0 + 0.3 * w[0], -1.0 + 0.3 * w[1]),
@@ -258,6 +260,17 @@ def test_a_table_off_the_clock_is_planned_from_particles_without_lines() -> None
     )
     problem = Problem(model, horizon=12, time_step=0.5, time_unit="h", measurement_budget=4)
     table = pd.DataFrame({"t": [0.1, 0.3, 0.35, 0.8, 1.7], "y": [0.9, 0.9, 0.8, 0.7, 0.5]})
+    planned, plan = list[tuple[Any, Any]](), Replanner.plan
+
+    def noted(replanner: Replanner, now: Any, *others: Any) -> Any:
+        planned.append((replanner.evaluator, now))
+        return plan(replanner, now, *others)
+
+    monkeypatch.setattr(Replanner, "plan", noted)
     found = pfdist.next_time(problem, table)
     assert found.now == pytest.approx(1.7, abs=0.5)
     assert found.expected.expected_mse < 0.1
+    evaluator, now = planned[-1]
+    assert now.extra == 5
+    assert evaluator.horizon == 24 + now.extra
+    assert now.prior.lines_for(evaluator.believed) is not None
