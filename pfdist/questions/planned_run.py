@@ -280,9 +280,14 @@ def system_of_table(plan: PlannedRun, rows: Measurements) -> SystemOfTable:
     made = sorted({*rows.made_with(plan.built.evaluator.believed), *rows.failed})
     near = points.clock.nearest(rows.clock.times[on.instant(point)] for point in made)
     taken = sorted(points.first(k) + points.way(t) for k, t in zip(near, made, strict=True))
-    filtering = filter_of(fine.built, fine.prior, repeats=rows.repeats)
-    written = tuple(on.written_of(made))
-    return SystemOfTable(filtering, fine.built.evaluator, tuple(taken), written)
+    filtering, evaluator = (
+        filter_of(fine.built, fine.prior, repeats=rows.repeats),
+        fine.built.evaluator,
+    )
+    if rows.repeats > 1:
+        model, believed = (repeated(e, rows.repeats) for e in (evaluator.model, evaluator.believed))
+        evaluator = replace(evaluator, model=model, filter_model=believed, estimations=())
+    return SystemOfTable(filtering, evaluator, tuple(taken), tuple(on.written_of(made)))
 
 
 def instant_now(

@@ -145,15 +145,12 @@ class Replanner:
         any, all start from the prior of `now`. Raises `ModelError` if a formula failed.
         """
         stream = stream_key(self.stream, draw, now.first, "expected")
-        ends, skipped = (
-            [self.evaluator.horizon] * len(plans),
-            self.evaluator.points.first(now.extra),
-        )
-        sets = [tuple(skipped + time for time in plan) for plan in plans]
+        ends = [self.evaluator.horizon] * len(plans)
         evaluations, index = list[list[Evaluation]](), range(-(-draws // max(1, len(clouds))))
         for number, prior in enumerate(clouds or [now.prior]):
             key = stream_key(stream, number) if clouds else stream
             outlook = _Outlook(self, now._replace(prior=prior), key)
+            sets = [outlook.there(now.extra, plan) for plan in plans]
             evaluations.append(outlook.of_sets(outlook.draws(index), sets, ends, estimation))
         each_plan = (Evaluation.together(parts) for parts in zip(*evaluations, strict=True))
         return [replace(evaluation, purpose="evaluate") for evaluation in each_plan]
@@ -264,10 +261,8 @@ class _Outlook:
         self, draws: Draws | None, candidates: Sequence[Candidate], estimation: Estimation
     ) -> list[Evaluation]:
         """Evaluations of candidates on common draws with common noise."""
-        evaluator, last = self.evaluator, self.evaluator.horizon
-        first = self.now.first + self.now.extra
-        skipped = evaluator.points.first(first)
-        sets = [tuple(skipped + time for time in each.measurement_times) for each in candidates]
+        last, first = self.evaluator.horizon, self.now.first + self.now.extra
+        sets = [self.there(first, each.measurement_times) for each in candidates]
         ends = [last if each.end is None else first + each.end for each in candidates]
         if draws is not None:
             draws = draws[: max(each.draws or len(draws.index) for each in candidates)]
@@ -298,6 +293,14 @@ class _Outlook:
         found = self.evaluator.filter_sets(draws, sets, ends, noise, estimation)
         rows = zip(sets, found.mse.T.copy(), found.degenerate.T, strict=True)
         return [Evaluation(times, row, degenerate=of_set) for times, row, of_set in rows]
+
+    def there(self, first: int, times: Times) -> Times:
+        """Points of the job as the evaluator counts them, from an instant of its clock on.
+
+        It may have more instants before now, and more rows of each sensor after those of the job.
+        """
+        ways, points = self.replanner.feasible.points.ways, self.replanner.evaluator.points
+        return tuple(points.first(first + time // ways) + time % ways for time in times)
 
     @property
     def evaluator(self) -> Evaluator:

@@ -243,10 +243,21 @@ def test_lines_of_a_sensor_that_works_or_not_go_on_with_the_same_formula_alone()
         assert replace(cloud, lines=replace(cloud.lines, model=model)).lines_for(other) is None
 
 
-def test_a_table_off_the_clock_is_planned_from_lines_that_move(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.filterwarnings("ignore:1 row repeats")
+@pytest.mark.parametrize(
+    ("times", "extra"),
+    [
+        ((0.1, 0.3, 0.35, 0.8, 1.7), 5),
+        ((0.5, 0.5, 1.0, 1.5, 2.0), 0),
+        ((0.1, 0.1, 0.8, 1.7, 2.0), 3),
+    ],
+    ids=["off the clock", "repeats", "both"],
+)
+def test_any_table_is_planned_from_lines_that_move(
+    times: tuple[float, ...], extra: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # The filter has an instant for each time of the table, and so has the evaluator of the plan.
+    # The filter has an instant for each time of the table and a sensor for each repeat, and so has
+    # the evaluator of the plan.
     model = StateSpaceModel(
         name="decay",
         initial=lambda w, p: (1.0 + 0.3 * w[0], -1.0 + 0.3 * w[1]),
@@ -259,7 +270,7 @@ def test_a_table_off_the_clock_is_planned_from_lines_that_move(
         measurement_noise=("normal",),
     )
     problem = Problem(model, horizon=12, time_step=0.5, time_unit="h", measurement_budget=4)
-    table = pd.DataFrame({"t": [0.1, 0.3, 0.35, 0.8, 1.7], "y": [0.9, 0.9, 0.8, 0.7, 0.5]})
+    table = pd.DataFrame({"t": times, "y": [0.9, 0.9, 0.8, 0.7, 0.5]})
     planned, plan = list[tuple[Any, Any]](), Replanner.plan
 
     def noted(replanner: Replanner, now: Any, *others: Any) -> Any:
@@ -268,9 +279,9 @@ def test_a_table_off_the_clock_is_planned_from_lines_that_move(
 
     monkeypatch.setattr(Replanner, "plan", noted)
     found = pfdist.next_time(problem, table)
-    assert found.now == pytest.approx(1.7, abs=0.5)
+    assert found.now == pytest.approx(times[-1], abs=0.5)
     assert found.expected.expected_mse < 0.1
     evaluator, now = planned[-1]
-    assert now.extra == 5
+    assert now.extra == extra
     assert evaluator.horizon == 24 + now.extra
     assert now.prior.lines_for(evaluator.believed) is not None
