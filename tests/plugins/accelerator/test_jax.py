@@ -288,7 +288,7 @@ def test_its_error_is_the_known_one_of_a_linear_gaussian_model(lag: int) -> None
 
 
 def test_a_library_that_is_missing_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pfdist.filters.engines.find_spec", lambda name: None)
+    monkeypatch.setattr("pfdist.filters.engine.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"needs pip install -e '\.\[jax\]', got no jax"):
         Evaluator(load_model("ungm"), 8, engine="jax")
 
