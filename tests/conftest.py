@@ -21,7 +21,10 @@ from pfdist import Job, StateSpaceModel, load_job, load_model
 from pfdist.cli.main import main
 from pfdist.common import stopping
 from pfdist.errors import started_in
+from pfdist.filters.work import FilterWork
 from pfdist.plugins import PLUGINS
+from pfdist.pools.base import Outcome, SerialPool
+from pfdist.runner.progress import Progress
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
@@ -270,3 +273,32 @@ def said(call: Callable[..., Called]) -> Callable[..., str]:
         return called.err if code else called.out
 
     return printed
+
+
+@pytest.fixture
+def handed(monkeypatch: pytest.MonkeyPatch) -> list[FilterWork]:
+    """The works that the serial pool has computed, from now on."""
+    works, do = list[FilterWork](), SerialPool.run
+
+    def noting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        for outcome in do(self, tasks):
+            works.extend(outcome.task.work)
+            yield outcome
+
+    monkeypatch.setattr(SerialPool, "run", noting)
+    return works
+
+
+@pytest.fixture(scope="session")
+def stopped() -> Callable[..., None]:
+    """``stopped(job, path, phase, evaluations)``: a run is stopped when a phase has come so far."""
+
+    def stop(job: Job, path: Path, phase: str, evaluations: int = 1, **options: Any) -> None:
+        def show(progress: Progress) -> None:
+            if progress.phase == phase and progress.evaluations >= evaluations:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            pfdist.run(job, path, progress=show, figures=False, **options)
+
+    return stop

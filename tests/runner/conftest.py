@@ -1,6 +1,6 @@
 """Fixtures of the runner's tests: a session, a search that asks as it is told, runs cut short."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,9 @@ import pfdist
 from pfdist import Job
 from pfdist.errors import TaskError
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import FilterWork
-from pfdist.pools.base import Outcome, SerialPool
 from pfdist.problem.sections import Execution
 from pfdist.runner.build import Built, build, make_pool
 from pfdist.runner.door import Driver, RunSession, WorkBatch, complete
-from pfdist.runner.progress import Progress
 from pfdist.search import Candidate
 from pfdist.store import Store
 
@@ -65,35 +62,6 @@ class Asks:
 @pytest.fixture(scope="session")
 def asks() -> type[Asks]:
     return Asks
-
-
-@pytest.fixture
-def handed(monkeypatch: pytest.MonkeyPatch) -> list[FilterWork]:
-    """The works that the serial pool has computed, from now on."""
-    works, do = list[FilterWork](), SerialPool.run
-
-    def noting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
-        for outcome in do(self, tasks):
-            works.extend(outcome.task.work)
-            yield outcome
-
-    monkeypatch.setattr(SerialPool, "run", noting)
-    return works
-
-
-@pytest.fixture(scope="session")
-def stopped() -> Callable[..., None]:
-    """``stopped(job, path, phase, evaluations)``: a run is stopped when a phase has come so far."""
-
-    def stop(job: Job, path: Path, phase: str, evaluations: int = 1, **options: Any) -> None:
-        def show(progress: Progress) -> None:
-            if progress.phase == phase and progress.evaluations >= evaluations:
-                raise KeyboardInterrupt
-
-        with pytest.raises(KeyboardInterrupt):
-            pfdist.run(job, path, progress=show, figures=False, **options)
-
-    return stop
 
 
 @pytest.fixture
