@@ -18,6 +18,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import TaskError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.exact import exact_mse
+from pfdist.filters.variants import task
 from pfdist.filters.work import FilterWork
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built, build
@@ -207,7 +208,7 @@ def filtered(
     size, (first, last) = max(1, STEPS_A_TASK // work.steps_a_draw), draws
     pieces = [replace(work, draws=(d, min(last, d + size))) for d in range(first, last, size)]
     mse = np.empty((last - first, len(sets)))
-    results = built.evaluator.results
+    results = task(built.evaluator)
     for outcome in pool.run([Task(f"fresh:{piece.draws}", results, (piece,)) for piece in pieces]):
         if outcome.error is not None:
             raise TaskError("a task on fresh draws failed", outcome.error)

@@ -5,7 +5,7 @@ each draw stays the same, and so does every number computed from the draws in th
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -18,8 +18,6 @@ from pfdist.common.measurement_times import Lag, ManySets, Times
 from pfdist.common.points import PointNumbers
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
-from pfdist.filters.aspects import ErrorBeside
-from pfdist.filters.beside import errors_beside
 from pfdist.filters.cloud import Gaussian, Indices, Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engine import Engine
@@ -39,7 +37,6 @@ from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, models_made
 from pfdist.models.parameters import Parameter, check_lengths
 from pfdist.models.recorded import check_same_functions, declared, recorded
-from pfdist.models.sensed import late
 from pfdist.models.written import key_of_model
 
 
@@ -77,8 +74,10 @@ class Evaluator:
     # (ways,): the instants after which a value arrives, of an estimate that waits for all values,
     # and of that at the moment, see `at_the_moment`. Otherwise a point is that of the arrival.
     delays: tuple[int, ...] = ()
-    # whether its error is minus the information, in nats; see `of_information`
+    # whether its error is minus the information, in nats
     gives_information: bool = False
+    # those that were made of this one, see `pfdist.filters.variants`
+    variants: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         self.computed_by.check()
@@ -94,7 +93,7 @@ class Evaluator:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel as the models' programs; functions of a batched model travel by value."""
-        names = {each.name for each in fields(self)} - {"model", "filter_model"}
+        names = {each.name for each in fields(self) if each.init} - {"model", "filter_model"}
         return _arrived, (self._content, {name: getattr(self, name) for name in names})
 
     @cached_property
@@ -138,54 +137,6 @@ class Evaluator:
         """The model that the filter uses."""
         return self.filter_model or self.model
 
-    @cached_property
-    def truth(self) -> "Evaluator":
-        """The same evaluator with a filter that has the true model and the draw's scenario."""
-        if self.believed == self.model and self.knows_scenario == bool(self.scenarios):
-            return self
-        return replace(
-            self,
-            filter_model=None,
-            estimations=(),
-            knows_scenario=bool(self.scenarios),
-        )
-
-    @cached_property
-    def beside(self) -> dict[str, "Evaluator"]:
-        """The evaluators of the errors that answers show beside this one's, by name."""
-        return {
-            each.named: self.afterwards if each.is_smoothed else self.at_the_moment
-            for each in self.errors_beside
-        }
-
-    @property
-    def errors_beside(self) -> list[ErrorBeside]:
-        """The errors that answers show beside this one's."""
-        return errors_beside(self.lag, self.weights, self.delays)
-
-    @property
-    def afterwards(self) -> "Evaluator":
-        """The evaluator of the estimate from all measurements."""
-        return replace(self, lag=self.horizon, estimations=())
-
-    @cached_property
-    def at_the_moment(self) -> "Evaluator":
-        """The evaluator of the filtered estimate, which has a value when it has arrived."""
-        filtered = replace(self, lag=0, estimations=())
-        if not self.delays:
-            return filtered
-        known, instants = [each.parameters for each in self.scenarios], range(self.horizon + 1)
-        model, believed = (
-            recorded(late(each, self.delays), instants, known)
-            for each in (self.model, self.believed)
-        )
-        return replace(
-            filtered,
-            model=model,
-            filter_model=None if believed == model else believed,
-            prior=self.prior and self.prior.remembered(max(self.delays)),
-        )
-
     def arriving(self, sets: Sequence[Times]) -> Sequence[Times]:
         """Sets of the points at which values arrive, until T, for an estimate at the moment."""
         if not self.delays or self.lag:
@@ -193,26 +144,6 @@ class Evaluator:
         ways, end = self.points.ways, self.points.first(self.horizon + 1)
         later = [[point + ways * self.delays[point % ways] for point in times] for times in sets]
         return [tuple(sorted(point for point in times if point < end)) for times in later]
-
-    def is_limit(self, error: ErrorBeside) -> bool:
-        """Whether this error beside the own is an upper limit: the model has its own error."""
-        return error.is_raised and self.has_particles and not self.has_particle_loss
-
-    @cached_property
-    def of_information(self) -> "Evaluator":
-        """The evaluator of the information; its "MSE" is minus the nats of a draw.
-
-        The sum over all instants is a mean of errors that are scaled by their number.
-        """
-        instants = self.horizon + 1 - self.start
-        mean = replace(self, lag=0, weights=None, scale=1 / instants, estimations=(), delays=())
-        return replace(mean, gives_information=True)
-
-    def for_estimation(self, estimation: Estimation, *, knows_truth: bool) -> "Evaluator":
-        """The evaluator of what an estimation estimates: the error, or the information."""
-        known = self.truth if knows_truth else self
-        is_wanted = ESTIMATORS[estimation.estimator].weights.evidence != 0
-        return known.of_information if is_wanted and not known.gives_information else known
 
     @cached_property
     def of_scenarios(self) -> tuple["Evaluator", ...]:
@@ -237,15 +168,6 @@ class Evaluator:
             evaluators.append(alone)
         return tuple(evaluators)
 
-    def with_shares(self, shares: Sequence[float]) -> "Evaluator":
-        """The same evaluator with other shares of its scenarios."""
-        scenarios = zip(self.scenarios, shares, strict=True)
-        return replace(
-            self,
-            scenarios=tuple(replace(each, share=share) for each, share in scenarios),
-            estimations=(),
-        )
-
     def scenarios_of(self, stream: int, draws: range) -> Indices | None:
         """The number of each draw's scenario, (D,); None without scenarios."""
         if not self.scenarios:
@@ -256,19 +178,6 @@ class Evaluator:
     def shares(self) -> list[float]:
         """The share of each scenario; 1 without scenarios."""
         return [each.share for each in self.scenarios] or [1.0]
-
-    @cached_property
-    def self_consistent(self) -> "Evaluator":
-        """The same evaluator with draws of the filter's model."""
-        if self.believed == self.model and self.knows_scenario == bool(self.scenarios):
-            return self
-        return replace(
-            self,
-            model=self.believed,
-            filter_model=None,
-            estimations=(),
-            scenarios=self.scenarios if self.knows_scenario else (),
-        )
 
     @property
     def computed_by(self) -> Engine:
@@ -473,18 +382,6 @@ class Evaluator:
         filters, settings = self.computed_by.filters, self.settings(estimation)
         for times, stream in zip(self.arriving(sets), streams, strict=True):
             yield filters.filter_checked_draws(self.believed, draws, times, stream, settings, True)
-
-    def results(self, works: Iterable[FilterWork]) -> list[Result]:
-        """Results of works, as a task computes them; the caller has checked settings and times.
-
-        Raises `ModelError` if a formula failed.
-        """
-        return [work.result(self.of_work(work)).in_ranges(work) for work in works]
-
-    def of_work(self, work: FilterWork) -> "Evaluator":
-        """The evaluator with the filter's model of a work, and the estimate that it wants."""
-        known = self.for_estimation(work.estimation, knows_truth=work.knows_truth)
-        return known.beside[work.beside] if work.beside else known
 
     def pieces(self, work: FilterWork, seconds: float) -> list[FilterWork]:
         """The parts of a work, cut between draws, each of about this many seconds."""

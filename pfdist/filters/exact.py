@@ -10,6 +10,7 @@ from pfdist.filters import kalman
 from pfdist.filters.criterion import MEAN, Criterion
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import weighed
+from pfdist.filters.variants import of_information
 
 
 def exact_mse(
@@ -25,7 +26,7 @@ def exact_mse(
     if not evaluator.exact or criterion.needs_draws:
         return None
     if criterion.aspects and not evaluator.gives_information:
-        return exact_mse(evaluator.of_information, sets, ends)
+        return exact_mse(of_information(evaluator), sets, ends)
     if criterion.by_instant:
         errors = _mean_errors(evaluator, evaluator.shares, sets)
         return criterion.of_instants(errors[:, evaluator.relative_weights > 0.0])

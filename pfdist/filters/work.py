@@ -138,12 +138,12 @@ class FilterWork:
     since: tuple[int, ...] = ()
     # whether the filter uses the true model, whatever the evaluator's filter model is
     knows_truth: bool = False
-    beside: str = ""  # the error of `Evaluator.beside` that is wanted; empty for that of the job
+    beside: str = ""  # an error of `filters.beside` that is wanted; empty for that of the job
     sensors: int = 1  # a time is the number of a possible measurement, t * sensors + sensor
     # whether the control variate of each error is wanted, too; the filter must know the truth
     controlled: bool = False
     # If not 0, the errors at each instant are wanted, too: of each draw, or as sums over ranges of
-    # at most so many draws, a power of 2, from `Evaluator.results`; see `ranges_of_draws`.
+    # at most so many draws, a power of 2, from `variants.results`; see `ranges_of_draws`.
     over_time: int = 0
     together: int = 1  # draws whose particles a function of arrays gets in one array
 

@@ -26,6 +26,7 @@ from pfdist.filters.criterion import MEAN, Criterion, OtherCriterion, Sample
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.exact import exact_mse, exact_over_time
+from pfdist.filters.variants import for_work, is_limit, of_error, shown_beside
 from pfdist.filters.work import FilterWork, Result, joined
 from pfdist.models import squared_error
 from pfdist.problem.clock import Time
@@ -209,7 +210,7 @@ def _evaluated(
         own, estimation = estimation, beside.settings(evaluator, estimation)
         more = estimation.steps_an_instant // own.steps_an_instant
         draws = -(-draws // (FEWER * max(1, more // 2)))
-        evaluator, profile, criteria = evaluator.beside[beside.named], False, {}
+        evaluator, profile, criteria = of_error(evaluator, beside.named), False, {}
     written = [tuple(built.job.problem.points.written_of(each)) for each in times]
     exact = exact_mse(evaluator, times, criterion=criterion)
     by_instant = any(each.by_instant for each in criteria.values())
@@ -309,7 +310,7 @@ def _values_of(built: Built, work: FilterWork, aspect: Aspect, form: Criterion) 
         return form.sign * exact[None][: aspect == form.aspects[0]]
     draws = work.draws[1] if aspect.of_all_draws else min(LOSS_DRAWS, work.draws[1])
     own = aspect.work(work, draws)
-    of_draws = _filtered(built.evaluator.of_work(own), own)
+    of_draws = _filtered(for_work(built.evaluator, own), own)
     return aspect.values(of_draws.mse, of_draws.control)
 
 
@@ -512,7 +513,7 @@ def evaluated(
     start = time.perf_counter()  # after the compilation
     evaluations = compute()
     seconds = time.perf_counter() - start
-    errors = built.evaluator.errors_beside
+    errors = shown_beside(built.evaluator)
     beside = {each: compute(beside=each) for each in errors}
     broken = {
         name: loaded.problem.broken(evaluation.measurement_times)
@@ -521,7 +522,7 @@ def evaluated(
     scenarios = loaded.scenarios.of_draws if loaded.scenarios else ()
     about = loaded.problem, broken, [each.parameters for each in scenarios]
     judged_by = built.job.criterion, built.job.other_criteria
-    limits = [*filter(built.evaluator.is_limit, errors)]
+    limits = [each for each in errors if is_limit(built.evaluator, each)]
     return Evaluated(
         evaluations, beside, *about, seconds, _quantity(built), limits, *judged_by,
         taken=built.taken,

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.exact import exact_by_instant
+from pfdist.filters.variants import for_estimation
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, Result
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
@@ -65,7 +66,7 @@ class BlockSums:
         sets = counted.sets
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
         noise, draws = streams
-        evaluator = built.evaluator.for_estimation(estimation, knows_truth=knows_truth)
+        evaluator = for_estimation(built.evaluator, estimation, knows_truth=knows_truth)
         instants = tuple(zip(since, ends, strict=True))
         # A hash of everything on which the sums depend but their draws.
         name = "sums" if kind is FilterWork else kind.__name__

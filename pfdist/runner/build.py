@@ -19,6 +19,7 @@ from pfdist.filters.engines import BATCHED, COMPILED, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.proposal import PLAIN
 from pfdist.filters.proposals import AUTO, PROPOSALS
+from pfdist.filters.variants import knowing_truth, self_consistent
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
 from pfdist.models.continuous import with_events
@@ -136,7 +137,7 @@ def _with_filter(job: Job, proposal: str, particles: int, built: Built | None = 
     """
     moved, steps = job.filter.moved_particles, 1.0
     if built is not None and PROPOSALS[proposal].moves:
-        evaluator = built.evaluator.self_consistent
+        evaluator = self_consistent(built.evaluator)
         constants = constants_of(evaluator.believed, range(evaluator.horizon + 1))
         moved = moved_particles(job, len(constants))
         moving = replace(built.comparing, particles=moved, proposal=proposal)
@@ -149,7 +150,7 @@ def _built(job: Job, evaluator: Evaluator) -> Built:
     """The objects of a job whose models an evaluator has recorded; raises as `build`."""
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
-    is_wrong = evaluator.truth is not evaluator
+    is_wrong = knowing_truth(evaluator) is not evaluator
     smaller = feasible.smaller or (is_wrong and not feasible.counted)
     feasible = replace(feasible, smaller=smaller)
     study = study_of(job, feasible)
@@ -243,7 +244,7 @@ def _enough_particles(built: Built, proposal: str) -> int:
     from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST  # noqa: PLC0415
     from pfdist.runner.particles import NUMBERS, enough_particles  # noqa: PLC0415
 
-    evaluator, job = built.evaluator.self_consistent, built.job
+    evaluator, job = self_consistent(built.evaluator), built.job
     must = "filter.particles must be a number, got 'auto'"
     LOSS.check("filter.particles = 'auto'", job, evaluator)
     times, estimation = job.problem.feasible.regular(), replace(built.comparing, proposal=proposal)

@@ -12,6 +12,7 @@ from pfdist.filters.constants import constants_of
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.proposal import PLAIN, Proposal
 from pfdist.filters.proposals import MOST_INSTANTS, PROPOSALS, RIVALS, THAT_MOVES
+from pfdist.filters.variants import knowing_truth, self_consistent
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
 from pfdist.kernels.variates import generator
@@ -61,7 +62,7 @@ def choice(built: Built, asked: float | None, *, follows: bool) -> str:
     # Imported here, so that workers, which know the proposal, need no pandas.
     from pfdist.runner.particles import compared_draws  # noqa: PLC0415
 
-    evaluator, plain = built.evaluator.self_consistent, built.comparing
+    evaluator, plain = self_consistent(built.evaluator), built.comparing
     rivals = [each for each in RIVALS if evaluator.engine in each.engines]
     rivals *= evaluator.has_particle_loss
     moving = None if plain.carries else moving_of(built)
@@ -88,7 +89,7 @@ def _is_better(built: Built, rival: Proposal, draws: int) -> bool:
     """Whether a proposal loses less than the plain one in the same time."""
     from pfdist.runner.particles import why_plain  # noqa: PLC0415
 
-    evaluator, plain = built.evaluator.self_consistent, built.comparing
+    evaluator, plain = self_consistent(built.evaluator), built.comparing
     try:
         # The rival is compiled only if the plain filter loses too much.
         sets = built.job.problem.feasible.regular(), with_long_gap(built.job)
@@ -109,7 +110,7 @@ def moving_of(built: Built) -> Estimation | None:
     It takes components of x that do not move, a horizon that is not too long, and an engine that
     knows it.
     """
-    evaluator = built.evaluator.self_consistent
+    evaluator = self_consistent(built.evaluator)
     if THAT_MOVES is None or evaluator.engine not in THAT_MOVES.engines:
         return None
     if evaluator.horizon > MOST_INSTANTS or declared(evaluator.believed):
@@ -190,5 +191,5 @@ def with_long_gap(job: Job) -> Times:
 def check_beside_truth(evaluator: Evaluator, own: Estimation) -> None:
     """Raise a `ModelError` if the filter that knows the truth, too, cannot have the proposal."""
     is_own = PROPOSALS[own.proposal].beside_truth == own.proposal != PLAIN.name
-    if is_own and evaluator.truth is not evaluator:
-        evaluator.truth.compile(with_truth(1, own.proposal))
+    if is_own and knowing_truth(evaluator) is not evaluator:
+        knowing_truth(evaluator).compile(with_truth(1, own.proposal))

@@ -20,6 +20,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError, StoreError
 from pfdist.filters.aspects import DISTANCE, VARIANCE, Aspect, ErrorBeside
 from pfdist.filters.exact import exact_by_instant
+from pfdist.filters.variants import for_work, shown_beside
 from pfdist.filters.work import (
     FilterWork,
     Result,
@@ -296,7 +297,7 @@ class FirstDrawsTable:
         """Compute the table, and publish it."""
         rows = RowsByDraw(self.table, self.rows)
         # Before the first task, whose time is limited.
-        session.built.evaluator.of_work(self.work).compile(self.work.estimation)
+        for_work(session.built.evaluator, self.work).compile(self.work.estimation)
         yield WorkBatch(session, phase, [self.work], rows, more_follows=True, part=self.part)
         session.later(partial(self._publish, phase, session.store))
 
@@ -310,7 +311,7 @@ def tables_of_first_draws(built: Built, work: FilterWork | None = None) -> list[
     work = work or _work(built, dict.fromkeys(built.names, built.job.problem.feasible.regular()))
     evaluator, has_details = built.evaluator, built.study.has_details
     tables = [trajectories(built, work)] * has_details
-    for each in evaluator.errors_beside if has_details and not evaluator.exact else ():
+    for each in shown_beside(evaluator) if has_details and not evaluator.exact else ():
         tables += beside(built, work, each)
     wanted = [each.aspects for each in built.job.other_criteria.values() if not evaluator.exact]
     aspects = [aspect for of_criterion in wanted for aspect in of_criterion]

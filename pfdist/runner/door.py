@@ -49,6 +49,7 @@ from numpy.typing import NDArray
 from pfdist.common.stopping import check
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PfdistError, PoolError, TaskError
+from pfdist.filters.variants import task
 from pfdist.filters.work import FilterWork, Result, sum_of_draws, whole_block
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built
@@ -144,7 +145,7 @@ class WorkBatch:
 
     def _tasks(self, works: list[FilterWork], pace: Pace) -> Iterator[Task]:
         table = self.row_format.table if self.row_format is not None else self.phase
-        results = self.session.built.evaluator.results
+        results = task(self.session.built.evaluator)
         for bundle in bundles(works, pace.size, pace.expected, pace.least_draws):
             key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
             yield Task(key, results, bundle.works, pace.expected(bundle.steps))

@@ -11,6 +11,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.plugins import added
 from pfdist.errors import ModelError, SearchError
 from pfdist.filters.exact import exact_mse
+from pfdist.filters.variants import of_error, shown_beside
 from pfdist.results.stored_run import StoredRun
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
@@ -194,8 +195,8 @@ def _exact_columns(built: Built, sets: Sequence[Times]) -> dict[str, tuple[Any, 
     """Exact values of each set by column, with what they are for; None if they take draws."""
     evaluator, form = built.evaluator, built.job.criterion.mse_criterion
     columns: dict[str, tuple[Any, Part]] = {"exact_mse": (exact_mse(evaluator, sets), "comparison")}
-    for each in evaluator.errors_beside:
-        exact = exact_mse(evaluator.beside[each.named], sets, criterion=form)
+    for each in shown_beside(evaluator):
+        exact = exact_mse(of_error(evaluator, each.named), sets, criterion=form)
         columns[each.exact_column] = exact, "other estimate"
     for form in built.job.other_criteria.values():
         values = exact_mse(evaluator, sets, criterion=form) if form.aspects else None

@@ -15,6 +15,7 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key, stream_of
 from pfdist.filters.exact import exact_mse
+from pfdist.filters.variants import knowing_truth
 from pfdist.filters.work import Estimation, FilterWork, Result
 from pfdist.results import Moments, Run
 from pfdist.results.moments import controlled_mse
@@ -69,7 +70,10 @@ def gap_parts(
     """
     built = session.built
     given = [*sets.values()]
-    exact, right = exact_mse(built.evaluator, given), exact_mse(built.evaluator.truth, given)
+    exact, right = (
+        exact_mse(built.evaluator, given),
+        exact_mse(knowing_truth(built.evaluator), given),
+    )
     if exact is not None and right is not None:
         pairs = zip(exact.tolist(), map(Estimate, (exact - right).tolist()), strict=True)
         parts = [GapParts(Estimate(mse), ZERO, wrong, wrong) for mse, wrong in pairs]
@@ -106,7 +110,7 @@ def _kinds(
     The squared error is there only if the draws were not compared.
     """
     kinds = {"variance": (estimation, True)}
-    if built.evaluator.truth is not built.evaluator:
+    if knowing_truth(built.evaluator) is not built.evaluator:
         kinds["by_truth"] = built.comparing, True
     if not are_compared:
         kinds["squared"] = built.comparing, False
@@ -124,7 +128,7 @@ def _per_draw(
     """Errors of so many draws, (draws,), by the name of the set."""
     built, reporter = session.built, session.reporter
     horizon, noise = built.evaluator.horizon, stream_of("bound", built.job.seed, "filter of a set")
-    evaluator = built.evaluator.truth if knows_truth else built.evaluator
+    evaluator = knowing_truth(built.evaluator) if knows_truth else built.evaluator
     evaluator.compile(estimation)  # before the first task, whose time is limited
     key = stream_key(noise, draws_stream)
     ids = {name: evaluator.id_of(estimation, times, horizon, key) for name, times in sets.items()}

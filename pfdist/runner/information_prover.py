@@ -21,6 +21,7 @@ import numpy as np
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.filters.criteria.information import GAP, LOWER_SIDE
+from pfdist.filters.variants import of_information
 from pfdist.filters.work import BLOCK, Estimation, control_of
 from pfdist.results import Run
 from pfdist.results.criteria import samples_of
@@ -46,7 +47,7 @@ class InformationProver(Prover):
         self._possible = tuple(sorted({*range(points.number)} - {*feasible.forbidden}))
         self._most = feasible.measurement_budget or len(self._possible)
         for estimation in self._estimations:  # before the first task, whose time is limited
-            built.evaluator.of_information.compile(estimation)
+            of_information(built.evaluator).compile(estimation)
 
     @property
     def sizes(self) -> dict[str, int]:

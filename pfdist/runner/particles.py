@@ -1,7 +1,7 @@
 """The number of particles that a filter needs: particle losses, and effective sample sizes.
 
 Where the filter's model is not the truth, the draws are those of the filter's model
-(`pfdist.filters.evaluator.Evaluator.self_consistent`): the error due to a wrong model does not
+(`pfdist.filters.variants.self_consistent`): the error due to a wrong model does not
 depend on the number of particles.
 """
 

@@ -16,6 +16,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, ModelError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.exact import exact_mse
+from pfdist.filters.variants import knowing_truth, with_shares
 from pfdist.filters.work import BLOCK, with_truth
 from pfdist.problem.added_sections import has_amounts
 from pfdist.problem.constraints import Constraints
@@ -98,7 +99,7 @@ class Prover:
             self._estimation = replace(self._estimation, threshold=_THRESHOLD)
         # The windows to grow along are found with fewer particles; the bound does not trust them.
         self._growing = with_truth(max(count // _FEWER, min(count, _LEAST_GROWING)), own)
-        truth = built.evaluator.truth
+        truth = knowing_truth(built.evaluator)
         BOUND.check("a bound", built.job, truth)
         truth.compile(self._estimation)  # before the first task, whose time is limited
         self.begin(built, settings, count)
@@ -141,7 +142,7 @@ class Prover:
     @property
     def _check_values(self) -> float:
         """Values of formulas by which `check-model` checks the likelihood."""
-        truth = self._built.evaluator.truth
+        truth = knowing_truth(self._built.evaluator)
         parts = sum(len(each.model.parts) for each in truth.of_scenarios or (truth,))
         return float(VALUES * parts * bool(self.particles))
 
@@ -247,7 +248,7 @@ class Prover:
         if not self.particles:
             return ""
         session.count_exact(BOUND_PHASE, "likelihood", int(self._check_values))
-        evaluator = self._built.evaluator.truth
+        evaluator = knowing_truth(self._built.evaluator)
         for each in evaluator.of_scenarios or (evaluator,):
             draws = each.draws(range(_CHECKED), 0)
             for part in each.model.parts:
@@ -300,7 +301,7 @@ class Prover:
         else:
             errors = yield from self._of_scenarios(session)
             self.shares = best_shares(self.relaxation, errors, spent)
-            weighted = evaluator.with_shares(self.shares)
+            weighted = with_shares(evaluator, self.shares)
         session.built = self._built = replace(built, evaluator=weighted)
 
     def _of_scenarios(self, session: RunSession) -> Generator[WorkBatch, None, Array]:
@@ -309,7 +310,7 @@ class Prover:
         blocks = math.ceil(CHOICE_BLOCKS / len(evaluator.scenarios))
         for shares in np.eye(len(evaluator.scenarios)).tolist():
             errors.append(
-                (yield from self._windows(session, evaluator.with_shares(shares), blocks))
+                (yield from self._windows(session, with_shares(evaluator, shares), blocks))
             )
         return np.stack(errors)
 

@@ -20,6 +20,7 @@ from pfdist.constraints.setup import Setup
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.proposal import PLAIN
+from pfdist.filters.variants import for_estimation
 from pfdist.filters.work import BLOCK, Estimation, sum_of_draws
 from pfdist.kernels import rules
 from pfdist.kernels.batch import FilterArrays
@@ -156,7 +157,7 @@ def check_settings(sensing: str, **given: Any) -> None:
         given["rule"] = Applied(rule, follows, flipped and ways * flipped)
     settings = Estimation(40, **given)
     try:
-        check(evaluator.for_estimation(settings, knows_truth=False), settings)
+        check(for_estimation(evaluator, settings, knows_truth=False), settings)
     except AssertionError as error:
         error.add_note(f"{sensing}, lag {evaluator.lag}, {settings}")
         raise

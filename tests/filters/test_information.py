@@ -16,6 +16,7 @@ from pfdist.filters.criteria.information import GAP, LOWER_SIDE, Information
 from pfdist.filters.criterion import Sample
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.exact import exact_by_instant, exact_mse
+from pfdist.filters.variants import of_information, results
 from pfdist.filters.work import Estimation
 
 HORIZON, FACTOR, SPREAD = 12, 0.95, 3.0
@@ -46,7 +47,7 @@ def both_sides(evaluator: Evaluator, times: Times, particles: int, draws: int) -
     """Nats of each draw beside the truth, and by how much more without it."""
     below, evidence = (each.estimation(Estimation(particles)) for each in (LOWER_SIDE, GAP))
     work = evaluator.work([times], 5, 6, (0, draws), below)
-    informed, told = evaluator.results([work, replace(work, estimation=evidence, controlled=True)])
+    informed, told = results(evaluator, [work, replace(work, estimation=evidence, controlled=True)])
     gap = (told.control - told.mse)[:, 0]
     return Sample(np.empty(0), aspects={LOWER_SIDE: -informed.mse[:, 0], GAP: gap})
 
@@ -59,7 +60,7 @@ def test_the_exact_engine_gives_the_determinant_of_the_joint_covariance(
     evaluator = Evaluator(autoregression(noise), HORIZON, engine="kalman")
     (lost,) = exact_mse(evaluator, [times], criterion=Information())
     assert -lost == pytest.approx(of_autoregression(times, noise), rel=1e-12)
-    errors = exact_by_instant(evaluator.of_information, [times])[0]
+    errors = exact_by_instant(of_information(evaluator), [times])[0]
     assert np.flatnonzero(errors).tolist() == [*times]
 
 

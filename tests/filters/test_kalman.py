@@ -23,6 +23,7 @@ from pfdist.filters.cloud import Gaussian
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.exact import exact_by_instant, exact_mse
 from pfdist.filters.simulation import simulate
+from pfdist.filters.variants import knowing_truth, of_error
 from pfdist.filters.work import Estimation
 from pfdist.models import installed_models, tracing
 from pfdist.pages.terminal import lines_of
@@ -206,11 +207,11 @@ def test_the_smoothed_error_of_a_wrong_filter_takes_draws() -> None:
     truth = drifting(start=1.0, factor=0.9, drift=0.3, noise=0.5, offset=0.2)
     believed = drifting(start=0.0, factor=0.97, drift=0.0, noise=0.8, offset=0.0)
     misled, sets = Evaluator(truth, 12, filter_model=believed, engine="kalman"), [(2, 5, 9)]
-    smoothed = misled.beside["smoothed"]
+    smoothed = of_error(misled, "smoothed")
     assert not smoothed.exact
     assert exact_mse(smoothed, sets) is None
     assert exact_by_instant(smoothed, sets) is None
-    assert exact_mse(smoothed.truth, sets) is not None
+    assert exact_mse(knowing_truth(smoothed), sets) is not None
     both = [each(each.work(sets, 1, 2, (0, 500), Estimation(10))) for each in (misled, smoothed)]
     filtered, later = (each.mse.mean() for each in both)
     assert later < 0.9 * filtered
@@ -234,7 +235,7 @@ def test_a_wrong_filter_has_an_exact_plan_and_the_proof_tells_its_part(tmp_path:
     assert run.best.expected_mse == pytest.approx(exact.min(), rel=1e-9)
     assert run.best.standard_error == 0.0
     bound = pfdist.bound(run.path, figures=False)
-    truth = exact_mse(built.evaluator.truth, [tuple(run.best.measurement_times)])
+    truth = exact_mse(knowing_truth(built.evaluator), [tuple(run.best.measurement_times)])
     (gap,) = [each for each in bound.gaps if each.name == run.best.name]
     assert gap.filter_model.value == pytest.approx(run.best.expected_mse - truth[0], rel=1e-9)
 

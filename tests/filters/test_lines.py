@@ -28,6 +28,7 @@ from pfdist.filters.particle_filter import (
 )
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
+from pfdist.filters.variants import self_consistent
 from pfdist.filters.work import Estimation, control_of, with_truth
 from pfdist.plugins.guided.proposal import GUIDED
 
@@ -306,7 +307,7 @@ def test_an_evaluator_uses_later_measurements(estimator: str) -> None:
     assert smoothed.settings(control_of(own)).lag == HORIZON
     other = replace(UNGM, error=lambda z, estimate, t, p: abs(z[0] - estimate[0]))
     assert Evaluator(other, HORIZON, lag=HORIZON).settings(control_of(own)).lag == 0
-    assert smoothed.self_consistent == smoothed
+    assert self_consistent(smoothed) == smoothed
     draws, work = simulate(UNGM, HORIZON, range(30), 2), smoothed.work([TIMES], 1, 2, (0, 30), own)
     for evaluator in (filtered, smoothed):
         given = replace(own, lag=evaluator.lag)

@@ -19,6 +19,7 @@ from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, SUMS
 from pfdist.filters.simulation import simulate
+from pfdist.filters.variants import results
 from pfdist.filters.work import Estimation, joined, ranges_of_draws
 from pfdist.kernels.estimators import ESTIMATORS
 
@@ -111,12 +112,12 @@ def test_sums_over_ranges_do_not_depend_on_how_draws_are_cut(controlled: bool) -
     evaluator = Evaluator(UNGM, 12, scenarios=scenarios, knows_scenario=True)
     others = {"filter_streams": (3, 4), "controlled": controlled, "over_time": 8}
     work = evaluator.work([(0, 5), (2, 9)], 3, 5, (5, 90), Estimation(20), **others)
-    [whole] = evaluator.results([work])
+    [whole] = results(evaluator, [work])
     rng = np.random.default_rng(1)
     ends = [5, *np.sort(rng.choice(range(6, 90), 7, replace=False)).tolist(), 90]
     pieces = [work.part(piece) for piece in pairwise(ends)]
     sums = {}
-    for piece, result in zip(pieces, evaluator.results(pieces), strict=True):
+    for piece, result in zip(pieces, results(evaluator, pieces), strict=True):
         sums |= zip(ranges_of_draws(*piece.draws, 8), result.errors, strict=True)
 
     def total(first: int, draws: int) -> Any:

@@ -17,6 +17,7 @@ from pfdist import Problem
 from pfdist.errors import MeasurementsError, MeasurementTimesError
 from pfdist.filters.exact import exact_mse
 from pfdist.filters.simulation import simulate
+from pfdist.filters.variants import of_error
 from pfdist.filters.work import Estimation
 from pfdist.pages.terminal import lines_of
 from pfdist.plugins.explorer.session import ExplorerSession
@@ -306,12 +307,12 @@ def test_at_the_moment_a_value_counts_when_it_has_arrived(name: str) -> None:
             [each.job.problem.points.read(times)] for each in (own, other)
         )
         [right] = exact_mse(other.evaluator, [set_of_other])
-        moment = own.evaluator.beside["filtered"]
+        moment = of_error(own.evaluator, "filtered")
         assert exact_mse(moment, [set_of_own]) == pytest.approx([right], rel=1e-9)
-        works = sampled.evaluator.beside["filtered"].work(
+        works = of_error(sampled.evaluator, "filtered").work(
             [set_of_own], 1, 2, (0, 2000), Estimation(400, "systematic")
         )
-        mse = sampled.evaluator.beside["filtered"].filtered(works).mse
+        mse = of_error(sampled.evaluator, "filtered").filtered(works).mse
         error = mse.std() / math.sqrt(mse.size)
         assert abs(mse.mean() - right) <= 4 * error + right / 400
 

@@ -28,6 +28,7 @@ from pfdist.filters.criterion import WorstScenario
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.exact import exact_mse
 from pfdist.filters.scenarios import scenarios_of_draws
+from pfdist.filters.variants import knowing_truth
 from pfdist.filters.work import BLOCK, Estimation, FilterWork, with_truth
 from pfdist.pages.terminal import lines_of
 from pfdist.problem.scenarios_section import Scenarios
@@ -298,7 +299,7 @@ def test_a_nominal_filter_has_exact_errors() -> None:
     """The mean over scenarios of the filter that believes the nominal parameters, by draws."""
     sets = [(), (0, 4, 8, 11), (2, 3, 9, 10)]
     evaluator = build(problem(engine="kalman", filter="nominal").job()).evaluator
-    exact, told = exact_mse(evaluator, sets), exact_mse(evaluator.truth, sets)
+    exact, told = exact_mse(evaluator, sets), exact_mse(knowing_truth(evaluator), sets)
     assert exact is not None
     assert told is not None
     assert (exact[1:] > told[1:]).all()
@@ -307,7 +308,7 @@ def test_a_nominal_filter_has_exact_errors() -> None:
 
 
 def test_the_truth_in_the_cloud_of_a_told_filter_costs_no_more_than_the_kalman_filter() -> None:
-    evaluator = build(problem(filter="nominal", particles=30).job()).evaluator.truth
+    evaluator = knowing_truth(build(problem(filter="nominal", particles=30).job()).evaluator)
     draws = 200 * BLOCK
     work = FilterWork(((0, 6),), (HORIZON,), (5,), 9, (0, draws), with_truth(30))
     variance = evaluator.filtered(work).mse[:, 0]

@@ -22,6 +22,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.exact import exact_mse
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.other_estimate import SMOOTHED as SMOOTHED_ERROR
+from pfdist.filters.variants import of_error, results, shown_beside
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.pages.terminal import lines_of
@@ -150,7 +151,7 @@ def test_the_error_of_the_other_estimate_is_that_of_the_same_draws_and_noise(
     run, swapped = pfdist.open_run(finished(*changes)), finished(*([] if changes else [SMOOTHED]))
     table, sets = run.table("other_estimate"), run.table("sets").set_index("name")
     built, of_run = build(load_job(swapped)), build(load_job(run.path))
-    (error,) = of_run.evaluator.errors_beside
+    (error,) = shown_beside(of_run.evaluator)
     assert error.named == other
     estimation = error.settings(of_run.evaluator, of_run.comparing)
     filters = ESTIMATORS[estimation.estimator].filters
@@ -188,7 +189,7 @@ def test_few_ancestors_do_not_raise_the_error_of_the_other_estimate(is_told: boo
     sharp, times = scalar("sharp", 0.7, 1.0, 0.02), [(0, 3, 7, 10), (1, 4, 7, 10)]
     other = None if is_told else replace(sharp, name="renamed", linear_gaussian=False)
     of_filter = Evaluator(sharp, 12, other)
-    smoothing, own = of_filter.beside["smoothed"], Estimation(500)
+    smoothing, own = of_error(of_filter, "smoothed"), Estimation(500)
     chosen = SMOOTHED_ERROR.settings(of_filter, own)
     assert chosen.estimator == ("two_clouds" if is_told else "two_errors")
 
@@ -257,7 +258,7 @@ def test_the_plain_twin_has_nearly_the_same_errors(run: pfdist.Run) -> None:
     work = built.evaluator.work([(0, 4, 8), ()], 1, 2, (0, 40), built.comparing)
     work = replace(work, beside="filtered")
     plain = replace(built.evaluator, engine="numpy")
-    (compiled,), (twin,) = built.evaluator.results([work]), plain.results([work])
+    (compiled,), (twin,) = results(built.evaluator, [work]), results(plain, [work])
     np.testing.assert_allclose(compiled.mse.mean(axis=0), twin.mse.mean(axis=0), rtol=0.01)
 
 

@@ -12,6 +12,7 @@ import pfdist
 from oracles.unknown import level_and_slope
 from pfdist import Job
 from pfdist.cli.main import main
+from pfdist.filters import variants
 from pfdist.filters.evaluator import Evaluator
 from pfdist.questions.foreseen import foreseen_work
 from pfdist.questions.run_of_job import searched_by
@@ -26,13 +27,13 @@ from pfdist.runner.parts import PARTS
 def test_the_steps_of_all_tasks_are_counted_and_a_resumed_run_adds_what_it_computes(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    steps, results = list[int](), Evaluator.results
+    steps, results = list[int](), variants.results
 
     def counting(evaluator: Evaluator, works: Any) -> Any:
         steps.extend(work.steps for work in works)
         return results(evaluator, works)
 
-    monkeypatch.setattr(Evaluator, "results", counting)
+    monkeypatch.setattr(variants, "results", counting)
     small_job = small_job.with_changes(["problem.horizon=8"])
     run = pfdist.run(small_job, tmp_path / "run", bound_draws=480, figures=False)
     before = steps_by_part(run)

@@ -15,6 +15,7 @@ from pfdist.filters.criteria.worst_instant import WorstInstant
 from pfdist.filters.criterion import MEAN
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.exact import exact_by_instant
+from pfdist.filters.variants import results
 from pfdist.filters.work import Estimation, FilterWork, Result, sum_of_draws, with_truth
 from pfdist.pools.base import SerialPool
 from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
@@ -135,7 +136,7 @@ def test_a_block_has_the_bits_of_the_sum_of_its_draws(
     given = SETS, 5, 5, (BLOCK, 2 * BLOCK), with_truth(40)
     whole = kind(**vars(evaluator.work(*given, since=since, ends=ends, ids=("id",))))
     singles = [whole.part((draw, draw + 1)) for draw in range(*whole.draws)]
-    sums, *of_draws = (result.sums for result in evaluator.results([whole, *singles]))
+    sums, *of_draws = (result.sums for result in results(evaluator, [whole, *singles]))
     np.testing.assert_array_equal(sums, sum_of_draws(of_draws))
     assert len(sums) == (4 if kind is RankWork else COUNTED.set_of.size)
     assert np.ptp(of_draws, axis=0).min() > 0

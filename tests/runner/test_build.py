@@ -14,6 +14,7 @@ from oracles.in_turn import in_turn
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import ModelError, RunMismatchError
+from pfdist.filters.variants import knowing_truth
 from pfdist.filters.work import Estimation
 from pfdist.kernels import cached
 from pfdist.problem.sections import Execution
@@ -51,7 +52,7 @@ def job_with(tmp_path: Path, *lines: str, formula: str = "0.5 * x[0]", quantity:
 def test_the_filters_parameters_are_the_models_but_for_those_that_are_given(tmp_path: Path) -> None:
     model = ["[model.parameters]", "process_sd = 2.0", "measurement_sd = 3.0"]
     knowing = build(job_with(tmp_path, *model)).evaluator
-    assert knowing.truth is knowing
+    assert knowing_truth(knowing) is knowing
     assert knowing.believed.p.process_sd == 2.0
     built = build(job_with(tmp_path, *model, "[model.filter.parameters]", "measurement_sd = 4.0"))
     p, believed = built.evaluator.model.p, built.evaluator.believed.p

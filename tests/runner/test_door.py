@@ -14,6 +14,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import SweepError
+from pfdist.filters import variants
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, FilterWork
 from pfdist.runner import door
@@ -26,7 +27,7 @@ ALIKE = {"comparison.draws": [250, 300]}  # two points with one search
 @pytest.fixture
 def fails(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     """Let the task of this number fail."""
-    results, done = Evaluator.results, list[object]()
+    results, done = variants.results, list[object]()
 
     def let(number: int) -> None:
         def fail(evaluator: Evaluator, works: Any) -> Any:
@@ -35,7 +36,7 @@ def fails(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
                 raise MemoryError("one bad task")
             return results(evaluator, works)
 
-        monkeypatch.setattr(Evaluator, "results", fail)
+        monkeypatch.setattr(variants, "results", fail)
 
     return let
 

@@ -13,6 +13,7 @@ from pfdist.common.section import Whole, checked
 from pfdist.errors import PfdistWarning
 from pfdist.filters.proposal import PLAIN
 from pfdist.filters.proposals import PROPOSALS, RIVALS
+from pfdist.filters.variants import self_consistent
 from pfdist.problem.clock import Time
 from pfdist.problem.needs import LOSS
 from pfdist.problem.problem import JobSource, as_job
@@ -85,7 +86,7 @@ def particle_losses(
     job = as_job(job, settings={"seed": seed, "filter": {"particles": max(particles, default=1)}})
     times = instants_evaluated(job, UNNAMED, measurement_times)
     built = build(job, asked=4 * draws * len(tuple(particles)))
-    evaluator, rows = built.evaluator.self_consistent, []
+    evaluator, rows = self_consistent(built.evaluator), []
     LOSS.check("the particle loss", job, evaluator)
     rival = PROPOSALS[built.job.filter.proposal]
     if job.filter.proposal == rival.name and rival in RIVALS:

@@ -23,6 +23,7 @@ from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
 from pfdist.filters.proposal import PLAIN
 from pfdist.filters.proposals import PROPOSALS, RIVALS
+from pfdist.filters.variants import self_consistent
 from pfdist.filters.work import Estimation, FilterWork
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel, squared_error
@@ -366,7 +367,7 @@ def _filtered(
         "expected MSE", "ok" if is_finite else "wrong", f"{got}{mean.text} with these times"
     )
     yield from substeps(evaluator, work, result.mse[:, 0])
-    believed, model = evaluator.self_consistent, evaluator.model
+    believed, model = self_consistent(evaluator), evaluator.model
     if evaluator.has_particles:
         yield Check("effective sample size", *_effective_sizes(believed, work))
     text, is_few = fewest_lines(believed, work, partial(formatted_instant, model))

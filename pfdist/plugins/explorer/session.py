@@ -29,6 +29,7 @@ from pfdist.constraints.apart import Apart
 from pfdist.errors import JobError, StoreError, reason_of
 from pfdist.filters.aspects import ErrorBeside
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.variants import is_limit, of_error, shown_beside
 from pfdist.filters.work import BLOCK
 from pfdist.plugins.explorer.filtered import Change, FilteredSets
 from pfdist.plugins.explorer.needs import EXPLORE
@@ -92,10 +93,10 @@ class ExplorerSession:
         self.played = FilteredSets(self.built, stream)
         evaluator, own = self.built.evaluator, self.built.comparing
         self._beside = dict[ErrorBeside, FilteredSets]()
-        for each in evaluator.errors_beside:
+        for each in shown_beside(evaluator):
             estimation = replace(each.settings(evaluator, own), particles=own.particles)
-            of_error = replace(self.built, evaluator=evaluator.beside[each.named])
-            self._beside[each] = FilteredSets(of_error, stream, estimation)
+            built = replace(self.built, evaluator=of_error(evaluator, each.named))
+            self._beside[each] = FilteredSets(built, stream, estimation)
         self._lock = threading.Lock()
         self._judged, self._judgements = list[Judgement](), 0
         self.best = self.run.best if self.run and not self.job.amounts else None
@@ -240,7 +241,7 @@ class ExplorerSession:
             shown += [] if is_same else [name]
         texts_of = {"expected MSE": _with_errors(known), "typical error": typical}
         for error, found in beside.items():
-            limit = ", at most" * self.built.evaluator.is_limit(error)
+            limit = ", at most" * is_limit(self.built.evaluator, error)
             texts_of[f"MSE {error.head}{limit}"] = _with_errors(found)
         for head, texts in texts_of.items():
             each = (f"{self._others.get(name, YOURS)} {texts[name]}" for name in shown)

@@ -28,6 +28,7 @@ from pfdist.common.shown import Shown
 from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter_estimate import FEW, FilterEstimate, few_particles
+from pfdist.filters.variants import at_the_moment
 from pfdist.models.base import StateSpaceModel, within_half_turn
 from pfdist.problem.clock import Clock, Time
 from pfdist.problem.measurements import Measurements, read_measurements
@@ -290,7 +291,7 @@ def filter_measurements(
     meant = [points.first(places[k]) + points.way(t) for k, t in zip(nearest, tried, strict=True)]
     filtered_estimates, lag = [*_estimates(filtering, rows)], plan.built.evaluator.lag
     if delays := plan.built.evaluator.delays:
-        moment = replace(plan.built, evaluator=plan.built.evaluator.at_the_moment)
+        moment = replace(plan.built, evaluator=at_the_moment(plan.built.evaluator))
         prior_then = plan.prior and plan.prior.remembered(max(delays))
         late = filter_of(moment, prior_then, repeats=rows.repeats)
         filtered_estimates = [*_estimates(late, rows.arriving(believed, delays))]

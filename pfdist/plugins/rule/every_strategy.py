@@ -16,6 +16,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.interface import EACH_DRAW, weighed
 from pfdist.filters.proposal import PLAIN
 from pfdist.filters.proposals import PROPOSALS
+from pfdist.filters.variants import knowing_truth
 from pfdist.filters.work import FilterWork, Result, with_truth
 from pfdist.kernels.replicates import REPLICATES
 from pfdist.runner.door import RunSession, WorkBatch
@@ -80,14 +81,14 @@ def bound_of_strategies(
     built, relaxations = session.built, list[Relaxation]()
     evaluator, usual = built.evaluator, built.study.usual
     is_known = built.job.criterion.is_mean and not evaluator.lag
-    for window in (1, WINDOW) if is_known and evaluator.truth.variance_is_error else ():
+    for window in (1, WINDOW) if is_known and knowing_truth(evaluator).variance_is_error else ():
         with contextlib.suppress(JobError):
             fine = relaxation_for(built.feasible, window, usual, _MOST_CELLS)
             relaxations.append(fine.coarse(MOST_UNITS))
     best: tuple[float, float, Relaxation | None, float] = -math.inf, math.nan, None, 0.0
     # Guided particles are redrawn for the true y; other engines draw no replicates.
     is_plain = PROPOSALS[built.job.filter.proposal].beside_truth == PLAIN.name
-    has_penalty = is_plain and evaluator.truth.computed_by is COMPILED
+    has_penalty = is_plain and knowing_truth(evaluator).computed_by is COMPILED
     for each, penalty in product(relaxations, PENALTIES if has_penalty else PENALTIES[:1]):
         least = yield from _least(session, each, penalty, "choice", CHOICE_DRAWS)
         price = best_price(least, each.number)
@@ -115,7 +116,7 @@ def _least(
     estimation = replace(estimation, penalty=penalty or None)
     stream = stream_of("bound", built.job.seed, "strategies", role, "filter")
     of_draws = stream_of("bound", built.job.seed, "strategies", role)
-    truth, windows = built.evaluator.truth, relaxation.sets
+    truth, windows = knowing_truth(built.evaluator), relaxation.sets
     truth.compile(estimation)
     of_windows = truth.work(
         windows, stream, of_draws, (0, 1), estimation, ends=tuple(relaxation.ends.tolist())

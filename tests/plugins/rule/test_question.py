@@ -25,6 +25,7 @@ from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, StoreError
 from pfdist.filters.strategy import follow
+from pfdist.filters.variants import results
 from pfdist.kernels.follows import StepLimits
 from pfdist.kernels.rules import ALWAYS, NEVER, Thresholds
 from pfdist.plugins.rule import every_strategy, ruling
@@ -360,7 +361,7 @@ def test_a_rule_that_measures_more_often_with_more_particles_is_said(
     assert "With 4 times the particles the rule spends 3." in repr(found)
     built = build(problem.job())
     more = ruling.work_of(built, found.rule, 1000, particles=20_000)
-    spent = built.evaluator.results([more])[0].mse[:, 1]
+    spent = results(built.evaluator, [more])[0].mse[:, 1]
     assert spent.mean() > 3.0 + 3 * spent.std() / math.sqrt(spent.size)
 
 
