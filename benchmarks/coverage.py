@@ -90,7 +90,7 @@ def measure(quick: bool, say: Say) -> Tables:
             controlled=True,
         )
         results = [
-            evaluator.filtered(work.part(block)) for block in cut(range(work.draws[1]), 5000)
+            evaluator.filtered(work.piece(block)) for block in cut(range(work.draws[1]), 5000)
         ]
         mse, control = (
             np.concatenate([getattr(each, name) for each in results]) for name in ("mse", "control")

@@ -25,12 +25,12 @@ def applied(
     """
     is_alone = settings.proposal != PLAIN.name or bool(np.any(settings.lag))
     planned, ruling, filled = ruling_of(
-        settings.rule, planned, draws.index, draws.instants, len(model.parts), is_alone=is_alone
+        settings.rule, planned, draws.index, draws.instants, len(model.ways), is_alone=is_alone
     )
     if settings.penalty:
         replicates = replicates_of(
             settings.penalty, simulation_blocks(model, draws.instants).blocks,
-            model.noise_of_measurements, [part.v.start for part in model.parts],
+            model.noise_of_measurements, [way.v.start for way in model.ways],
             len(draws.index), *model.components[:2],
         )  # fmt: skip
         ruling = ruling._replace(replicates=replicates)

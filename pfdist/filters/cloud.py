@@ -107,7 +107,7 @@ def _of_first(instants: int, parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 def _formulas_of(model: StateSpaceModel) -> list[Any]:
     """The formulas on which a path and its likelihood depend, as the user wrote them."""
-    parts = [part.model for part in model.parts]
+    parts = [way.model for way in model.ways]
     likelihoods: list[Any] = [
         *(each.log_likelihood for each in parts),
         *(each.works for each in parts),

@@ -100,7 +100,7 @@ def are_possible(model: StateSpaceModel, name: str, values: Any) -> NDArray[np.b
     possible: NDArray[np.bool_] = np.isfinite(values)
     if name == "y" and model.missing_components:
         possible |= np.isnan(values)
-    if name == "y" and any(part.model.works for part in model.parts):
+    if name == "y" and any(way.model.works for way in model.ways):
         possible |= np.isposinf(values)
     return possible
 
@@ -119,8 +119,8 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
         row, k, component = (int(i) for i in np.argwhere(~is_right)[0])
         owner, number = model, component
         if name == "y":
-            part = next(part for part in model.parts if component < part.y.stop)
-            owner, number = part.model, component - part.y.start
+            way = next(way for way in model.ways if component < way.y.stop)
+            owner, number = way.model, component - way.y.start
         formula, arguments = _given(model, name, draws[row : row + 1], k, stream, component)
         got, t = values[row, k, component], draws.instants[k]
         raise ModelError(not_finite(owner, formula, arguments, f"{name}[{number}] = {got}", t))
@@ -172,7 +172,7 @@ def _given(
     t = draw.instants[k]
     if name == "y":
         v = noise(model.noise_of_measurements, t, TRUTH_MEASUREMENT)
-        of_sensor = next(part.v for part in model.parts if component < part.y.stop)
+        of_sensor = next(way.v for way in model.ways if component < way.y.stop)
         return "measurement", (x, t, v[of_sensor], model.p)
     if name == "z":
         return "quantity_of_interest", (x, t, model.p)

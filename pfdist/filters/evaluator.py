@@ -396,7 +396,7 @@ class Evaluator:
             if work.summed and work.together == 1:
                 singles = [(draw, draw + 1) for draw in range(*work.draws)]
                 parts = zip(numbers, singles, strict=True)
-            return joined([work.part(draws).result(self.of_scenarios[n]) for n, draws in parts])
+            return joined([work.piece(draws).result(self.of_scenarios[n]) for n, draws in parts])
         if work.summed:
             first, ends = np.array([work.since, work.ends])[:, :, None]
             t = np.arange(self.start, self.horizon + 1)

@@ -119,7 +119,7 @@ def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with np.errstate(all="ignore"):
         z = twin.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
-    parts = [np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z]
+    parts = [np.broadcast_to(np.asarray(way, np.float64), cloud.particles) for way in z]
     around: Array = within_half_turn(np.stack(parts, axis=1), mean, model.is_angle)
     return around.T
 
@@ -161,15 +161,15 @@ def surprise_of_particles(
     x = tuple(np.tile(states, copies))
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with np.errstate(all="ignore"):
-        by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in twin.parts)
+        by_sensor = (way.model.measurement(x, cloud.t, v[way.v], model.p) for way in twin.ways)
         simulated = tuple(chain.from_iterable(by_sensor))
     measured = np.flatnonzero(~np.isnan(y))
     given = [k for k in measured if np.ndim(simulated[k]) == 0]
     measured, is_other = np.setdiff1d(measured, given), any(y[k] != simulated[k] for k in given)
     smallest, angles = 1.0, circular_components(model, cloud, y)
     may_fail = np.repeat(
-        [bool(part.model.works) for part in model.parts],
-        [part.y.stop - part.y.start for part in model.parts],
+        [bool(way.model.works) for way in model.ways],
+        [way.y.stop - way.y.start for way in model.ways],
     )
     for component in measured:
         values = np.broadcast_to(np.asarray(simulated[component], np.float64), (number,))

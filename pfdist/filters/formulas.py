@@ -80,9 +80,9 @@ def _filter_blocks(
             rows.LOGARITHM: source(1, "logarithm", _logarithm, {"w": 1}, once),
         }
     )
-    for number, part in enumerate(model.parts):
-        sources[rows.SENSORS + number] = _own(part.model, "log_likelihood", instants)
-    behind = rows.SENSORS + len(model.parts)
+    for number, way in enumerate(model.ways):
+        sources[rows.SENSORS + number] = _own(way.model, "log_likelihood", instants)
+    behind = rows.SENSORS + len(model.ways)
     sources |= {behind + place: each for place, each in further.items()}
     blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
     return blocks, _components_of_state(sources[rows.QUANTITY])
@@ -117,14 +117,14 @@ def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
         _own(model, "initial", instants),
         _own(model, "transition", instants) if instants[1:] else None,
         _own(model, "quantity_of_interest", instants),
-        *(_own(part.model, "measurement", instants) for part in model.parts),
+        *(_own(way.model, "measurement", instants) for way in model.ways),
     ]
     return compile_blocks(sources, instants)
 
 
 def operations_of(model: StateSpaceModel, instants: range) -> int:
     """About how many operations a particle-step has, those of its random numbers included."""
-    parts = ((part.model, "log_likelihood") for part in model.parts)
+    parts = ((way.model, "log_likelihood") for way in model.ways)
     sources = [_own(each, name, instants) for each, name in ((model, "transition"), *parts)]
     programs = [each.traced.programs for each in sources if isinstance(each, Source)]
     of_formulas = sum(max(len(each.operations) for each in some) for some in programs)
@@ -200,7 +200,7 @@ class _Formulas:
         """z, then cosine and sine of each component that is an angle."""
         z = self.model.quantity_of_interest(x, t, p)
         angles = [value for value, is_angle in zip(z, self.is_angle, strict=True) if is_angle]
-        return (*z, *(part(angle) for angle in angles for part in (np.cos, np.sin)))
+        return (*z, *(way(angle) for angle in angles for way in (np.cos, np.sin)))
 
     def estimate(self, x: Any, p: Any) -> tuple[Any, ...]:
         """The mean of z from the weighted means of `quantity`."""

@@ -63,8 +63,8 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
     Raises `ModelError` if the model does not declare linear_gaussian, or is not: a noise is not
     normal, the error is not the squared Euclidean norm, or a formula is not linear.
     """
-    for part in model.parts:
-        _check_declared(part.model)
+    for way in model.ways:
+        _check_declared(way.model)
     instants = range(start, horizon + 1)
     p, states, twin = model.p, model.components[0], twin_of(model, instants)
 
@@ -86,7 +86,7 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
     (initial,) = affine("initial", range(1), 0, len(model.initial_noise))
     by_sensor = [
         affine("measurement", instants, states, states + len(each.measurement_noise), each)
-        for each in (part.model for part in twin.parts)
+        for each in (way.model for way in twin.ways)
     ]
     return LinearGaussian(
         initial,
@@ -141,7 +141,7 @@ def _points(inputs: int) -> Array:
 
 
 def _check_declared(model: StateSpaceModel) -> None:
-    if any(part.model.works for part in model.parts):
+    if any(way.model.works for way in model.ways):
         raise ModelError(
             f"the Kalman filter needs sensors without works, got {model.name}: other engines take "
             "them"
@@ -416,10 +416,10 @@ def _forward(
     for k, t in enumerate(instants):
         through, information = _unmeasured(matrices, k, 0, covariance)
         pull = np.zeros_like(mean)
-        for point, place, part in zip(points.at(t), points.at(k), model.parts, strict=True):
+        for point, place, way in zip(points.at(t), points.at(k), model.ways, strict=True):
             if point not in measured:
                 continue
-            seen, measurement = _seen(draws.y[:, k, part.y], matrices.measurement[place])
+            seen, measurement = _seen(draws.y[:, k, way.y], matrices.measurement[place])
             gain, observation_matrix, weight, spread, _ = _gain(covariance, measurement)
             innovation = seen - measurement.offset - _times(observation_matrix, mean)
             innovations.append((innovation, spread))
@@ -447,8 +447,8 @@ def log_evidence(model: StateSpaceModel, y: Array) -> Array:
     measured = (
         point
         for t in draws.instants
-        for point, part in zip(model.points.at(t), model.parts, strict=True)
-        if not np.isnan(y[:, t, part.y]).all()
+        for point, way in zip(model.points.at(t), model.ways, strict=True)
+        if not np.isnan(y[:, t, way.y]).all()
     )
     matrices = cached_matrices(model, y.shape[1] - 1)
     _, innovations = _forward(matrices, model, draws, measured, Estimation(1))
@@ -473,8 +473,8 @@ def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:
     sensors, states = matrices_of(model, state.t, state.t).measurement, state.components
     matrix = np.concatenate([each.matrix[:, :states] for each in sensors])
     noise = np.zeros((matrix.shape[0], matrix.shape[0]))
-    for part, each in zip(model.parts, sensors, strict=True):
-        noise[part.y, part.y] = _square(each.matrix[:, states:])
+    for way, each in zip(model.ways, sensors, strict=True):
+        noise[way.y, way.y] = _square(each.matrix[:, states:])
     mean = np.concatenate([each.offset for each in sensors]) + matrix @ state.mean
     return Gaussian(state.t, mean, matrix @ state.covariance @ matrix.T + noise)
 

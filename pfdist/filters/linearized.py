@@ -174,10 +174,10 @@ def _information_rows(
     every, is_any = max(1, (len(states) - 1) // _LOOKED_AT), False
     for t, (x, spread) in enumerate(zip(states, spreads, strict=True)):
         check()
-        for part in twin.parts:
-            if t % every == 0 and _jumps(part.model, x, t, spread):
+        for way in twin.ways:
+            if t % every == 0 and _jumps(way.model, x, t, spread):
                 raise ModelError(f"model {name}: log_likelihood jumps where x changes")
-            rows = _rows(_information(part.model, x, t, spread), spread)
+            rows = _rows(_information(way.model, x, t, spread), spread)
             is_any |= rows.size > 0
             yield rows
     if not is_any:

@@ -179,7 +179,7 @@ def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
     total = np.zeros(cloud.particles)
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with np.errstate(all="ignore"):
-        for _, sensor, of_sensor, _ in twin.parts:
+        for _, sensor, of_sensor, _ in twin.ways:
             if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
                 total += sensor.log_likelihood(measured[of_sensor], x, cloud.t, model.p)
     return total
@@ -272,15 +272,15 @@ class Followed:
 def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArray[np.float64]:
     """The measurement y, (m,), with NaN for what is not measured at these times of an instant."""
     measured = np.full_like(y, np.nan)
-    for part in (model.parts[model.points.way(time)] for time in times):
-        measured[part.y] = y[part.y]
+    for each in (model.ways[model.points.way(time)] for time in times):
+        measured[each.y] = y[each.y]
     return measured
 
 
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:
     """The possible measurements in y(t), (m,): those of sensors with a component."""
-    here = zip(model.points.at(t), model.parts, strict=True)
-    return tuple(point for point, part in here if not np.isnan(y[part.y]).all())
+    here = zip(model.points.at(t), model.ways, strict=True)
+    return tuple(point for point, each in here if not np.isnan(y[each.y]).all())
 
 
 # --- what a user gives ----------------------------------------------------------------------------
@@ -325,11 +325,11 @@ def checked_measurement(
         )
     names = names or [f"y[{component}]" for component in range(components)]
     failed = [
-        part.y for part in model.parts if part.model.works and (values[part.y] == np.inf).all()
+        each.y for each in model.ways if each.model.works and (values[each.y] == np.inf).all()
     ]
     given = values.copy()
-    for part in failed:
-        given[part] = np.nan
+    for each in failed:
+        given[each] = np.nan
     infinite = np.flatnonzero(np.isinf(given))
     if infinite.size:
         raise MeasurementsError(
@@ -340,7 +340,7 @@ def checked_measurement(
     if missing.size == components:
         return None
     # A sensor that lacks all of its components did not measure.
-    idle = [part.y for part in model.parts if np.isnan(values[part.y]).all()]
+    idle = [each.y for each in model.ways if np.isnan(values[each.y]).all()]
     partly = [k for k in missing.tolist() if not any(y.start <= k < y.stop for y in idle)]
     if partly and model.missing_components is not True:
         raise MeasurementsError(

@@ -84,7 +84,7 @@ def _arrays_of_lines(
     return {
         "noise": np.zeros((count, instants, components, particles), np.float32),
         "first_states": np.zeros((count, model.components[0], particles)),
-        "counts": np.zeros((count, instants, len(model.parts)), np.uint8),
+        "counts": np.zeros((count, instants, len(model.ways)), np.uint8),
         "log_likelihoods": np.zeros((2, count, instants)),
     }
 
@@ -172,7 +172,7 @@ def _filter(
         components_of_state=np.array(components, np.int64),
         is_state=bool(components) and not results.ranks.size,
         is_angle=np.array(truth.is_angle, np.uint8),
-        sensors=len(model.parts),
+        sensors=len(model.ways),
         streams=streams,
         first_draw=draws.index.start,
         start=draws.start,
@@ -185,7 +185,7 @@ def _filter(
         x=_array(draws.x),
         y=_array(draws.y),
         z=_array(draws.z),
-        first_components=np.array([part.y.start for part in model.parts]),
+        first_components=np.array([way.y.start for way in model.ways]),
         particles=settings.particles,
         log_particles=math.log(settings.particles),
         holds_truth=scheme.holds_truth,
@@ -205,12 +205,12 @@ def _filter(
     degenerate = results.degenerate.view(np.bool_)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
-    return with_points(results, len(model.parts))._replace(degenerate=degenerate)
+    return with_points(results, len(model.ways))._replace(degenerate=degenerate)
 
 
 def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:
     """Plan the filter of several sets, with instants counted from the draws' first."""
-    start, instants, sensors = draws.start, draws.z.shape[1], len(draws.model.parts)
+    start, instants, sensors = draws.start, draws.z.shape[1], len(draws.model.ways)
     if start:
         sets = [tuple(time - start * sensors for time in times) for times in sets]
     stops = None if ends is None else tuple(end + 1 - start for end in ends)

@@ -59,7 +59,7 @@ def simulate(
         for k, t in enumerate(draws.instants):
             v = noise(model.noise_of_measurements, t, TRUTH_MEASUREMENT)
             _put(draws.x, k, state)
-            y = [part.model.measurement(state, t, v[part.v], model.p) for part in model.parts]
+            y = [way.model.measurement(state, t, v[way.v], model.p) for way in model.ways]
             _put(draws.y, k, sum(y, ()))
             _put(draws.z, k, model.quantity_of_interest(state, t, model.p))
             if t == horizon:
@@ -276,12 +276,12 @@ def _weighed(
     """
     count, particles = cloud = x[0].shape
     degenerate, weighs = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-    for point, part in zip(model.points.at(draws.instants[k]), model.parts, strict=True):
+    for point, way in zip(model.points.at(draws.instants[k]), model.ways, strict=True):
         if point not in times:
             continue
         x, weight = _resampled(x, past, weight, settings, stream, draws.index, point - 1, weighs)
-        y = tuple(np.repeat(values, particles) for values in draws.y[:, k, part.y].T)
-        log_likelihood = part.model.log_likelihood(y, flat(x), draws.instants[k], model.p)
+        y = tuple(np.repeat(values, particles) for values in draws.y[:, k, way.y].T)
+        log_likelihood = way.model.log_likelihood(y, flat(x), draws.instants[k], model.p)
         log_likelihood = of_cloud(log_likelihood, cloud)
         new = weights_of(log_likelihood + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
@@ -337,7 +337,7 @@ def _effective_sizes(weight: Array) -> Array:
 def moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]:
     """Mean and variance of weighted particles, (D,); for an angle its direction, and 1 - R."""
     if is_angle:
-        sine, cosine = (np.sum(share * part(values), axis=1) for part in (np.sin, np.cos))
+        sine, cosine = (np.sum(share * way(values), axis=1) for way in (np.sin, np.cos))
         mean: Array = np.arctan2(sine, cosine)
         return mean, np.sum(share * angular_error(values, mean[:, None]), axis=1)
     mean = np.sum(share * values, axis=1)

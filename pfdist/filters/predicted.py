@@ -34,8 +34,8 @@ def circular_measurements(model: StateSpaceModel) -> tuple[int, ...]:
         x = twin.initial(tuple(each.ravel() for each in w), model.p)
         x = tuple(np.broadcast_to(each, _FEW) for each in x)
         made = [
-            part.model.measurement(x, 0, tuple(each.ravel() for each in v[part.v]), model.p)
-            for part in twin.parts
+            way.model.measurement(x, 0, tuple(each.ravel() for each in v[way.v]), model.p)
+            for way in twin.ways
         ]
     y = np.array([np.broadcast_to(each, _FEW)[0] for each in chain(*made)], np.float64)
     return tuple(sorted(found.union(circular_components(model, Cloud(0, np.stack(x)), y))))
@@ -74,14 +74,14 @@ def predicted(
     """
     n, noise = model.components[0], model.noise_of_measurements
     initial, process = len(model.initial_noise), len(model.process_noise)
-    delays = delays or (0,) * len(model.parts)
+    delays = delays or (0,) * len(model.ways)
     remembered = 1 + max(delays)  # states of so many instants
 
     def quantity_of_interest(x: Any, t: Any, p: Any) -> Any:
         now, z = x[: n // remembered] * remembered, list[Any]()
-        for part, delay in zip((always or model).parts, delays, strict=True):
+        for way, delay in zip((always or model).ways, delays, strict=True):
             at = np.minimum(t + delay, horizon) if delay else t
-            z += part.model.measurement(now, at, x[n:][part.v], p)
+            z += way.model.measurement(now, at, x[n:][way.v], p)
         return tuple(z)
 
     return model.with_formulas(

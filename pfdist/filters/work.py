@@ -155,7 +155,7 @@ class FilterWork:
         result: Result = evaluator.filtered(self)
         return result
 
-    def part(self, draws: tuple[int, int], sets: Sequence[int] = ()) -> "FilterWork":
+    def piece(self, draws: tuple[int, int], sets: Sequence[int] = ()) -> "FilterWork":
         """The same work on other draws, with all sets or only those at the given places."""
         if len(sets) in (0, len(self.measurement_times)):
             return replace(self, draws=draws)

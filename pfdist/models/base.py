@@ -107,8 +107,8 @@ def _measuring(each: "Sensor | StateSpaceModel") -> dict[str, Any]:
     return {name: getattr(each, name) for name in names}
 
 
-class SensorPart(NamedTuple):
-    """A sensor, and its place in y and v; a model without sensors has one unnamed part."""
+class Way(NamedTuple):
+    """A sensor, and its place in y and v; a model without sensors has one unnamed way."""
 
     name: str
     model: "StateSpaceModel"  # the system with this sensor alone
@@ -302,7 +302,7 @@ class StateSpaceModel:
     def reads_clock(self) -> bool:
         """Whether a formula reads ``p.time`` or ``p.dt`` and the model is not yet on a clock."""
         try:
-            for _, model, _, _ in self.parts:
+            for _, model, _, _ in self.ways:
                 count_components(model, self.parameters)
         except ModelError:
             return True  # with a clock the formulas did not fail when the model was made
@@ -344,16 +344,16 @@ class StateSpaceModel:
         """Numbers of components of x, y and z."""
         if not self.sensors:
             return count_components(self, trial_parameters(self.parameters))
-        _, last, y, _ = self.parts[-1]
+        _, last, y, _ = self.ways[-1]
         return last.components[0], y.stop, last.components[2]
 
     @cached_property
-    def parts(self) -> tuple[SensorPart, ...]:
-        """The sensors in their order; without sensors, the model itself as one part."""
+    def ways(self) -> tuple[Way, ...]:
+        """The sensors in their order; without sensors, the model itself as one way."""
         if not self.sensors:
             every_y, every_v = slice(0, self.components[1]), slice(0, len(self.measurement_noise))
-            return (SensorPart("", self, every_y, every_v),)
-        parts, y, v = list[SensorPart](), 0, 0
+            return (Way("", self, every_y, every_v),)
+        parts, y, v = list[Way](), 0, 0
         for name, sensor in self.sensors.items():
             model = dataclasses.replace(
                 self,
@@ -363,19 +363,19 @@ class StateSpaceModel:
                 sensors={},
             )
             until = y + model.components[1], v + len(sensor.measurement_noise)
-            parts.append(SensorPart(name, model, slice(y, until[0]), slice(v, until[1])))
+            parts.append(Way(name, model, slice(y, until[0]), slice(v, until[1])))
             y, v = until
         return tuple(parts)
 
     @property
     def points(self) -> PointNumbers:
         """The numbers of possible measurements."""
-        return PointNumbers(len(self.parts))
+        return PointNumbers(len(self.ways))
 
     @property
     def noise_of_measurements(self) -> tuple[str, ...]:
         """Distribution of each component of v, over all sensors."""
-        return sum((part.model.measurement_noise for part in self.parts), ())
+        return sum((way.model.measurement_noise for way in self.ways), ())
 
     def named(self, kind: str) -> tuple[Component, ...]:
         """The components of x, y or z with their names, units and suffixes of columns.
@@ -394,7 +394,7 @@ class StateSpaceModel:
         if kind == "y" and self.sensors and not names:
             names = tuple(
                 name if y.stop - y.start == 1 else f"{name} {component}"
-                for name, _, y, _ in self.parts
+                for name, _, y, _ in self.ways
                 for component in range(y.stop - y.start)
             )
         try:
@@ -445,9 +445,9 @@ class StateSpaceModel:
         formulas = {name: getattr(self, name) for name in own_formulas(self)}
         if any(self.is_angle) and self.error is squared_error:
             formulas["error"] = error_with_angles(self.is_angle)
-        sensors = self.parts if self.sensors else ()
+        sensors = self.ways if self.sensors else ()
         return formulas | {
-            f"{part.name}.{key}": getattr(part.model, key) for part in sensors for key in MEASURING
+            f"{way.name}.{key}": getattr(way.model, key) for way in sensors for key in MEASURING
         }
 
     def with_formulas(self, change: Callable[[Any, str], Any], **fields: Any) -> "StateSpaceModel":

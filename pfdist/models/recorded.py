@@ -68,19 +68,19 @@ def recorded(
         A formula fails, or the model was recorded for other instants.
     """
     if is_recorded(model):
-        for part in model.parts:
-            for name in own_formulas(part.model):
-                if isinstance(getattr(part.model, name), Programs):
-                    traced(part.model, name, instants)
+        for way in model.ways:
+            for name in own_formulas(way.model):
+                if isinstance(getattr(way.model, name), Programs):
+                    traced(way.model, name, instants)
         return model
     models = [model, *map(model.with_parameters, others)]
     changes = {name: _recorded(models, name, instants) for name in own_formulas(model)}
     sensors = {}
-    for part, *of_part in zip(*(each.parts for each in models), strict=True):
+    for way, *of_part in zip(*(each.ways for each in models), strict=True):
         if model.sensors:
-            measuring = [part.model, *(each.model for each in of_part)]
+            measuring = [way.model, *(each.model for each in of_part)]
             formulas = {key: _recorded(measuring, key, instants) for key in MEASURING}
-            sensors[part.name] = replace(model.sensors[part.name], log_tails=None, **formulas)
+            sensors[way.name] = replace(model.sensors[way.name], log_tails=None, **formulas)
     return dataclasses.replace(model, sensors=sensors, log_tails=None, **changes)
 
 
@@ -124,15 +124,15 @@ def check_same_functions(model: StateSpaceModel, other: StateSpaceModel, instant
 
     The models have equal identities, and are called at the first and the last instant.
     """
-    for part, of_other in zip(model.parts, other.parts, strict=True):
-        for name in own_formulas(part.model):
-            first, second = (getattr(each.model, name) for each in (part, of_other))
+    for way, of_other in zip(model.ways, other.ways, strict=True):
+        for name in own_formulas(way.model):
+            first, second = (getattr(each.model, name) for each in (way, of_other))
             if not isinstance(first, Declared) or first.function == second.function:
                 continue
             of_formula = instants_of_twin(name, instants)
             for t in (of_formula[0], of_formula[-1]):
                 try:
-                    values, others = (_values(each.model, name, t) for each in (part, of_other))
+                    values, others = (_values(each.model, name, t) for each in (way, of_other))
                 except ModelError:  # these numbers may be impossible
                     break
                 if not np.array_equal(values, others, equal_nan=True):
@@ -158,7 +158,7 @@ def is_of_any_time(model: StateSpaceModel) -> bool:
     )
 
     def same(name: str, number: int, other: StateSpaceModel, at: int, shift: int) -> bool:
-        parts = own.parts[number].model, other.parts[number].model
+        parts = own.ways[number].model, other.ways[number].model
         here = _values(parts[0], name, at)
         return np.array_equal(here, _values(parts[1], name, at + shift), True)
 
@@ -166,7 +166,7 @@ def is_of_any_time(model: StateSpaceModel) -> bool:
     tried = {0, (last - 1) // 2, max(0, last - 2)} if last > 1 else set()
     return not same("transition", 0, slow, 0, 0) and all(
         same(name, number, moved, t, 1)
-        for number in range(len(own.parts))
+        for number in range(len(own.ways))
         for name in names
         for t in tried
     )

@@ -42,7 +42,7 @@ def sensed(
     ModelError
         A sensor with limits has several components, or lacks `log_tails`.
     """
-    may_work = any(callable(part.model.works) for part in model.parts)
+    may_work = any(callable(way.model.works) for way in model.ways)
     if all(each == PLAIN for each in sensings.values()) and not may_work:
         return model
     # Kept, because lines that a filter hands to another need the same formulas.
@@ -58,14 +58,14 @@ def _sensed_model(
     remembered = max((each.delay for each in sensings.values()), default=0)
     model = _with_failures(model, sensings)
     parts = {
-        part.name: _sensed(
-            part.model, part.name, sensings.get(part.name, PLAIN), remembers=remembered > 0
+        way.name: _sensed(
+            way.model, way.name, sensings.get(way.name, PLAIN), remembers=remembered > 0
         )
-        for part in model.parts
+        for way in model.ways
     }
     missing: Any = model.missing_components
     if any(each.fails for each in sensings.values()) and not missing:
-        is_one = all(part.model.components[1] == 1 for part in model.parts)
+        is_one = all(way.model.components[1] == 1 for way in model.ways)
         missing = is_one or "together"
     changes: dict[str, Any] = {
         "linear_gaussian": model.linear_gaussian
@@ -91,8 +91,8 @@ def _sensed_model(
 
 def late(model: StateSpaceModel, delays: Sequence[int]) -> StateSpaceModel:
     """The model of which each sensor measures, so many instants later, the state of before."""
-    each = zip(model.parts, delays, strict=True)
-    return sensed(model, {part.name: Sensing(delay=delay) for part, delay in each})
+    each = zip(model.ways, delays, strict=True)
+    return sensed(model, {way.name: Sensing(delay=delay) for way, delay in each})
 
 
 def without_failures(
@@ -126,9 +126,9 @@ def known_values(y: Array) -> Array:
 def when_made(y: Array, model: StateSpaceModel, delays: tuple[int, ...]) -> Array:
     """Values, (..., T+1, m), at the instants at which they are made, not those of arrival."""
     made = y.copy()
-    for part, delay in zip(model.parts, delays, strict=False):
+    for way, delay in zip(model.ways, delays, strict=False):
         stop = y.shape[-2] - delay
-        made[..., :stop, part.y], made[..., stop:, part.y] = y[..., delay:, part.y], np.nan
+        made[..., :stop, way.y], made[..., stop:, way.y] = y[..., delay:, way.y], np.nan
     return made
 
 

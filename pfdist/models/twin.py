@@ -87,15 +87,15 @@ def _twin_of(model: StateSpaceModel, instants: range) -> StateSpaceModel:
     twin = copy.copy(model)  # without what is cached beside the fields
     twin.__dict__["components"] = model.components
     if model.sensors:
-        parts = [part._replace(model=twin_of(part.model, instants)) for part in model.parts]
-        twin.__dict__["parts"] = tuple(parts)
+        ways = [way._replace(model=twin_of(way.model, instants)) for way in model.ways]
+        twin.__dict__["ways"] = tuple(ways)
         sensors = {
-            part.name: dataclasses.replace(
-                model.sensors[part.name],
-                measurement=part.model.measurement,
-                log_likelihood=part.model.log_likelihood,
+            way.name: dataclasses.replace(
+                model.sensors[way.name],
+                measurement=way.model.measurement,
+                log_likelihood=way.model.log_likelihood,
             )
-            for part in parts
+            for way in ways
         }
         twin.__dict__["sensors"] = sensors
     for name in ARGUMENTS.keys() & model.formulas.keys():

@@ -47,12 +47,12 @@ def _data_of(model: StateSpaceModel) -> dict[str, Any]:
         "parameters": _plain(model.parameters),
         "formulas": {name: _formula(model, name) for name in own_formulas(model)},
         "sensors": {
-            part.name: {
-                "measurement_noise": [*part.model.measurement_noise],
-                **{key: _formula(part.model, key) for key in MEASURING},
-                **_works(part.model),
+            way.name: {
+                "measurement_noise": [*way.model.measurement_noise],
+                **{key: _formula(way.model, key) for key in MEASURING},
+                **_works(way.model),
             }
-            for part in model.parts
+            for way in model.ways
             if model.sensors
         },
         **_works(model),
@@ -180,12 +180,12 @@ def _model(data: Mapping[str, Any]) -> StateSpaceModel:
     }
     model = StateSpaceModel(**fields, works=_read_works(data))
     _need({*data["formulas"]} == {*own_formulas(model)}, "a model has other formulas")
-    for part in model.parts:
-        for key in own_formulas(part.model):
-            formula = getattr(part.model, key)
+    for way in model.ways:
+        for key in own_formulas(way.model):
+            formula = getattr(way.model, key)
             if isinstance(formula, Programs):
-                counts = formula_of(part.model, key).arguments
-                results = results_of(part.model, key)
+                counts = formula_of(way.model, key).arguments
+                results = results_of(way.model, key)
                 for traced in formula.variants:
                     for program in traced.programs:
                         _check_leaves(program, counts, model)
@@ -237,8 +237,8 @@ def _read_identity(data: Any) -> dict[str, Any]:
     _need({*data} == keys, "an identity has other keys")
     _need(type(data["together"]) is int and data["together"] > 0, "together must be at least 1")
     texts = [data["version"], *data["files"].items(), *data["libraries"].items()]
-    parts = [part for each in texts for part in (each if isinstance(each, tuple) else (each,))]
-    _need(all(isinstance(part, str) for part in parts), "an identity must consist of texts")
+    parts = [text for each in texts for text in (each if isinstance(each, tuple) else (each,))]
+    _need(all(isinstance(text, str) for text in parts), "an identity must consist of texts")
     _need(isinstance(data["coupled"], bool), "coupled must be true or false")
     return dict(data)
 

@@ -146,8 +146,8 @@ class Measurements:
     def arriving(self, model: StateSpaceModel, delays: Sequence[int]) -> "Measurements":
         """The values at the instants at which they arrive, until T, each sensor after its delay."""
         components, found = model.components[1], dict[int, Array]()
-        for part, delay in zip(model.parts, delays, strict=True):
-            columns = np.arange(self.y.shape[1]).reshape(-1, components)[:, part.y].ravel()
+        for each, delay in zip(model.ways, delays, strict=True):
+            columns = np.arange(self.y.shape[1]).reshape(-1, components)[:, each.y].ravel()
             for t, y in zip(self.t, self.y[:, columns], strict=True):
                 if t + delay <= self.clock.horizon and not np.isnan(y).all():
                     row = found.setdefault(t + delay, np.full(self.y.shape[1], np.nan))
@@ -175,7 +175,7 @@ def read_measurements(
     """
     allowed, sensors = [["t", *names] for names in user_columns("y", model)], reading.named(model)
     if sensors:
-        most = max(part.model.components[1] for part in model.parts)
+        most = max(each.model.components[1] for each in model.ways)
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
         allowed += [["t", *allowed[0][2:]]] * reading.is_of_one
     try:
@@ -227,7 +227,7 @@ def read_measurements(
     place = {t: k for k, t in enumerate(measured)}
     y = np.full((len(measured), repeats, model.components[1]), np.nan)
     for (t, way, number), each in values.items():
-        y[place[t], number, model.parts[way].y] = each
+        y[place[t], number, model.ways[way].y] = each
     # A value that is not in the table has not arrived until its last time.
     missed = tuple(sorted({min(t, rows.now) for t in arrivals} - {*measured}))
     failed, in_flight = rows.without_a_value(model, reading.sensings)
@@ -269,10 +269,10 @@ class _Rows:
     def with_failures(self, model: StateSpaceModel) -> Iterable[tuple[int, int, int, Array]]:
         """Instant, arrival, sensor and cells of each row; inf if a sensor with `works` failed."""
         for k, (arrival, way) in enumerate(zip(self.arrivals, self.ways, strict=True)):
-            part, row = model.parts[way], self.table[k]
+            own, row = model.ways[way], self.table[k]
             is_known = self.codes[k] != LOST and arrival <= self.now
-            if self.is_empty[k] and part.model.works and is_known:
-                row = np.where(np.arange(row.size) < part.y.stop - part.y.start, np.inf, np.nan)
+            if self.is_empty[k] and own.model.works and is_known:
+                row = np.where(np.arange(row.size) < own.y.stop - own.y.start, np.inf, np.nan)
             yield self.instants[k], arrival, way, row
 
     def without_a_value(self, model: StateSpaceModel, sensings: Sensings) -> tuple[Times, Times]:
@@ -280,7 +280,7 @@ class _Rows:
         failed, in_flight = list[int](), set[int]()
         for k, (t, way) in enumerate(zip(self.arrivals, self.ways, strict=True)):
             point = model.points.first(t) + way
-            may_fail = sensings.by_way(way).fails or model.parts[way].model.works
+            may_fail = sensings.by_way(way).fails or model.ways[way].model.works
             if self.is_empty[k] and self.now < t <= self.horizon:
                 in_flight.add(point)
             elif self.is_empty[k] and t <= self.now and (may_fail or self.codes[k]):
@@ -330,7 +330,7 @@ def _placed(
     values, count = dict[tuple[int, int, int], Array](), Counter[tuple[int, int]]()
     late = 0
     for t, arrival, way, row in rows:
-        text, name = clock.text(clock.times[t]), model.parts[way].name
+        text, name = clock.text(clock.times[t]), model.ways[way].name
         sensing = reading.sensings.by_way(way)
         y = _of_sensor(model, way, row, columns, text, (sensing.low, sensing.high))
         if y is None:
@@ -363,7 +363,7 @@ def _of_sensor(
     limits: tuple[float, float],
 ) -> Array | None:
     """The checked measurement of a row; None if all is missing."""
-    name, alone, own, _ = model.parts[way]
+    name, alone, own, _ = model.ways[way]
     count = own.stop - own.start
     if not np.isnan(row[count:]).all():
         raise MeasurementsError(
@@ -436,7 +436,7 @@ def tell_failures(
     model: StateSpaceModel, have_failed: Sequence[NDArray[np.bool_]], reading: Reading
 ) -> None:
     """Tell how cells without a value of sensors with `works` were read, (..., m) for each table."""
-    first = [part.y.start for part in model.parts if part.model.works]
+    first = [each.y.start for each in model.ways if each.model.works]
     if failed := sum(int(each[..., first].sum()) for each in have_failed):
         are = "empty rows are failed measurements, which say" if failed > 1 else (
             "empty row is a failed measurement, which says"

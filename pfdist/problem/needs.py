@@ -19,7 +19,7 @@ from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Comparison, FilterSection, Model, Search
 
 
-class JobParts(Protocol):
+class JobSections(Protocol):
     """The parts of a job on which needs depend; see `pfdist.problem.job.Job`."""
 
     model: Model
@@ -48,19 +48,19 @@ class Fact(NamedTuple):
     """A fact about a job, or about the evaluator of its models once they are built."""
 
     head: str  # of its column in the manual
-    needed: str | Callable[[JobParts], str]  # the end of "... needs", with what the job has
-    holds: Callable[[JobParts, Any], bool]
+    needed: str | Callable[[JobSections], str]  # the end of "... needs", with what the job has
+    holds: Callable[[JobSections, Any], bool]
 
 
-def _got(needed: str, got: Callable[[JobParts], object]) -> Callable[[JobParts], str]:
+def _got(needed: str, got: Callable[[JobSections], object]) -> Callable[[JobSections], str]:
     return lambda job: f"{needed}, got {got(job)}"
 
 
-def _of_scenarios(job: JobParts, name: str) -> Any:
+def _of_scenarios(job: JobSections, name: str) -> Any:
     return getattr(job.scenarios, name, None)
 
 
-def _criterion(job: JobParts) -> str:
+def _criterion(job: JobSections) -> str:
     return f"the {job.criterion.label} (problem.criterion, scenarios.criterion)"
 
 
@@ -69,18 +69,18 @@ def _only_adds(method: Any) -> bool:
     return bool(method.additive > method.takes_lag)
 
 
-def _adding(job: JobParts) -> list[str]:
+def _adding(job: JobSections) -> list[str]:
     """The methods of the searches that never compare whole sets."""
     return [e.method for e in job.search if METHODS[e.method].additive and not e.polish]
 
 
-def _compares_sets(job: JobParts) -> str:
+def _compares_sets(job: JobSections) -> str:
     names = ", ".join(name for name, each in METHODS.items() if not each.additive)
     needed = f"searches that compare whole sets ({names}), or polish = true"
     return f"{needed}, got {', '.join(_adding(job))}"
 
 
-def _takes_lag(job: JobParts) -> str:
+def _takes_lag(job: JobSections) -> str:
     names = ", ".join(name for name, each in METHODS.items() if not _only_adds(each))
     got = ", ".join(e.method for e in job.search if _only_adds(METHODS[e.method]))
     return f"a search of method {names}, got {got}"
@@ -189,9 +189,9 @@ class Capability:
 
     title: str
     needs: Mapping[Fact, str]
-    asked: Callable[[JobParts], str] = lambda _: ""
+    asked: Callable[[JobSections], str] = lambda _: ""
 
-    def lacks(self, job: JobParts, evaluator: Any = None) -> str:
+    def lacks(self, job: JobSections, evaluator: Any = None) -> str:
         """The first need that a job, or its evaluator, does not meet; empty if it meets all."""
         for fact, why in self.needs.items():
             if not fact.holds(job, evaluator):
@@ -199,7 +199,7 @@ class Capability:
                 return f"{needed}{': ' * bool(why)}{why}"
         return ""
 
-    def check(self, what: str, job: JobParts, evaluator: Any = None) -> None:
+    def check(self, what: str, job: JobSections, evaluator: Any = None) -> None:
         """Raise `JobError` if a job does not meet the needs; `what` is what has been asked for."""
         if lacking := self.lacks(job, evaluator):
             raise JobError(f"{what} needs {lacking} ({job.path})")
@@ -267,7 +267,7 @@ def capabilities() -> tuple[Capability, ...]:
     return (*_CAPABILITIES, *added("capabilities"))
 
 
-def fault_of(job: JobParts) -> str:
+def fault_of(job: JobSections) -> str:
     """Why the settings of a job do not go together; empty if they do."""
     for capability in (*added("capabilities"), *_CAPABILITIES):  # sections of plugins first
         if (what := capability.asked(job)) and (lacking := capability.lacks(job)):

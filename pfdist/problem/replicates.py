@@ -74,7 +74,7 @@ class Replicate:
 
     def measured(self, model: StateSpaceModel) -> Times:
         """The possible measurements that were made."""
-        parts = [~np.isnan(self.y[:, part.y]).all(axis=1) for part in model.parts]
+        parts = [~np.isnan(self.y[:, each.y]).all(axis=1) for each in model.ways]
         return tuple(np.flatnonzero(np.stack(parts, axis=1).ravel()).tolist())
 
     def nearest(
@@ -106,7 +106,7 @@ class Replicate:
             free = [each for each in measured if points.way(each) == way and each not in chosen]
             away = [abs(made[each] - time) for each in free]
             if not away or min(away) > within + self.clock.slack:
-                name = f" by {model.parts[way].name}" if model.sensors else ""
+                name = f" by {model.ways[way].name}" if model.sensors else ""
                 at = self.clock.text(time) if self.clock.has_dates else f"{time:.4g}"
                 used = (e for e in chosen if points.way(e) == way and abs(made[e] - time) <= within)
                 but = f", but one that {USED}" * any(True for _ in used)
@@ -158,7 +158,7 @@ def read_replicates(
             found.append(each)
             distances.append(moved)
         reading.moved(max(distances), clock)
-        first = [part.y.start for part in model.parts]
+        first = [each.y.start for each in model.ways]
         each_row = [each.y.reshape(len(each.y), -1, model.components[1]) for each in found]
         reading.repeated(sum(int((~np.isnan(y[:, 1:, first])).sum()) for y in each_row))
         tell_failures(model, [np.isposinf(y) for y in each_row], reading)
@@ -180,7 +180,7 @@ def _table(
     """The checked table, and the name of the column of replicates."""
     sensors = ["sensor"] if model.sensors else []
     needed = ["t", *sensors * (not reading.is_of_one)]
-    most = max(part.model.components[1] for part in model.parts)
+    most = max(each.model.components[1] for each in model.ways)
     y = [f"y{k}" for k in range(most)]
     named = [*chain.from_iterable(user_columns("y", model))] if not sensors else y
     own = ["t", *sensors, *named, *chain.from_iterable(user_columns("z", model)), TRAIN]
@@ -214,7 +214,7 @@ def _table(
         return [name]
 
     names = {"sensor": reading.named(model)} if sensors else {}
-    most = max(part.model.components[1] for part in model.parts)
+    most = max(each.model.components[1] for each in model.ways)
     measured = {*(f"y{k}" for k in range(most)), *chain(*user_columns("y", model))}
     readers = clock.readers(between=True) | reading.readers(measured)
     columns = read_user_table(source, check, read, names, readers, renamed=reading.renamed)
@@ -229,7 +229,7 @@ def _replicate(
     reading: Reading,
 ) -> tuple[Replicate, float]:  # fmt: skip
     """A replicate, and how far the furthest of its times was moved."""
-    most = max(part.model.components[1] for part in model.parts)
+    most = max(each.model.components[1] for each in model.ways)
     columns = {"t", "sensor", *(f"y{k}" for k in range(most)), *chain(*user_columns("y", model))}
     given = [each for each in rows.columns if each in columns]
     on, at, moved = instants_of_table(rows["t"].tolist(), clock, reading, alone=True)

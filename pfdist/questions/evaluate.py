@@ -39,7 +39,7 @@ from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import Names, criteria_in, following
 from pfdist.questions.subject import mse_cell, number_of
 from pfdist.results import Gain
-from pfdist.results.columns import COLUMNS, interval_cell
+from pfdist.results.columns import Row, sets_table
 from pfdist.results.criteria import fields_over_time
 from pfdist.results.over_time import Range, profile_of
 from pfdist.results.particle_loss import lost_text
@@ -232,7 +232,7 @@ def _evaluated(
     else:
         scenarios = evaluator.scenarios_of(stream, range(draws))
         formatted = built.job.problem.clock.formatted
-        each_set = (work.part((0, draws), [place]) for place in range(len(sets)))
+        each_set = (work.piece((0, draws), [place]) for place in range(len(sets)))
         lines = [("", False) if beside else fewest_lines(evaluator, e, formatted) for e in each_set]
         seed, own = built.job.seed, estimation
         lost = [
@@ -326,7 +326,6 @@ def _over_time_of(built: Built, times: Times, criterion: Criterion, errors: Any)
 _ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "largest_share")
 _OVER_TIME = ("error", "standard_error")
 _OF_INSTANT = ("t", "date", "weight")
-_HEAD = ("times", "number", "expected MSE ± standard error")
 
 
 @dataclass(frozen=True)
@@ -348,10 +347,8 @@ class Evaluated:
     def as_json(self) -> dict[str, Any]:
         """The estimates of each set, or of the one that has no name."""
         sets = {
-            name: {key: getattr(evaluation, key) for key in _ANSWERED}
-            | reduce(or_, [e.columns(each[name].estimate) for e, each in self.beside.items()], {})
+            name: self._columns(name)
             | {"broken_constraints": self.broken[name]}
-            | reduce(or_, [judged.columns(key) for key, judged in evaluation.also.items()], {})
             | _columns_of(evaluation)
             for name, evaluation in self.evaluations.items()
         }
@@ -359,12 +356,18 @@ class Evaluated:
         about = {"criterion": self.form.label, "criterion_unit": self.form.unit}
         return answer | about | {"seconds": round(self.seconds, 3)}
 
+    def _columns(self, name: str) -> dict[str, Any]:
+        """The estimates of a set as in the table of sets."""
+        evaluation, beside = self.evaluations[name], self.beside.items()
+        own = {key: getattr(evaluation, key) for key in _ANSWERED}
+        others = [error.columns(found[name].estimate) for error, found in beside]
+        judged = [each.columns(key) for key, each in evaluation.also.items()]
+        return reduce(or_, [own, *others, *judged])
+
     def _page(self) -> Page:
-        rows = [self._row(name) for name in self.evaluations]
-        of_the_estimate = self.problem.of_the_estimate
+        of_the_estimate, tables = self.problem.of_the_estimate, list[Table]()
         if list(self.evaluations) == [UNNAMED]:
             number = len(self.evaluations[UNNAMED].measurement_times)
-            rows.clear()
             draws = self.evaluations[UNNAMED].draws
             about = [number_of(number, "measurement"), *([f"{draws:,} draws"] if draws else [])]
             said = f"Expected MSE{of_the_estimate} {self._mse(UNNAMED)} ({', '.join(about)})"
@@ -378,11 +381,7 @@ class Evaluated:
                     said += f". {error.when}: {limit}{_text_of(found[UNNAMED])}"
         else:
             said = self._lowest()
-        caption = f"Expected MSE{of_the_estimate}" * bool(of_the_estimate)
-        heads = [each.head for each in self.criteria.values()]
-        last = (error.head_of(is_limit=error in self.limits) for error in self.beside)
-        head = (*_HEAD, *heads, "draws", *last)
-        tables = [Table(caption, head, rows)] if rows else []
+            tables.append(self._table(f"Expected MSE{of_the_estimate}" * bool(of_the_estimate)))
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
         heavy = heavy_tail_warning(each.largest_share for each in self.evaluations.values())
@@ -439,17 +438,20 @@ class Evaluated:
 
     def _mse(self, name: str) -> str:
         is_finite = math.isfinite(self.evaluations[name].expected_mse)
-        return self._row(name)[2].text if is_finite else "not finite"
+        return _text_of(self.evaluations[name]) if is_finite else "not finite"
 
-    def _row(self, name: str) -> list[Cell]:
-        each = self.evaluations[name]
-        number = len(each.measurement_times)
-        beside = (Cell(_text_of(found[name])) for found in self.beside.values())
-        draws = Cell(f"{each.draws:,}" if each.draws else "", each.draws)
-        also = ((each.also[key], COLUMNS[key].is_side) for key in self.criteria)
-        judged = (interval_cell(*numbers, is_side=is_side) for numbers, is_side in also)
-        about = Cell(name), Cell(str(number), number), Cell(_text_of(each))
-        return [*about, *judged, draws, *beside]
+    def _table(self, caption: str) -> Table:
+        rows = [
+            Row(label=name, measurements=len(each.measurement_times), **self._columns(name))
+            for name, each in self.evaluations.items()
+        ]
+        for row in rows:
+            row.draws = row.draws or "exact"
+        heads = {"draws": "draws"} | {name: each.head for name, each in self.criteria.items()}
+        heads |= {e.mse: e.head_of(is_limit=e in self.limits) for e in self.beside}
+        last = (error.mse for error in self.beside)
+        columns = ("label", "measurements", "expected_mse", *self.criteria, "draws", *last)
+        return sets_table(caption, rows, columns, heads=heads)
 
     def _typical(self, name: str, mark: str) -> str:
         mse = self.evaluations[name].expected_mse

@@ -189,7 +189,7 @@ def evaluator_of(
         )
     knows_scenario = job.scenarios is not None and job.scenarios.filter == "told"
     times = on.times if problem.has_clock else None
-    for part, each in (("model", model), ("model.filter", filter_model)):
+    for place, each in (("model", model), ("model.filter", filter_model)):
         if times is None and each.reads_clock:
             has_dates = each.on_clock((0.0, 1.0)).reads_clock
             advice = (
@@ -200,7 +200,7 @@ def evaluator_of(
                     "problem.times)"
                 )
             )
-            raise ModelError(f"{part}: model {each.name} reads the clock: {advice}")
+            raise ModelError(f"{place}: model {each.name} reads the clock: {advice}")
     try:
         evaluator = recorded_evaluator(
             model,
@@ -275,7 +275,7 @@ def models_of_job(job: Job) -> Models:
         models = given[0], given[-1]
     if job.problem.given:
         models = both(models, partial(_with_given, job))
-    if job.problem.sensings or any(part.model.works for each in models for part in each.parts):
+    if job.problem.sensings or any(way.model.works for each in models for way in each.ways):
         models = _sensed(job, models)
     if job.scenarios is None or not job.scenarios.is_learned:
         return models
@@ -315,7 +315,7 @@ def _sensed(job: Job, models: Models) -> Models:
     model = models[0]
     _check_sensors(model, tuple(job.problem.sensors or ()))
     key = f"problem.sensor{'s' * bool(model.sensors)}" if job.problem.sensings else "works"
-    truth, believed = ([bool(part.model.works) for part in each.parts] for each in models)
+    truth, believed = ([bool(way.model.works) for way in each.ways] for each in models)
     if truth != believed:
         raise ModelError("model.filter: the filter's model must have works where the model has it")
     with _naming(key):
@@ -348,9 +348,9 @@ def _given_models(job: Job, kept: Sequence[StateSpaceModel]) -> Models:
 
 
 def _model_of(
-    job: Job, part: str, section: Model | FilterModel, kept: Sequence[StateSpaceModel]
+    job: Job, place: str, section: Model | FilterModel, kept: Sequence[StateSpaceModel]
 ) -> StateSpaceModel:
-    given = job.origin.models.get(part)
+    given = job.origin.models.get(place)
     try:
         if kept:
             model = kept[0]
@@ -360,7 +360,7 @@ def _model_of(
             model = load_model(section.name, job.path.parent)
         return model.with_parameters(section.parameters) if section.parameters else model
     except ModelError as error:
-        key = "model" if part == "model" else "model.filter"
+        key = "model" if place == "model" else "model.filter"
         raise ModelError(f"{key}.{error.argument or 'name'}: {error}") from error
 
 
@@ -426,8 +426,8 @@ def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
 def _check_draws(job: Job, evaluator: Evaluator) -> None:
     """Raise a `ModelError` if a few draws of a user's model are not finite, or formulas fail."""
     home, _ = installed_models().get(job.model.name, ("", ""))
-    for part in () if home.startswith("pfdist.") else reversed(evaluator.model.parts):
-        few_draws(part.model, evaluator.horizon)
+    for way in () if home.startswith("pfdist.") else reversed(evaluator.model.ways):
+        few_draws(way.model, evaluator.horizon)
 
 
 def _compiled_or_batched(evaluator: Evaluator) -> str:

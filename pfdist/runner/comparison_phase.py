@@ -110,7 +110,7 @@ def run_comparison(
         if not session.store.has(RANGE_SUMS):
             session.keep_rows(COMPARISON, RANGE_SUMS, _range_rows(work.ids, [Range(0, 0, errors)]))
     work = replace(work, controlled=control, over_time=most)
-    works = [work.part(draws_of_block) for draws_of_block in cut(range(draws), BLOCK)]
+    works = [work.piece(draws_of_block) for draws_of_block in cut(range(draws), BLOCK)]
     # The batch commits its last rows before it ends, so publishing finds all draws. A kill while
     # the files are written leaves the parts, and the next start publishes them again.
     beside = (RANGE_SUMS,) if most else ()
@@ -339,7 +339,7 @@ def beside(built: Built, work: FilterWork, error: ErrorBeside) -> list[FirstDraw
     steps = comparison_steps(built) + sum(search_steps(built, each) for each in built.searches)
     of_a_draw = _table_of(error, error.beside(built.evaluator, work, 1), part="other estimate")
     draws = min(built.job.comparison.draws // FEWER, int(_SHARE * steps // of_a_draw.steps))
-    return [replace(of_a_draw, work=of_a_draw.work.part((0, draws)))] if draws else []
+    return [replace(of_a_draw, work=of_a_draw.work.piece((0, draws)))] if draws else []
 
 
 def of_aspect(built: Built, work: FilterWork, aspect: Aspect) -> FirstDrawsTable:

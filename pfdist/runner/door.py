@@ -128,7 +128,7 @@ class WorkBatch:
             if sums.end < block[1]:
                 return
             del self._open[work.ids, block]
-            work, result = work.part(block), replace(result, sums=sums.total)
+            work, result = work.piece(block), replace(result, sums=sums.total)
             self.keep_result(work, result)
         self._learn(work, result)
 
@@ -419,7 +419,7 @@ def _borrowed(
         stores = [lent.get(id_) for id_ in work.ids[: 1 if work.summed else None]]
         for store in dict.fromkeys(stores):
             sets = [place for place, each in enumerate(stores) if each is store]
-            by_store[store].append(work if work.summed else work.part(work.draws, sets))
+            by_store[store].append(work if work.summed else work.piece(work.draws, sets))
     lacking = by_store.pop(None, [])
     for store, parts in by_store.items():
         lacking += parts if store is None else _learnt(batch, store, parts, keep=True)

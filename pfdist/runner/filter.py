@@ -599,8 +599,8 @@ def _limits(model: StateSpaceModel, sensed: Sensings) -> tuple[list[float], list
     """The limits of each component of y."""
     each = [
         sensed.by_way(way)
-        for way, part in enumerate(model.parts)
-        for _ in range(part.y.start, part.y.stop)
+        for way, each in enumerate(model.ways)
+        for _ in range(each.y.start, each.y.stop)
     ]
     return [sensing.low for sensing in each], [sensing.high for sensing in each]
 

@@ -114,7 +114,7 @@ UNKNOWN, ZERO = Estimate(math.nan, math.nan), Estimate(0.0)
 
 
 @dataclass(frozen=True)
-class GapParts:
+class GapTerms:
     """The expected MSE of a set, and the parts of its gap that the relaxation does not cause."""
 
     expected_mse: Estimate  # with the job's own filter; NaN if a draw is infinite
@@ -168,7 +168,7 @@ class Gap:
 
 
 def gap_of(
-    name: str, times: Times, parts: GapParts, proof: Proof, place: int, confidence: float
+    name: str, times: Times, parts: GapTerms, proof: Proof, place: int, confidence: float
 ) -> Gap:
     """The gap of a feasible set, which has the index `place` in the proof's known sets.
 

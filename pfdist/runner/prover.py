@@ -38,9 +38,9 @@ from pfdist.runner.build import Built
 from pfdist.runner.by_instant import weighted_instants
 from pfdist.runner.contract import looked
 from pfdist.runner.door import RunSession, WorkBatch
-from pfdist.runner.gap_parts import gap_parts, steps_of_sets
+from pfdist.runner.gap_terms import gap_terms, steps_of_sets
 from pfdist.runner.likelihood import VALUES, likelihood
-from pfdist.runner.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
+from pfdist.runner.proof import Gap, GapTerms, Sums, best_shares, consistent, gap_of, prove
 from pfdist.runner.ranks import RankWork, wrong_likelihood
 from pfdist.search import Counted
 from pfdist.search.first_windows import WINDOW, relaxation_for
@@ -143,7 +143,7 @@ class Prover:
     def _check_values(self) -> float:
         """Values of formulas by which `check-model` checks the likelihood."""
         truth = knowing_truth(self._built.evaluator)
-        parts = sum(len(each.model.parts) for each in truth.of_scenarios or (truth,))
+        parts = sum(len(each.model.ways) for each in truth.of_scenarios or (truth,))
         return float(VALUES * parts * bool(self.particles))
 
     @property
@@ -204,7 +204,7 @@ class Prover:
         session: RunSession,
         sets: Mapping[str, Times],
         feasible: Mapping[str, Times],
-        parts: Mapping[str, GapParts],
+        parts: Mapping[str, GapTerms],
     ) -> Generator[WorkBatch, None, list[Look]]:
         """The gaps of sets, some of which are feasible, by a likelihood that is right."""
         feasible_times = tuple(feasible.values())
@@ -251,9 +251,9 @@ class Prover:
         evaluator = knowing_truth(self._built.evaluator)
         for each in evaluator.of_scenarios or (evaluator,):
             draws = each.draws(range(_CHECKED), 0)
-            for part in each.model.parts:
-                own = replace(draws, model=part.model, y=draws.y[..., part.y])
-                state, text = looked(likelihood, part.model, own)
+            for way in each.model.ways:
+                own = replace(draws, model=way.model, y=draws.y[..., way.y])
+                state, text = looked(likelihood, way.model, own)
                 if state == "wrong":
                     return f"{CHECK_FAILS}: {text}"
         return ""
@@ -275,10 +275,10 @@ class Prover:
 
     def _parts(
         self, session: RunSession, run: Run, sets: Mapping[str, Times]
-    ) -> Generator[WorkBatch, None, dict[str, GapParts]]:
+    ) -> Generator[WorkBatch, None, dict[str, GapTerms]]:
         """The value of each set, by the job's criterion, and gap parts."""
         most = self._blocks[-1] * BLOCK
-        parts = yield from gap_parts(session, run, sets, self._estimation, most)
+        parts = yield from gap_terms(session, run, sets, self._estimation, most)
         if not self.shares:
             return parts
         for name, value in self._values(run, sets).items():
@@ -374,7 +374,7 @@ class Prover:
         return times * self._steps((), GROUPS) if self.particles else math.inf
 
     def _gaps(
-        self, sets: Mapping[str, Times], parts: Mapping[str, GapParts], sums: Sums
+        self, sets: Mapping[str, Times], parts: Mapping[str, GapTerms], sums: Sums
     ) -> dict[str, Gap]:
         """The gaps of feasible sets that follow from sums of errors."""
         spent = self._spent(sets)

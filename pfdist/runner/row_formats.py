@@ -55,11 +55,11 @@ class PerDraw:
                 mse[rows_here, place], degenerate[rows_here, place] = values[within], flags[within]
             for mask, places in _alike(present):
                 for piece in cut(first + np.flatnonzero(~mask), last):
-                    lacking.append(work.part(piece, places))
+                    lacking.append(work.piece(piece, places))
                 for piece in cut(first + np.flatnonzero(mask), last):
                     at = slice(piece[0] - first, piece[1] - first), places
                     result = Result(mse[at], degenerate=degenerate[at])
-                    stored.append((work.part(piece, places), result))
+                    stored.append((work.piece(piece, places), result))
         return lacking, iter(stored)
 
     def rows(self, work: FilterWork, result: Result) -> pa.Table:
@@ -96,15 +96,15 @@ class BlockOfSums:
                 sums[id_, block] = values.values.to_numpy()
         lacking, stored = list[FilterWork](), list[FilterWork]()
         for work in works:
-            whole = work.part(whole_block(work.draws[0]))
+            whole = work.piece(whole_block(work.draws[0]))
             if _key(whole) in sums:
                 stored.append(whole)
                 continue
-            singles = [work.part((draw, draw + 1)) for draw in range(*work.draws)]
+            singles = [work.piece((draw, draw + 1)) for draw in range(*work.draws)]
             there = [_key(single) in sums for single in singles]
             stored += compress(singles, there)
             missing = np.flatnonzero(np.logical_not(there)) + work.draws[0]
-            lacking += [work.part(piece) for piece in cut(missing, SUMMED)]
+            lacking += [work.piece(piece) for piece in cut(missing, SUMMED)]
         return lacking, ((work, Result(np.empty(0), sums=sums[_key(work)])) for work in stored)
 
     def rows(self, work: FilterWork, result: Result) -> pa.Table:
@@ -148,7 +148,7 @@ class RowsByDraw:
         for work in works:
             first, last = work.draws
             pieces = cut(first + np.flatnonzero(~present[first:last]), last)
-            lacking += [work.part(piece) for piece in pieces]
+            lacking += [work.piece(piece) for piece in pieces]
         return lacking, self._stored_results(store, works, present)
 
     def _stored_results(
@@ -162,7 +162,7 @@ class RowsByDraw:
             for first, last in cut(draws[present[draws]], BLOCK):
                 place = int(np.searchsorted(draws, first))
                 result = self.results(rows.slice(place, last - first))
-                yield works[0].part((first, last)), result
+                yield works[0].piece((first, last)), result
 
 
 PER_DRAW, BLOCK_OF_SUMS = PerDraw(), BlockOfSums()

@@ -153,11 +153,11 @@ class GapSums:
         return sums
 
     @cached_property
-    def _parts(self) -> "_Parts":
-        return _Parts(self.relaxation, self.errors)
+    def _parts(self) -> "_KnownGaps":
+        return _KnownGaps(self.relaxation, self.errors)
 
 
-class _Parts:
+class _KnownGaps:
     """The errors of known gaps that are not too long, of which unknown gaps consist.
 
     These gaps do not grow, so an unknown gap keeps its sum. `around` has the sum of errors before

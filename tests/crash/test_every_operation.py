@@ -16,7 +16,7 @@ from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, load_job
 from pfdist.errors import StoreError
 from pfdist.plugins.rule.ruling import tuned
-from pfdist.runner import comparison_phase, door, gap_parts
+from pfdist.runner import comparison_phase, door, gap_terms
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.runner.pace import Pace
 from pfdist.store import parquet
@@ -182,7 +182,7 @@ def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A bound of 480 draws that grows to 960, in files of 8 blocks."""
-    monkeypatch.setattr(gap_parts, "SET_DRAWS", 60)
+    monkeypatch.setattr(gap_terms, "SET_DRAWS", 60)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 10**9)  # a task for each work
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "error_sums", 8)
     job = small_job.with_changes([*CHANGES, "model.name=random_walk", "problem.horizon=6"])

@@ -49,7 +49,7 @@ def pair(model: StateSpaceModel) -> list[StateSpaceModel]:
 
 def sets_of(model: StateSpaceModel) -> tuple[tuple[int, ...], ...]:
     """Sets that share prefixes, whose measurements the sensors make in turn."""
-    sensors = len(model.parts)
+    sensors = len(model.ways)
     return tuple(
         tuple(t * sensors + t % sensors for t in times) for times in (TIMES, TIMES[:3], (), (1, 8))
     )

@@ -82,7 +82,7 @@ def test_every_set_of_sensors_has_its_own_bits() -> None:
 def test_65_sensors_are_one_clean_error() -> None:
     with pytest.raises(ModelError, match=r"^model watched: sensors must be at most 64, got 65$"):
         _walk(MOST + 1)
-    assert len(replace(WALK, name="other").parts) == MOST
+    assert len(replace(WALK, name="other").ways) == MOST
 
 
 def test_the_ninth_sensor_guides_and_is_chosen_by_a_rule_as_any_other() -> None:

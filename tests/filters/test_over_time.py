@@ -115,7 +115,7 @@ def test_sums_over_ranges_do_not_depend_on_how_draws_are_cut(controlled: bool) -
     [whole] = results(evaluator, [work])
     rng = np.random.default_rng(1)
     ends = [5, *np.sort(rng.choice(range(6, 90), 7, replace=False)).tolist(), 90]
-    pieces = [work.part(piece) for piece in pairwise(ends)]
+    pieces = [work.piece(piece) for piece in pairwise(ends)]
     sums = {}
     for piece, result in zip(pieces, results(evaluator, pieces), strict=True):
         sums |= zip(ranges_of_draws(*piece.draws, 8), result.errors, strict=True)

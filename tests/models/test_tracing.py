@@ -61,8 +61,8 @@ def values(function, t, x=(0.5, -1.5), w=(0.25,)):
 def test_each_model_that_ships_is_traced_with_symbols_alone(name):
     """On a clock of uneven steps; the twin and the merged program have the formula's values."""
     rng = np.random.default_rng(3)
-    for part in with_clock(load_model(name), 30).parts:
-        model, (n, m, q) = part.model, part.model.components
+    for way in with_clock(load_model(name), 30).ways:
+        model, (n, m, q) = way.model, way.model.components
         sizes = {"x": n, "y": m, "z": q, "estimate": q, "t": 0, "p": 0}
         sizes["v"] = len(model.measurement_noise)
         for key, function in model.formulas.items():

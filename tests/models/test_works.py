@@ -486,9 +486,7 @@ def test_a_run_keeps_that_a_sensor_may_not_work() -> None:
         truth = recorded(model, range(11))
         text = text_of_models(truth, truth)
         (again, _) = models_of(text.encode())
-        assert [part.model.works for part in again.parts] == [
-            part.model.works for part in model.parts
-        ]
+        assert [way.model.works for way in again.ways] == [way.model.works for way in model.ways]
         assert text_of_models(again, again) == text
     walk = recorded(pfdist.load_model("random_walk"), range(3))
     text = text_of_models(walk, walk)

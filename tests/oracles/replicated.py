@@ -28,7 +28,7 @@ def penalties(
     kinds, index = (*model.noise_of_measurements, "uniform"), np.array(draws.index)
     found = np.zeros(draws.z.shape[:2])
     for place, point in enumerate(times):
-        t, part = model.points.instant(point), model.parts[model.points.way(point)]
+        t, way = model.points.instant(point), model.ways[model.points.way(point)]
         given = model, draws.upto(t), times[:place], stream, fixed
         *noise, uniform = (
             variates(kind, _SEEN, stream, index, t, TRUTH_MEASUREMENT, c)
@@ -37,11 +37,11 @@ def penalties(
         for d, x in enumerate(plain.filter_checked_draws(*given).cloud):
             shares = (np.arange(number) + uniform[d, 0]) / number
             chosen = (shares * settings.particles).astype(int)
-            v = tuple(each[d, 1 : number + 1] for each in noise[part.v])
-            made = part.model.measurement(tuple(x[:, chosen]), t, v, model.p)
+            v = tuple(each[d, 1 : number + 1] for each in noise[way.v])
+            made = way.model.measurement(tuple(x[:, chosen]), t, v, model.p)
             replicates = np.stack([np.broadcast_to(each, number) for each in made], axis=1)
-            ys = np.vstack([draws.y[d, t, part.y], replicates])
-            after = [_variance(model, part.model, x, y, t) for y in ys]
+            ys = np.vstack([draws.y[d, t, way.y], replicates])
+            after = [_variance(model, way.model, x, y, t) for y in ys]
             found[d, t] = after[0] - np.mean(after[1:])
     return found
 

@@ -28,7 +28,7 @@ from pfdist.results.stored_run import last_bounds, statistics_of
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.driver import prover_of
-from pfdist.runner.gap_parts import SET_DRAWS
+from pfdist.runner.gap_terms import SET_DRAWS
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 from pfdist.runner.prover import Prover

@@ -237,8 +237,8 @@ def test_each_model_that_ships_agrees_at_24_pairs(name: str) -> None:
     model = load_model(name)
     if model.reads_clock:
         model = model.on_clock(tuple(map(float, range(LAST + 1))))
-    for part in model.parts:
-        assert looked(part.model) == ("ok", "it agrees with measurement at 24 pairs of states")
+    for way in model.ways:
+        assert looked(way.model) == ("ok", "it agrees with measurement at 24 pairs of states")
 
 
 @pytest.mark.slow

@@ -68,10 +68,10 @@ def models() -> dict[str, StateSpaceModel]:
 def formulas(model: StateSpaceModel, t: int) -> Iterator[np.ndarray]:
     """The measurement and the log-likelihood of each sensor at some values."""
     x, y = (np.linspace(-2, 2, 9),) * model.components[0], (np.array([-1.2, 0.3, 0.7] * 3),)
-    for part in twin_of(model, range(t, t + 1)).parts:
-        v = tuple(np.linspace(0.1, 0.9, 9) for _ in part.model.measurement_noise)
-        yield np.asarray(part.model.measurement(x, t, v, model.p)[0])
-        yield np.asarray(part.model.log_likelihood(y, x, t, model.p))
+    for way in twin_of(model, range(t, t + 1)).ways:
+        v = tuple(np.linspace(0.1, 0.9, 9) for _ in way.model.measurement_noise)
+        yield np.asarray(way.model.measurement(x, t, v, model.p)[0])
+        yield np.asarray(way.model.log_likelihood(y, x, t, model.p))
 
 
 def test_the_list_of_keys_is_whole() -> None:

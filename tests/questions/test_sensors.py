@@ -83,7 +83,7 @@ def test_the_particle_filter_tends_to_the_kalman_filter() -> None:
 def test_draws_of_one_sensor_are_those_of_a_model_with_this_sensor_alone() -> None:
     """The first of the sensors has the same bits: adding sensors changes nothing before them."""
     model = SYSTEMS[0].as_model()
-    alone = simulate(model.parts[0].model, HORIZON, range(5), 3)
+    alone = simulate(model.ways[0].model, HORIZON, range(5), 3)
     assert np.array_equal(simulate(model, HORIZON, range(5), 3).y[:, :, :1], alone.y)
 
 

@@ -13,7 +13,7 @@ from pfdist.results import reaching
 from pfdist.results.budget_curve import BOUND_DEGREES, add_bounds, worse_than
 from pfdist.results.columns import rows_of
 from pfdist.runner.block_sums import GROUPS
-from pfdist.runner.proof import Gap, GapParts, Proof, gap_of
+from pfdist.runner.proof import Gap, GapTerms, Proof, gap_of
 
 NOISE = np.tile([-1.0, 1.0], 200)  # of the draws, common to all sets; the mean's error is 0.05
 COSTS = {
@@ -116,7 +116,7 @@ def _proof(bound: float, cost: float, errors: tuple[float, float, float]) -> Gap
     """The gap of a set, with the errors of its parts."""
     relaxation, estimate, wrong = (Estimate((cost - bound) / 3, error) for error in errors)
     both = Estimate(2 * (cost - bound) / 3, math.hypot(errors[1], errors[2]))
-    alone = GapParts(Estimate(cost, 0.05), estimate, wrong, both)
+    alone = GapTerms(Estimate(cost, 0.05), estimate, wrong, both)
     proof = Proof([Estimate(bound, 0.04)], [(0,)], [0], [relaxation])
     return gap_of("relaxation_2", (0,), alone, proof, 0, CONFIDENCE)
 

@@ -135,7 +135,7 @@ def test_a_block_has_the_bits_of_the_sum_of_its_draws(
     since, ends = tuple(COUNTED.first.tolist()), tuple(COUNTED.ends.tolist())
     given = SETS, 5, 5, (BLOCK, 2 * BLOCK), with_truth(40)
     whole = kind(**vars(evaluator.work(*given, since=since, ends=ends, ids=("id",))))
-    singles = [whole.part((draw, draw + 1)) for draw in range(*whole.draws)]
+    singles = [whole.piece((draw, draw + 1)) for draw in range(*whole.draws)]
     sums, *of_draws = (result.sums for result in results(evaluator, [whole, *singles]))
     np.testing.assert_array_equal(sums, sum_of_draws(of_draws))
     assert len(sums) == (4 if kind is RankWork else COUNTED.set_of.size)

@@ -9,7 +9,7 @@ from scipy import stats
 from oracles.windows import counted, relaxed_errors
 from pfdist.common.estimate import Estimate
 from pfdist.problem.constraints import Constraints
-from pfdist.runner.proof import Gap, GapParts, Proof, Sums, consistent, gap_of, prove
+from pfdist.runner.proof import Gap, GapTerms, Proof, Sums, consistent, gap_of, prove
 from pfdist.search.first_windows import relaxation_with
 from pfdist.search.relaxation import START
 
@@ -129,7 +129,7 @@ def _proof(*bounds: Estimate, slack: Estimate, budget: int = 2) -> Proof:
 
 
 def test_a_gap_is_the_sum_of_its_parts_with_an_error_of_its_own() -> None:
-    alone = GapParts(Estimate(10.0, 0.1), Estimate(0.3), Estimate(0.1), Estimate(0.4, 0.3))
+    alone = GapTerms(Estimate(10.0, 0.1), Estimate(0.3), Estimate(0.1), Estimate(0.4, 0.3))
     slack = Estimate(0.5, 0.4, 19)
     proof = _proof(Estimate(99.0), Estimate(99.0), Estimate(9.2, 0.2), slack=slack)
     gap = gap_of("found", TIMES, alone, proof, 1, 0.95)
@@ -143,7 +143,7 @@ def test_a_gap_is_the_sum_of_its_parts_with_an_error_of_its_own() -> None:
 
 def test_the_gap_of_a_set_bought_with_money_is_that_to_the_bound_of_all_of_the_money() -> None:
     """Whatever the number of its times: the place in the proof says which sum it may spend."""
-    alone = GapParts(Estimate(10.0))
+    alone = GapTerms(Estimate(10.0))
     proof = _proof(Estimate(9.0), Estimate(8.0), slack=Estimate(2.0), budget=1)
     gap = gap_of("found", TIMES, alone, proof, 1, 0.95)
     assert (gap.bound, gap.path, gap.budget) == (Estimate(8.0), (3,), 1)
@@ -159,7 +159,7 @@ def test_a_gap_without_a_bound_has_the_sets_error_and_no_other_number() -> None:
 
 
 def test_a_set_clearly_below_the_bound_has_no_bound_and_a_chance_excess_is_no_gap() -> None:
-    alone = GapParts(Estimate(10.0, 0.1), both=Estimate(-0.1, 0.1))
+    alone = GapTerms(Estimate(10.0, 0.1), both=Estimate(-0.1, 0.1))
 
     def gap(slack: float) -> Gap:
         proof = _proof(*[Estimate(0.0)] * 3, slack=Estimate(slack, 0.1, 19))

@@ -24,7 +24,7 @@ from pfdist.filters.work import Estimation, FilterWork, with_truth
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.runner.block_sums import GROUPS
-from pfdist.runner.gap_parts import parts_of
+from pfdist.runner.gap_terms import parts_of
 from pfdist.runner.proof import Sums, consistent, gap_of, prove
 from pfdist.search.first_windows import relaxation_with
 from pfdist.search.relaxation import Relaxation

@@ -246,8 +246,8 @@ def points_of_rows(times: Times, y: Array, model: StateSpaceModel, repeats: int)
     for time in times:
         t, way = model.points.instant(time), model.points.way(time)
         for k in range(repeats):
-            part = model.parts[way].y
-            if not np.isnan(y[t, k * m + part.start : k * m + part.stop]).all():
+            own = model.ways[way].y
+            if not np.isnan(y[t, k * m + own.start : k * m + own.stop]).all():
                 rows.append((t * repeats + k) * model.points.ways + way)
     return tuple(sorted(rows))
 

@@ -113,16 +113,16 @@ def check_loaded(
     except ModelError as error:
         yield Check(name, "wrong", f"{error}{advice}")
         return
-    for part in model.parts:  # the system with each sensor alone
-        if part.name:
-            yield Check("load", "ok", part.model.name)
-        for check in _computed(part.model, horizon, Estimation(particles)):
+    for way in model.ways:  # the system with each sensor alone
+        if way.name:
+            yield Check("load", "ok", way.model.name)
+        for check in _computed(way.model, horizon, Estimation(particles)):
             yield check
         if check.name != EVERY_INSTANT:
             return
     if filtered:  # the sensors measure in turn
         spread = regular(horizon, max(2, (horizon + 1) // 3))
-        in_turn = tuple(model.points.at(t)[k % len(model.parts)] for k, t in enumerate(spread))
+        in_turn = tuple(model.points.at(t)[k % len(model.ways)] for k, t in enumerate(spread))
         made = partial(Evaluator, horizon=horizon)
         yield from check_filter_model(made, (model,), in_turn, Estimation(particles))
 

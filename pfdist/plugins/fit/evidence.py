@@ -47,21 +47,21 @@ def log_evidence(
     evidence, order = np.zeros(count), np.arange(count)[:, None]
     with np.errstate(all="ignore"):
         w = noise_of(model.initial_noise, particles, stream, draws, 0, FILTER_INITIAL)
-        x = twin.initial(tuple(part.ravel() for part in w), model.p)
+        x = twin.initial(tuple(way.ravel() for way in w), model.p)
         for t in range(instants):
             check()
-            for number, part in enumerate(twin.parts):
-                seen = y[:, t, part.y]
+            for number, way in enumerate(twin.ways):
+                seen = y[:, t, way.y]
                 measured = np.logical_not(np.isnan(seen).all(axis=1))
                 if not measured.any():
                     continue
                 given = tuple(np.repeat(values, particles) for values in seen.T)
-                log = part.model.log_likelihood(given, x, t, model.p)
+                log = way.model.log_likelihood(given, x, t, model.p)
                 log = np.broadcast_to(log, count * particles).reshape(count, particles)
                 log = np.where(measured[:, None], np.where(np.isnan(log), -np.inf, log), 0.0)
                 total = logsumexp(log, axis=1)
                 evidence += total - np.log(particles)
-                key = t * len(twin.parts) + number
+                key = t * len(twin.ways) + number
                 differs = next((each for each in x if np.ptp(each) > 0.0), x[0])
                 ancestors = _ancestors(differs, log - total[:, None], stream, key, draws)
                 kept = np.arange(particles)
@@ -69,7 +69,7 @@ def log_evidence(
                 x = tuple(np.broadcast_to(each, rows.size)[rows.ravel()] for each in x)
             if t + 1 < instants:
                 w = noise_of(model.process_noise, particles, stream, draws, t, FILTER_PROCESS)
-                x = twin.transition(x, t, tuple(part.ravel() for part in w), model.p)
+                x = twin.transition(x, t, tuple(way.ravel() for way in w), model.p)
     return np.where(np.isfinite(evidence), evidence, -np.inf)
 
 
@@ -82,7 +82,7 @@ def moved_log_evidence(
     """
     count, instants, _ = y.shape
     evidence = np.full(count, -np.inf)
-    measured = [~np.isnan(y[:, :, part.y]).all(axis=2) for part in model.parts]
+    measured = [~np.isnan(y[:, :, way.y]).all(axis=2) for way in model.ways]
     points = np.stack(measured, axis=2).reshape(count, -1)
     settings = Estimation(particles, SYSTEMATIC.name, EVIDENCE.name, proposal=proposal)
     x, z = np.empty((1, 0, 0)), np.zeros((1, instants, model.components[2]))

@@ -117,9 +117,9 @@ def guided_extension(model: StateSpaceModel, draws: Draws, settings: Estimation)
 def _guided(model: StateSpaceModel, instants: range) -> Guided:
     rows_of, sources, refused = list[int](), list[dict[int, Source]](), list[Exception]()
     rounds = 1
-    for part in model.parts:
+    for way in model.ways:
         try:
-            guide = guide_of(part.model, instants)
+            guide = guide_of(way.model, instants)
             sources.append({} if guide is None else _sources(guide, instants))
             rows_of.append(0 if guide is None else guide.rows)
             if guide is not None and not _is_linear(guide, sources[-1]):

@@ -59,9 +59,9 @@ class _Lines:
 
     def likelihoods(self, k: int, sensor: int, x: States) -> Array:
         """Log-likelihoods of a sensor's measurement."""
-        part, particles = self.model.parts[sensor], self.settings.particles
-        y = tuple(np.repeat(values, particles) for values in self.draws.y[:, k, part.y].T)
-        found = part.model.log_likelihood(y, flat(x), self.draws.instants[k], self.model.p)
+        way, particles = self.model.ways[sensor], self.settings.particles
+        y = tuple(np.repeat(values, particles) for values in self.draws.y[:, k, way.y].T)
+        found = way.model.log_likelihood(y, flat(x), self.draws.instants[k], self.model.p)
         return of_cloud(found, x[0].shape)
 
     def variates(self, kind: str, stream: int, t: int, role: Any, component: int) -> Array:
@@ -138,7 +138,7 @@ def _written(lines: _Lines) -> dict[str, Any]:
     for k, of_step in enumerate(lines.noise):
         for c, values in enumerate(of_step):
             noise[:, k, c] = values
-    counts = np.zeros((count, steps, len(lines.model.parts)), np.uint8)
+    counts = np.zeros((count, steps, len(lines.model.ways)), np.uint8)
     for k, sensor, weighs, _ in lines.events:
         counts[:, k, sensor] = weighs
     return {"noise": noise, "first_states": np.stack(lines.path[0], axis=1), "counts": counts}
@@ -374,10 +374,10 @@ def _process(lines: _Lines, k: int, move: Move, stream: int) -> list[States] | N
         old_mean, new_mean = (
             _added(np.where(counted & keeps_sum, each, 0.0)) / number for each in (old, drawn)
         )
-        part = move.scale * (drawn - new_mean)
-        new = old_mean + np.sqrt(1.0 - move.scale * move.scale) * (old - old_mean) + part
+        way = move.scale * (drawn - new_mean)
+        new = old_mean + np.sqrt(1.0 - move.scale * move.scale) * (old - old_mean) + way
         if kind != "normal":
-            new = _on_circle(old + part, kind)
+            new = _on_circle(old + way, kind)
         found.append([*np.where(counted, _rounded(new), old)])
     return [*zip(*found, strict=True)]
 

@@ -41,7 +41,7 @@ def run_online(session: RunSession, sets: Mapping[str, Times]) -> Generator[Work
     def learn(piece: FilterWork, result: Result) -> None:
         reporter.advance(piece.steps, len(result.mse))
 
-    works = [work.part(block) for block in cut(range(draws), _BLOCK)]
+    works = [work.piece(block) for block in cut(range(draws), _BLOCK)]
     rows = RowsByDraw("online", _rows, _result)
     yield WorkBatch(session, ONLINE_TIMES, works, rows, learn, part="online")
     reporter.reach(start + draws * work.steps_a_draw)

@@ -414,9 +414,9 @@ class Planner:
 
     def _with_failures(self, y: Any, planned: Sequence[int]) -> Any:
         """A measurement in which planned sensors with `works` have failed if it has no value."""
-        values, parts = np.atleast_1d(y), self._filter.model.parts
+        values, parts = np.atleast_1d(y), self._filter.model.ways
         asked = [parts[self._points.way(each)] for each in planned]
-        failed = [part.y for part in asked if part.model.works]
+        failed = [each.y for each in asked if each.model.works]
         if not failed or values.dtype.kind != "f" or not np.isnan(values).all():
             return y
         values = np.full(self._filter.model.components[1], np.nan)
@@ -437,7 +437,7 @@ class Planner:
         evaluator: Evaluator | None = None,
     ) -> None:  # fmt: skip
         """Plan again what is left from now on; sensors that may fail are spent without a value."""
-        sensings, parts = self._built.job.problem.sensed, self._filter.model.parts
+        sensings, parts = self._built.job.problem.sensed, self._filter.model.ways
         passed = (e for e in self.rest.in_flight if e < self._points.first(now.first))
         ways = ((each, self._points.way(each)) for each in chain(failed, passed))
         spent = (e for e, way in ways if sensings.by_way(way).fails or parts[way].model.works)

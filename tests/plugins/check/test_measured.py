@@ -129,7 +129,7 @@ def test_a_density_has_the_integral_1_and_a_model_that_lies_is_found(name: str) 
     ],
 )
 def test_a_model_that_ships_is_normalised_if_it_says_so_and_only_then(name: str) -> None:
-    for _, model, *_ in with_clock(load_model(name), 12).parts:  # one for each sensor
+    for _, model, *_ in with_clock(load_model(name), 12).ways:  # one for each sensor
         is_one = _looked(normalised, model)[0] == "ok"
         # A robot measures angles: the integral over a circle is 1, and over all numbers more.
         assert is_one is model.normalised or (is_one and name == "robot")

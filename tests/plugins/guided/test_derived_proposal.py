@@ -187,7 +187,7 @@ def test_the_bound_of_sharp_sensors_is_nearer_to_the_exact_error() -> None:
 
 @pytest.mark.parametrize("model", [MIXED, SENSORS.as_model()], ids=lambda model: model.name)
 def test_sets_together_are_bit_for_bit_as_alone(model: StateSpaceModel) -> None:
-    count = (HORIZON + 1) * len(model.parts)
+    count = (HORIZON + 1) * len(model.ways)
     rng = np.random.default_rng(2)
     sets = [tuple(np.flatnonzero(rng.random(count) < 0.25).tolist()) for _ in range(12)]
     draws, ends = simulate(model, HORIZON, range(40), 3), [HORIZON] * len(sets)

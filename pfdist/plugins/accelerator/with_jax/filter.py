@@ -126,7 +126,7 @@ def _computes(draws: Draws, settings: Estimation, wants_ranks: bool = False) -> 
     if rule is not None:
         prices = rule.follows.prices
         others += [rule != Applied(rule.rule, StepLimits(prices=prices)), {*prices} - {1.0}]
-        others += [np.any(settings.lag), len(model.parts) > 1]
+        others += [np.any(settings.lag), len(model.ways) > 1]
     return not any(others)
 
 
@@ -142,7 +142,7 @@ def _request(model: StateSpaceModel, draws: Draws, settings: Estimation) -> _Fil
         made("transition"),
         made("quantity_of_interest"),
         tuple(
-            (made("log_likelihood", each.model), each.y.start, each.y.stop) for each in model.parts
+            (made("log_likelihood", each.model), each.y.start, each.y.stop) for each in model.ways
         ),
         (model.initial_noise, model.process_noise),
         tuple(draws.model.is_angle),
@@ -207,7 +207,7 @@ def _masks(
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Whether each sensor measures at each instant; with a lag, which instants it estimates."""
     instants = len(draws.instants)
-    measured = np.zeros((instants, len(model.parts)), np.bool_)
+    measured = np.zeros((instants, len(model.ways)), np.bool_)
     measured.reshape(-1)[np.array(times, int) - model.points.first(draws.start)] = True
     lines = np.zeros((instants if np.any(lag) else 0, 2), int)
     if lines.size:
@@ -235,8 +235,8 @@ class _Block:
     def _noise(self, kind: str, count: int, *key: Any) -> Any:
         """Variates of a kind for each row, (R, count), by its draw."""
         root = jax.random.wrap_key_data(self.given["stream"], impl="threefry2x32")
-        for part in key:
-            root = jax.random.fold_in(root, part)
+        for way in key:
+            root = jax.random.fold_in(root, way)
         keys = jax.vmap(jax.random.fold_in, (None, 0))(root, self.given["draws"])
         return jax.vmap(partial(_variates, kind, count))(keys)
 
@@ -375,7 +375,7 @@ class _Block:
         counted = jnp.where(weight > 0, jnp.stack(z), 0.0)
         mean = jnp.sum(share * counted, axis=2)
         if any(is_angle):  # see `pfdist.filters.interface`
-            sine, cosine = (jnp.sum(share * part(counted), axis=2) for part in (jnp.sin, jnp.cos))
+            sine, cosine = (jnp.sum(share * way(counted), axis=2) for way in (jnp.sin, jnp.cos))
             mean = jnp.where(np.array(is_angle)[:, None], jnp.arctan2(sine, cosine), mean)
         deviation = counted - mean[:, :, None]
         error = deviation**2

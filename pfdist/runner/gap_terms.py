@@ -23,7 +23,7 @@ from pfdist.results.particle_loss import less
 from pfdist.results.stored_run import statistics_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import RunSession, WorkBatch
-from pfdist.runner.proof import UNKNOWN, ZERO, GapParts
+from pfdist.runner.proof import UNKNOWN, ZERO, GapTerms
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.store import BOUND_PHASE
 
@@ -60,9 +60,9 @@ def steps_of_sets(built: Built, sets: int, estimation: Estimation, of_bound: int
     return sum(instants * own.steps_an_instant for own, _ in kinds)
 
 
-def gap_parts(
+def gap_terms(
     session: RunSession, run: Run, sets: Mapping[str, Times], estimation: Estimation, of_bound: int
-) -> Generator[WorkBatch, None, dict[str, GapParts]]:
+) -> Generator[WorkBatch, None, dict[str, GapTerms]]:
     """The expected MSE of each compared set, and the parts of its gap.
 
     The run must be finished. The estimation uses the variance of the particles. `of_bound` is the
@@ -76,7 +76,7 @@ def gap_parts(
     )
     if exact is not None and right is not None:
         pairs = zip(exact.tolist(), map(Estimate, (exact - right).tolist()), strict=True)
-        parts = [GapParts(Estimate(mse), ZERO, wrong, wrong) for mse, wrong in pairs]
+        parts = [GapTerms(Estimate(mse), ZERO, wrong, wrong) for mse, wrong in pairs]
         return dict(zip(sets, parts, strict=True))
     draws = _draws(built, run.draws_compared, of_bound)
     # The compared draws have the job's shares of scenarios, and not those of the bound.
@@ -158,7 +158,7 @@ def _per_draw(
     return {name: errors[id_] for name, id_ in ids.items()}
 
 
-def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -> GapParts:
+def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -> GapTerms:
     """The parts for one set, from errors of the same D draws.
 
     `squared` and `by_truth` are the squared errors with the filter's model and with the true model,
@@ -166,11 +166,11 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
     squared errors of all draws, the first of which are `squared`.
     """
     if not (math.isfinite(whole.mean) and np.isfinite(squared + by_truth + variance).all()):
-        return GapParts(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
+        return GapTerms(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
     if by_truth is squared:
         both = less(whole, squared, variance)
-        return GapParts(whole.estimate, both, ZERO, both)
-    return GapParts(
+        return GapTerms(whole.estimate, both, ZERO, both)
+    return GapTerms(
         whole.estimate,
         Moments.of_values(by_truth - variance).estimate,
         less(whole, squared, by_truth),
