@@ -37,6 +37,10 @@ class Apart(Step):
         """Whether the table has all instants."""
         return (len(table), len(start)) == (1 + instants, 1)
 
+    def relaxed(self, *, is_in_order: bool) -> str:
+        """The spacing of a sensor."""
+        return "minimum_spacing of single sensors" * (self.sensor >= 0)
+
     @cached_property
     def table(self) -> tuple[int, ...]:
         """The sensor, and the first instants after each."""

@@ -67,6 +67,13 @@ class Setup(Step):
         """The price of each time that it begins."""
         return self.price
 
+    def relaxed(self, *, is_in_order: bool) -> str:
+        """The largest number; where the order matters and is another one, the whole."""
+        if self.in_order and not is_in_order:
+            return f"{self.things} with several delays"
+        what = self.things if self.in_order else "single sensors"
+        return f"most of {what}" * (self.most is not None)
+
     @property
     def open_until(self) -> int:
         """Points before this one share what has begun."""

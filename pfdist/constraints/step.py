@@ -83,6 +83,13 @@ class Step:
         """A number of measurements that cannot break the constraint, however they are made."""
         return 0
 
+    def relaxed(self, *, is_in_order: bool) -> str:
+        """What the bound relaxes of it, as a sentence calls it; empty for nothing.
+
+        `is_in_order`: whether values arrive in the order in which they are measured.
+        """
+        return self.kind
+
     @property
     def start(self) -> tuple[int, ...]:
         """The state before the measurements from `first` on."""

@@ -1,7 +1,8 @@
 """Groups of sensors, of which at most one measures at an instant."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from pfdist.common.measurement_times import Times
 from pfdist.constraints.step import BROKEN, Step, Turn, Walk
@@ -30,6 +31,12 @@ class Together(Step):
     kind = "together"
     step = together_step
     beginning: ClassVar[tuple[int, ...]] = (-1, 0)
+
+    @classmethod
+    def of(cls, group: Sequence[Times], ways: int) -> Self:
+        """The group of some sensors, by the ways of each."""
+        numbers = {way: number for number, own in enumerate(group, 1) for way in own}
+        return cls(numbers=tuple(numbers.get(way, 0) for way in range(ways)))
 
     @classmethod
     def is_whole(cls, table: Times, start: Times, ways: int, instants: int) -> bool:

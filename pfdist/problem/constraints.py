@@ -103,7 +103,9 @@ class Constraints:
     @property
     def relaxed(self) -> tuple[str, ...]:
         """The constraints that the bound relaxes, so that it may be lower than necessary."""
-        return tuple(chain.from_iterable(each.relaxed for each in self.shared))
+        is_in_order = self.points.is_in_order
+        each = (step.relaxed(is_in_order=is_in_order) for step in self.steps)
+        return tuple(dict.fromkeys(filter(None, each)))
 
     @property
     def possible(self) -> int:
@@ -317,6 +319,8 @@ class Constraints:
         """A largest subset of some allowed times that fits beside these; all are sorted."""
         if not self.shared:
             return self.spacing.fitting(times, among)
+        if self.made:  # the steps have taken them, and nothing too near is allowed
+            times, among = (tuple(t for t in own if t not in self.made) for own in (times, among))
         for each in self.shared:
             among = each.fitting(self.points, times, among)
         return among

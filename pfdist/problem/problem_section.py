@@ -27,6 +27,7 @@ from pfdist.common.sensing import Sensing, names_of_repeats
 from pfdist.constraints.spacing import Spacing
 from pfdist.constraints.step import Money, Step, money
 from pfdist.constraints.supply import Supply
+from pfdist.constraints.together import Together
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.filters.aspects import ErrorBeside
 from pfdist.filters.beside import errors_beside
@@ -48,7 +49,7 @@ from pfdist.problem.sections import (
 )
 from pfdist.problem.sensing_section import Finite, MeasurementsSection, Sensings, SensingSection
 from pfdist.problem.sensor_section import SensorSection
-from pfdist.problem.shared import Groups, Limit, OfSensors, Others, Shared
+from pfdist.problem.shared import Limit, OfSensors, Shared
 from pfdist.problem.visits import Installs
 from pfdist.problem.visits_section import VisitsSection
 from pfdist.problem.written import by_instant, instants_written
@@ -427,9 +428,9 @@ class ProblemSection(JobSection):
             if each.together is not None:
                 groups.setdefault(each.together, []).append(ways)
         if groups:
-            yield Groups.on(points, groups.values())
+            yield Shared(steps=tuple(Together.of(each, points.ways) for each in groups.values()))
         if others := tuple(self._others):
-            yield Others(steps=others)
+            yield Shared(steps=others)
 
     @property
     def _others(self) -> Iterator[Step]:

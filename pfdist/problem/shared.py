@@ -1,10 +1,9 @@
-"""Prices and limits of several measurements together: of sensors, visits, installations, groups.
+"""Prices and limits of several measurements together: of sensors, visits, installations.
 
 `Constraints`, searches and the bound loop over all that a job has, and know none of them by name.
 """
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -13,7 +12,6 @@ from pfdist.constraints.apart import Apart
 from pfdist.constraints.setup import Setup
 from pfdist.constraints.spacing import Spacing
 from pfdist.constraints.step import Step
-from pfdist.constraints.together import Together
 from pfdist.problem.points import Points
 
 
@@ -30,11 +28,6 @@ class Shared:
     def setups(self) -> tuple[Setup, ...]:
         """All that has a price beside those of measurements, or a largest number."""
         return tuple(step for step in self.steps if isinstance(step, Setup))
-
-    @property
-    def relaxed(self) -> tuple[str, ...]:
-        """The limits that the bound relaxes, as a sentence calls them."""
-        return ()
 
     @property
     def priced(self) -> str:
@@ -84,11 +77,9 @@ class Limit(NamedTuple):
     spacing: Spacing | None = None  # which instants are far enough apart for it
 
 
-@dataclass(frozen=True)
 class OfSensors(Shared):
     """The largest number of measurements of each sensor, and their spacing."""
 
-    limits: tuple[Limit, ...]
     is_exact: ClassVar[bool] = True
 
     @classmethod
@@ -103,69 +94,24 @@ class OfSensors(Shared):
             if spacing is not None:
                 after, key = spacing.successors, f"{key}.minimum_spacing"
                 steps.append(Apart(key=key, after=after, sensor=way))
-        return cls(tuple(limits), steps=tuple(steps))
-
-    @property
-    def relaxed(self) -> tuple[str, ...]:
-        """The limits that the bound relaxes."""
-        spaced = any(limit.spacing for limit in self.limits)
-        return (
-            *("minimum_spacing of single sensors",) * spaced,
-            *("most of single sensors",) * bool(self.setups),
-        )
-
-    def since(self, first: int, taken: Times, steps: tuple[Step, ...]) -> Self:
-        """The same from a point on, after some measurements; points count from there."""
-        ways = len(self.limits)
-        numbers = Counter(point % ways for point in taken)
-        limits = tuple(
-            Limit(
-                None if most is None else max(0, most - numbers[way]),
-                spacing and spacing.since(first // ways),
-            )
-            for way, (most, spacing) in enumerate(self.limits)
-        )
-        return replace(self, limits=limits, steps=steps)
+        return cls(steps=tuple(steps))
 
     def fitting(self, points: Points, times: Times, among: Times) -> Times:
         """A largest subset of some points that fits beside sorted times; all are sorted.
 
         Sensors do not depend on each other, because these limits exclude a common spacing.
         """
-        chosen = list[int]()
-        for way, (most, spacing) in enumerate(self.limits):
+        chosen, ways = list[int](), range(points.ways)
+        apart = {
+            each.sensor: Spacing(each.after).since(points.instant(each.first))
+            for each in self.steps
+            if isinstance(each, Apart)
+        }
+        most = {way: each.left for each in self.setups for way in ways if each.ends[way]}
+        for way in ways:
             own, before = points.of_way(way, among), points.of_way(way, times)
-            new = (spacing or Spacing.constant(1, points.clock.horizon)).fitting(before, own)
-            left = len(new) if most is None else max(0, most - len(before))
+            spacing = apart.get(way, Spacing.constant(1, points.clock.horizon))
+            new, left = spacing.fitting(before, own), most.get(way)
+            left = len(new) if left is None else max(0, left - len(before))
             chosen += [points.alike(way)[t] for t in new[:left]]
         return tuple(sorted(chosen))
-
-
-class Others(Shared):
-    """Limits that are no more than their step, such as a store."""
-
-    @property
-    def relaxed(self) -> tuple[str, ...]:
-        """All of them, by their kind."""
-        return tuple(dict.fromkeys(step.kind for step in self.steps))
-
-
-class Groups(Shared):
-    """Groups of sensors, of which at most one measures at an instant."""
-
-    @classmethod
-    def on(cls, points: Points, groups: Iterable[Sequence[Times]]) -> Self:
-        """The groups, each with its sensors, and these with their ways."""
-        numbers = (
-            {way: number for number, ways in enumerate(group, 1) for way in ways}
-            for group in groups
-        )
-        every = range(points.ways)
-        return cls(steps=tuple(
-            Together(numbers=tuple(own.get(way, 0) for way in every)) for own in numbers
-        ))  # fmt: skip
-
-    @property
-    def relaxed(self) -> tuple[str, ...]:
-        """The limit that the bound relaxes."""
-        return ("together",)

@@ -73,13 +73,6 @@ class Visits(Shared):
         """The price, the largest number and the ends of visits."""
         return self.setups[0]
 
-    @property
-    def relaxed(self) -> tuple[str, ...]:
-        """The limit that the bound relaxes."""
-        if self.late:
-            return ("visits with several delays",)
-        return ("most of visits",) * (self.setup.most is not None)
-
     def parts(self, times: Times) -> list[Times]:
         """The measurements of each visit; `times` are sorted."""
         order = sorted(times, key=self._moment)

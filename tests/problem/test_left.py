@@ -8,11 +8,12 @@ import pytest
 
 from pfdist.common.measurement_times import Times
 from pfdist.constraints.spacing import Spacing
+from pfdist.constraints.together import Together
 from pfdist.kernels.left import Left
 from pfdist.problem.clock import Clock
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.points import Points
-from pfdist.problem.shared import Groups, Limit, OfSensors
+from pfdist.problem.shared import Limit, OfSensors, Shared
 from pfdist.problem.visits import Installs, Visits
 
 LAST = 6
@@ -36,7 +37,7 @@ EACH = {
     "one sensor at a time": Feasible(3, 3, points=TWO, minimum_spacing=1),
     "together": Feasible(
         2, 4, points=THREE, minimum_spacing=0, required=(4,),
-        shared=(Groups.on(THREE, [((0,), (1, 2))]),),
+        shared=(Shared(steps=(Together.of(((0,), (1, 2)), 3),)),),
     ),
     "install": Feasible(
         2, points=THREE, minimum_spacing=0, price=(1, 2, 1) * 3, total_price=6,
