@@ -8,6 +8,7 @@ import inspect
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -18,6 +19,7 @@ import pyarrow as pa
 from cyclopts.argument import Argument
 from pydantic.fields import FieldInfo
 
+import pfdist
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import program
 from pfdist.cli.words import FLAGS, shown_default
@@ -76,9 +78,55 @@ STUBS = {
     FOLDER.parent / "pfdist" / "__init__.pyi": "names",
     FOLDER.parent / "pfdist" / "pages" / "plots.pyi": "plots",
 }
+NAMES: dict[str, dict[str, str]] = {
+    "models": {
+        "StateSpaceModel": 'pfdist.StateSpaceModel(name="walk", **formulas)',
+        "Sensor": 'pfdist.Sensor(measurement, log_likelihood, ("normal",), price=1)',
+        "load_model": 'pfdist.load_model("mine.py:model")',
+        "linear_gaussian": 'pfdist.linear_gaussian("cart", transition=F, **matrices)',
+        "BatchedModel": 'pfdist.BatchedModel(name="growth", version="1", **functions)',
+        "ode": "pfdist.ode(lambda x, t, p: (-p.rate * x[0],))",
+        "sde": "pfdist.sde(drift, diffusion, noises=1)",
+        "where": "pfdist.where(x[0] > 0, x[0], 0.0)",
+        "clip": "pfdist.clip(x[0], 0.0, 1.0)",
+        "take": "pfdist.take(table, x[0].astype(int))",
+        "Problem": 'pfdist.Problem("ungm", horizon=60, measurement_budget=21)',
+        "Job": 'pfdist.load_job("jobs/plan.toml").with_changes(["seed=3"])',
+        "load_job": 'pfdist.load_job("jobs/plan.toml")',
+    },
+    "plan": {
+        "plan": "run = pfdist.plan(problem)",
+        "Options": "pfdist.plan(problem, workers=4, report=False)",
+        "run": 'pfdist.run("jobs/quick.toml")',
+        "evaluate": 'pfdist.evaluate(problem, "0:60:3").expected_mse',
+        "compare": 'pfdist.compare(problem, times={"mine": "0:60:3"}).table("pairs")',
+        "bound": "pfdist.bound(problem, draws=7680)",
+    },
+    "runs": {
+        "open_run": 'run = pfdist.open_run("results/quick")',
+        "Run": 'run.best.measurement_times; run.table("sets")',
+        "Evaluation": "evaluation.expected_mse, evaluation.standard_error",
+        "report": "pfdist.report(run)",
+    },
+    "data": {
+        "Filter": 'pfdist.Filter("ungm", particles=500).update(3, 12.5)',
+        "Cloud": 'pfdist.Filter("ungm", prior=filtering.cloud)',
+    },
+    "figures": {
+        "plots": "pfdist.plots.times(run)",
+    },
+    "densities": {
+        "densities": "pfdist.densities.poisson_logpmf(y[0], mean)",
+    },
+    "errors": {
+        "PfdistError": "pfdist.PfdistError",
+    },
+}
+"""Names of the package that the core has, with an example, by their page of the API."""
 LISTED = {name: method for name, method in METHODS.items() if method.listed}
 """The search methods that the manual offers."""
 UNLISTED = METHODS.keys() - LISTED
+_MEMBERS = {"Job": " with_changes"}  # of a class, unless all are described
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 _SHARED = 2  # commands that have an option with the same words
@@ -534,6 +582,37 @@ def densities() -> str:
     return _table(["density", "parameters", "support", "draw from"], rows)
 
 
+def _names(*pages: str) -> str:
+    """Give the table of names that some pages of the API describe."""
+    rows = [
+        [f"[`{name}`](api-{page}.md)", f"`{example}`"]
+        for page in pages
+        for name, example in _examples_on(page).items()
+    ]
+    return _table(["name", "example"], rows)
+
+
+def _api(page: str) -> str:
+    """Give the directives by which Sphinx describes the names of a page."""
+    lines = []
+    for name in _examples_on(page):
+        if not isinstance(getattr(pfdist, name), type):
+            lines.append(f".. autofunction:: pfdist.{name}")
+            continue
+        lines += [f".. autoclass:: pfdist.{name}", f"   :members:{_MEMBERS.get(name, '')}"]
+    return "\n".join(["```{eval-rst}", *lines, "```"])
+
+
+def _examples_on(page: str) -> dict[str, str]:
+    added_names = {
+        target.partition(":")[2]: name.example
+        for each in plugins().values()
+        for target, name in each.names.items()
+        if name.page == page
+    }
+    return NAMES[page] | added_names
+
+
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
@@ -543,6 +622,9 @@ TABLES: dict[str, Callable[[], str]] = {
         densities, needs,
     )
 }  # fmt: skip
+TABLES |= {f"names_{page}": partial(_names, page) for page in ("models", "plan", "runs")}
+TABLES["names_data"] = partial(_names, "data", "figures", "densities", "errors")
+TABLES |= {f"api_{page}": partial(_api, page) for page in ("models", "plan", "runs", "data")}
 
 
 def with_tables(page: str) -> str:
@@ -672,8 +754,8 @@ def _sentence(text: str) -> str:
 
 
 def _table(header: list[str], rows: Iterable[list[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    head, *lines = (f"| {' | '.join(line)} |" for line in (header, *rows))
+    return "\n".join([head, "|" + "---|" * len(header), *lines])
 
 
 def with_names_of_plugins(stub: Path, hook: str) -> str:

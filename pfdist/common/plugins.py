@@ -41,6 +41,21 @@ class Command(NamedTuple):
     resumes: bool = False
 
 
+class Name(NamedTuple):
+    """Where the manual describes a name of the package itself.
+
+    Parameters
+    ----------
+    page : str
+        The page of the API: models, plan, runs or data.
+    example : str
+        A line of code.
+    """
+
+    page: str
+    example: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class Plugin:
     """All that a plugin adds to the program; a hook is a field.
@@ -51,9 +66,9 @@ class Plugin:
         Groups of the help, and the commands of each by name. `pfdist.cli.commands` asks.
     words : sequence of str
         Tables of `pfdist.cli.words.Word`, by the names of parameters. `pfdist.cli.words` asks.
-    names : sequence of str
-        Names of the package itself, as `pfdist.rule`; ``docs/tables.py`` writes them into
-        ``pfdist/__init__.pyi``.
+    names : mapping of str to Name
+        Objects with a name of the package itself, as `pfdist.rule`; ``docs/tables.py`` writes them
+        into ``pfdist/__init__.pyi`` and the manual.
     plots : sequence of str
         Functions of `pfdist.plots`; ``docs/tables.py`` writes them into ``pfdist/pages/plots.pyi``.
     figures : sequence of str
@@ -97,7 +112,7 @@ class Plugin:
 
     commands: Mapping[str, Mapping[str, Command]] = field(default_factory=dict)
     words: Sequence[str] = ()
-    names: Sequence[str] = ()
+    names: Mapping[str, Name] = field(default_factory=dict)
     plots: Sequence[str] = ()
     figures: Sequence[str] = ()
     capabilities: Sequence[str] = ()

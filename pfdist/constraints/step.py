@@ -84,7 +84,7 @@ class Step:
         return 0
 
     def relaxed(self, *, is_in_order: bool) -> str:
-        """What the bound relaxes of it, as a sentence calls it; empty for nothing.
+        """The limit that the bound relaxes, as a sentence calls it; empty for none.
 
         `is_in_order`: whether values arrive in the order in which they are measured.
         """

@@ -33,7 +33,7 @@ class Together(Step):
     beginning: ClassVar[tuple[int, ...]] = (-1, 0)
 
     @classmethod
-    def of(cls, group: Sequence[Times], ways: int) -> Self:
+    def made_of(cls, group: Sequence[Times], ways: int) -> Self:
         """The group of some sensors, by the ways of each."""
         numbers = {way: number for number, own in enumerate(group, 1) for way in own}
         return cls(numbers=tuple(numbers.get(way, 0) for way in range(ways)))

@@ -1,7 +1,6 @@
 """The plugins that ship: a folder each, with all that a capability needs; and their list.
 
-To remove a plugin, delete its folder here, its folder in ``tests/plugins``, its page of the manual
-and its line below, and call ``python docs/tables.py``. To add one, see CONTRIBUTING.md.
+CONTRIBUTING.md says how to add one, and how to delete one.
 """
 
 PLUGINS = (

@@ -428,7 +428,9 @@ class ProblemSection(JobSection):
             if each.together is not None:
                 groups.setdefault(each.together, []).append(ways)
         if groups:
-            yield Shared(steps=tuple(Together.of(each, points.ways) for each in groups.values()))
+            yield Shared(
+                steps=tuple(Together.made_of(each, points.ways) for each in groups.values())
+            )
         if others := tuple(self._others):
             yield Shared(steps=others)
 

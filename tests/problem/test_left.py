@@ -37,7 +37,7 @@ EACH = {
     "one sensor at a time": Feasible(3, 3, points=TWO, minimum_spacing=1),
     "together": Feasible(
         2, 4, points=THREE, minimum_spacing=0, required=(4,),
-        shared=(Shared(steps=(Together.of(((0,), (1, 2)), 3),)),),
+        shared=(Shared(steps=(Together.made_of(((0,), (1, 2)), 3),)),),
     ),
     "install": Feasible(
         2, points=THREE, minimum_spacing=0, price=(1, 2, 1) * 3, total_price=6,

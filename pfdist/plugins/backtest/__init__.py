@@ -1,6 +1,6 @@
 """Backtests: whether a plan keeps its promise, by real measurements."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _BACKTEST = Command(
     "pfdist.plugins.backtest.question:backtest",
@@ -17,6 +17,10 @@ _BACKTEST = Command(
 PLUGIN = Plugin(
     commands={"Real data": {"backtest": _BACKTEST}},
     words=("pfdist.plugins.backtest.words:WORDS",),
-    names=("pfdist.plugins.backtest.question:backtest",),
+    names={
+        "pfdist.plugins.backtest.question:backtest": Name(
+            "data", 'pfdist.backtest(run, "days.csv").promises'
+        ),
+    },
     capabilities=("pfdist.plugins.backtest.needs:PLAN_EACH",),
 )

@@ -1,6 +1,6 @@
 """Several numbers of measurements, or prices: how many are enough."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _BUDGET = Command(
     "pfdist.plugins.budget.question:budget",
@@ -21,7 +21,11 @@ _BUDGET = Command(
 PLUGIN = Plugin(
     commands={"Plan": {"budget": _BUDGET}},
     words=("pfdist.plugins.budget.words:WORDS",),
-    names=("pfdist.plugins.budget.question:budget",),
+    names={
+        "pfdist.plugins.budget.question:budget": Name(
+            "plan", "pfdist.budget(problem, range(5, 21), target=25)"
+        ),
+    },
     plots=("pfdist.plugins.budget.figure:budget",),
     figures=("pfdist.plugins.budget.figure",),
     capabilities=("pfdist.plugins.budget.needs:BUDGET",),

@@ -1,6 +1,6 @@
 """Checks of a model, and the number of particles that is enough."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _CHECK = Command(
     "pfdist.plugins.check.command:check_model",
@@ -15,9 +15,11 @@ _CHECK = Command(
 PLUGIN = Plugin(
     commands={"Models": {"check-model": _CHECK}},
     words=("pfdist.plugins.check.words:WORDS",),
-    names=(
-        "pfdist.plugins.check.question:check_model",
-        "pfdist.plugins.check.losses:particle_losses",
-    ),
+    names={
+        "pfdist.plugins.check.question:check_model": Name("models", "pfdist.check_model(problem)"),
+        "pfdist.plugins.check.losses:particle_losses": Name(
+            "models", "pfdist.particle_losses(problem, (50, 200, 1000))"
+        ),
+    },
     plots=("pfdist.plugins.check.figure:particle_losses",),
 )

@@ -4,7 +4,7 @@
 `widget`. Both show them by the module explore.js.
 """
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _EXPLORE = Command(
     "pfdist.plugins.explorer.command:explore",
@@ -16,6 +16,8 @@ _EXPLORE = Command(
 )
 PLUGIN = Plugin(
     commands={"Ask": {"explore": _EXPLORE}},
-    names=("pfdist.plugins.explorer.widget:explore",),
+    names={
+        "pfdist.plugins.explorer.widget:explore": Name("plan", "pfdist.explore(problem)"),
+    },
     capabilities=("pfdist.plugins.explorer.needs:EXPLORE",),
 )

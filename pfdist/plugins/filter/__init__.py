@@ -1,6 +1,6 @@
 """The filter of real measurements of one system."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _FILTER = Command(
     "pfdist.plugins.filter.question:filter_measurements",
@@ -15,7 +15,11 @@ _FILTER = Command(
 PLUGIN = Plugin(
     commands={"Real data": {"filter": _FILTER}},
     words=("pfdist.plugins.filter.words:WORDS",),
-    names=("pfdist.plugins.filter.question:filter_measurements",),
+    names={
+        "pfdist.plugins.filter.question:filter_measurements": Name(
+            "data", 'pfdist.filter_measurements(run, "patient.csv").table'
+        ),
+    },
     plots=(
         "pfdist.plugins.filter.figure:belief",
         "pfdist.plugins.filter.sizes_figure:effective_sample_size",

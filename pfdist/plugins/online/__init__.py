@@ -1,6 +1,6 @@
 """Times that are chosen one after another, each after the measurement before it is known."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _NEXT = Command(
     "pfdist.plugins.online.next_time:next_time",
@@ -29,11 +29,15 @@ _ONLINE = Command(
 PLUGIN = Plugin(
     commands={"Real data": {"next": _NEXT, "online": _ONLINE}},
     words=("pfdist.plugins.online.words:WORDS",),
-    names=(
-        "pfdist.plugins.online.question:online",
-        "pfdist.plugins.online.next_time:next_time",
-        "pfdist.plugins.online.planner:Planner",
-    ),
+    names={
+        "pfdist.plugins.online.question:online": Name("plan", 'pfdist.online("jobs/online.toml")'),
+        "pfdist.plugins.online.next_time:next_time": Name(
+            "data", 'pfdist.next_time(run, "patient.csv")'
+        ),
+        "pfdist.plugins.online.planner:Planner": Name(
+            "data", "pfdist.Planner(problem).next_time()"
+        ),
+    },
     plots=("pfdist.plugins.online.figure:online_shares",),
     figures=("pfdist.plugins.online.figure",),
     capabilities=("pfdist.plugins.online.needs:ON_THE_WAY",),

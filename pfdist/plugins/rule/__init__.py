@@ -1,6 +1,6 @@
 """Rules: measure when the filter is unsure, instead of at times that are fixed in advance."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _RULE = Command(
     "pfdist.plugins.rule.question:rule",
@@ -13,7 +13,12 @@ _RULE = Command(
 )
 PLUGIN = Plugin(
     commands={"Real data": {"rule": _RULE}},
-    names=("pfdist.plugins.rule.question:rule", "pfdist.plugins.rule.rule_file:Rule"),
+    names={
+        "pfdist.plugins.rule.question:rule": Name("plan", "pfdist.rule(run).rule"),
+        "pfdist.plugins.rule.rule_file:Rule": Name(
+            "data", 'pfdist.Rule.load("results/plan/rule.json").decide(filter, t)'
+        ),
+    },
     capabilities=("pfdist.plugins.rule.needs:RULES",),
     parts={"rule": "what deciding on the way wins"},
     looks=("pfdist.plugins.rule.ruling:LOOK",),

@@ -1,6 +1,6 @@
 """Lists and tables of many runs, and figures of such tables."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _LIST = Command(
     "pfdist.plugins.runs.command:list_runs",
@@ -21,7 +21,10 @@ _TABLE = Command(
 PLUGIN = Plugin(
     commands={"Runs": {"list": _LIST, "table": _TABLE}},
     words=("pfdist.plugins.runs.words:WORDS",),
-    names=("pfdist.plugins.runs.listing:list_runs", "pfdist.plugins.runs.question:table"),
+    names={
+        "pfdist.plugins.runs.listing:list_runs": Name("runs", 'pfdist.list_runs("results")'),
+        "pfdist.plugins.runs.question:table": Name("runs", "pfdist.table(run)"),
+    },
     plots=("pfdist.plugins.runs.figure:against",),
     others={"plot.folder": "pfdist.plugins.runs.figure:draw_folder"},
 )

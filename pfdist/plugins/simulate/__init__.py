@@ -1,6 +1,6 @@
 """Simulated systems, as a table with a picture."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _SIMULATE = Command(
     "pfdist.plugins.simulate.command:simulate",
@@ -15,5 +15,9 @@ _SIMULATE = Command(
 PLUGIN = Plugin(
     commands={"Models": {"simulate": _SIMULATE}},
     words=("pfdist.plugins.simulate.words:WORDS",),
-    names=("pfdist.plugins.simulate.question:simulate",),
+    names={
+        "pfdist.plugins.simulate.question:simulate": Name(
+            "models", "pfdist.simulate(problem, draws=10)"
+        ),
+    },
 )

@@ -1,6 +1,6 @@
 """Sweeps: a job at many values of its keys, with the same workers."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _SWEEP = Command(
     "pfdist.plugins.sweep.command:sweep",
@@ -20,6 +20,11 @@ _SWEEP = Command(
 PLUGIN = Plugin(
     commands={"Plan": {"sweep": _SWEEP}},
     words=("pfdist.plugins.sweep.words:WORDS",),
-    names=("pfdist.plugins.sweep.question:Sweep", "pfdist.plugins.sweep.question:sweep"),
+    names={
+        "pfdist.plugins.sweep.question:Sweep": Name("plan", "sweep.table()"),
+        "pfdist.plugins.sweep.question:sweep": Name(
+            "plan", 'pfdist.sweep("jobs/plan.toml", {"seed": range(1, 11)})'
+        ),
+    },
     files=("pfdist.plugins.sweep.sweep_file:SweepFile",),
 )

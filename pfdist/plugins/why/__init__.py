@@ -1,6 +1,6 @@
 """The worth of each measurement of a run, and how exactly it must be kept."""
 
-from pfdist.common.plugins import Command, Plugin
+from pfdist.common.plugins import Command, Name, Plugin
 
 _WHY = Command(
     "pfdist.plugins.why.question:why",
@@ -13,7 +13,9 @@ _WHY = Command(
 )
 PLUGIN = Plugin(
     commands={"Ask": {"why": _WHY}},
-    names=("pfdist.plugins.why.question:why",),
+    names={
+        "pfdist.plugins.why.question:why": Name("plan", "pfdist.why(run).worth"),
+    },
     plots=("pfdist.plugins.why.figures:error_profile", "pfdist.plugins.why.figures:worth"),
     figures=("pfdist.plugins.why.figures",),
     capabilities=("pfdist.plugins.why.needs:WHY",),
