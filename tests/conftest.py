@@ -221,6 +221,11 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(SkipsWithoutExtra())
 
 
+def _deleted(*names: str) -> str:
+    deleted = [name for name in names if name not in PLUGINS]
+    return f"without the plugin {deleted[0]}" if deleted else ""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark the quick tests and the faults; let `pytest -m crash` run the whole table of faults."""
@@ -228,9 +233,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if extra := extra_of(item.path):
             item.add_marker(pytest.mark.needs(extra))  # it is installed: `pytest -m needs` runs it
-        for mark in item.iter_markers("needs"):
-            if lack := lack_of(*mark.args):
-                item.add_marker(pytest.mark.skip(reason=lack))
+        lacks = [lack_of(*mark.args) for mark in item.iter_markers("needs")]
+        lacks += [_deleted(*mark.args) for mark in item.iter_markers("plugins")]
+        for lack in filter(None, lacks):
+            item.add_marker(pytest.mark.skip(reason=lack))
         if item.nodeid.startswith(quick) and not item.get_closest_marker("notebook"):
             item.add_marker("quick")
         # Slurm must be installed first, so its tests are run by their own name alone.

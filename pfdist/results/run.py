@@ -171,8 +171,8 @@ class Run(StoredRun, Shown):
             - sets: the rows of the table ``sets``; empty before the searches have ended.
             - pairs, ranks: rows of these tables, if the job names sets; else None.
             - scenarios: rows of this table, if the job has scenarios; else None.
-            - what plugins add, or None: ``online`` has results of times that were chosen one after
-              another, see `pfdist.plugins.online.draws.OnlineDraws.summary`.
+            - what plugins add in their summaries, or None, as ``online`` with the results of times
+              that were chosen one after another.
         """
         problem, criterion, has = problem_of(self), criterion_of(self), self.tables
         named = "comparison" in has and bool(named_sets(self))

@@ -51,16 +51,15 @@ class Progress:
     Parameters
     ----------
     phase : str
-        Name of a search, ``comparison``, ``online``, ``rule``, or a part of the proof of a lower
-        bound.
+        Name of a search, ``comparison``, a step of the proof of a lower bound, or the name that a
+        plugin gives its work, as ``rule``.
     done, total : float
         Particle-steps over all phases and sets of times; the total is a forecast.
     optional : float
         Particle-steps of the total that may be left out.
     evaluations : int
-        Evaluations finished in this phase, including copies; in ``comparison``, ``online`` and
-        ``rule``, draws. The count restarts when a phase repeats its draws, as the phases of `why`
-        do.
+        Evaluations finished in this phase, including copies; where a phase evaluates no sets,
+        draws. The count restarts when a phase repeats its draws.
     generation, generations : int
         Current generation and expected number of generations, which there may be more of; 0 in
         phases other than searches.

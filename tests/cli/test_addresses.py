@@ -43,6 +43,7 @@ def _paths() -> Iterator[tuple[str, str]]:
                 yield command, name
 
 
+@pytest.mark.plugins("filter", "init", "runs")
 def test_the_table_has_the_arguments_that_it_should() -> None:
     table = {*_paths()}
     assert {("run", name) for name in ("job", "results", "reuse")} <= table
@@ -90,6 +91,7 @@ def test_an_address_is_refused_wherever_a_command_takes_a_path(
 JOB = 'seed = 1\n[model]\nname = "{}"\n[problem]\nhorizon = 3\nmeasurement_budget = 1\n'
 
 
+@pytest.mark.plugins("sweep")
 def test_an_address_in_a_job_or_a_sweep_file_is_named_with_its_key(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -156,6 +156,7 @@ TAKE_A_RUN = ["compare", "list", "plot", "report", "status", "table", "verify"]
 ASK = {"bound": [], "filter": ["patient.csv"], "next": ["patient.csv"], "rule": [], "why": []}
 
 
+@pytest.mark.plugins("runs")
 @pytest.mark.parametrize(
     "name",
     [

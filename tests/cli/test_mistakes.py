@@ -45,6 +45,7 @@ def refused(call: Callable[..., Any]) -> Refused:
     return called
 
 
+@pytest.mark.plugins("budget", "filter", "rule", "runs", "simulate", "sweep", "why")
 @pytest.mark.parametrize(
     ("line", "code", "words"),
     [
@@ -129,6 +130,7 @@ def test_a_hostile_job_file_is_refused_in_one_line(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.plugins("sweep")
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket", "huge"])
 @pytest.mark.parametrize(
     "line", ["run {path}", "sweep {path}", "evaluate {job} --times 0 --set model.name={path}:m"]
@@ -154,6 +156,7 @@ def test_no_pipe_device_socket_or_huge_file_is_read(
     assert words in told
 
 
+@pytest.mark.plugins("budget", "check")
 @pytest.mark.parametrize(
     ("line", "code", "meant"),
     [
@@ -187,6 +190,7 @@ def test_a_misspelt_word_is_followed_by_the_nearest_one(
     assert re.search(rf"[Dd]id you mean ['\"]?{wanted}\b", told), told
 
 
+@pytest.mark.plugins("online")
 def test_online_search_lists_and_suggests_only_methods_that_can_plan_online(
     small_job: Job, refused: Refused
 ) -> None:
@@ -238,6 +242,7 @@ def test_a_file_of_settings_for_numba_is_named(
     assert "must hold no .numba_config.yaml" in line
 
 
+@pytest.mark.plugins("budget", "init", "why")
 def test_pfdist_alone_shows_three_commands_to_try(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -35,6 +35,7 @@ def test_blanks_inside_a_value_stay() -> None:
     assert options_of("evaluate a.toml --times", times)["times"] == {"": times}
 
 
+@pytest.mark.plugins("budget")
 def test_an_option_that_has_several_values_is_given_once_for_each() -> None:
     options = options_of("compare a.toml results/a --times b=1:3 results/b --times regular")
     assert options["times"] == {"b": "1:3", "regular": "regular"}
@@ -97,6 +98,7 @@ LINES = {
 }
 
 
+@pytest.mark.plugins("check", "sweep")
 @in_turn(("line", "found"), LINES.items())
 def test_bash_completes(line: str, found: set[str], folder: Path) -> None:
     ask = (
@@ -112,6 +114,7 @@ def test_bash_completes(line: str, found: set[str], folder: Path) -> None:
     assert set(done.stdout.split("\n")) - {""} == found
 
 
+@pytest.mark.plugins("check")
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_other_shells_get_a_script_that_knows_commands_options_and_values(
     shell: str, call: Callable[..., Any]

@@ -71,6 +71,7 @@ def start(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     return folder
 
 
+@pytest.mark.plugins("filter", "sweep", "why")
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.filterwarnings("ignore::pfdist.errors.EngineWarning")
 def test_nothing_moves_with_a_model(start: Path, call: Callable[..., Any]) -> None:

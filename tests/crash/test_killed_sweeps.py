@@ -13,6 +13,8 @@ from crash.runs import running
 from oracles.bytes_of import hashes
 from pfdist import Job
 
+pytestmark = pytest.mark.plugins("sweep")
+
 OVER = {"seed": [1, 2, 3], "comparison.draws": [250, 400]}  # six points; two share their searches
 OPTIONS = ["--over", "seed=1:3", "--over", "comparison.draws=250,400", "--no-report"]
 

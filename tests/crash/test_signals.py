@@ -101,6 +101,7 @@ def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
     assert hashes(runs[0].path) == hashes(runs[1].path)
 
 
+@pytest.mark.plugins("check")
 @pytest.mark.parametrize(
     ("number", "code", "after"), [(*CODES[0], 0.05), (*CODES[1], 0.3), (*CODES[2], 0.3)]
 )

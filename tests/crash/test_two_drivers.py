@@ -71,6 +71,7 @@ def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
     assert main(["status", run]) == 0  # who only reads is not refused
 
 
+@pytest.mark.plugins("rule", "runs", "why")
 def test_beside_a_command_that_writes_others_read_and_none_writes(
     small_run: pfdist.Run, call: Callable[..., Called]
 ) -> None:
@@ -88,6 +89,7 @@ def test_beside_a_command_that_writes_others_read_and_none_writes(
     assert call("verify", run).code == 0
 
 
+@pytest.mark.plugins("runs")
 def test_a_clock_that_jumps_changes_nothing(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

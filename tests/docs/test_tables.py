@@ -39,6 +39,7 @@ def tables() -> ModuleType:
     return _script("tables")
 
 
+@pytest.mark.plugins("backtest", "budget", "check", "explorer", "filter", "online", "why")
 def test_pictures_were_drawn_by_the_code_of_today(monkeypatch: pytest.MonkeyPatch) -> None:
     """A number of the code alters its hash; a comment and a docstring do not."""
     pictures = _script("pictures")

@@ -65,6 +65,7 @@ def test_kalman_predicts_what_is_computed_by_hand() -> None:
         np.testing.assert_allclose(exact.variance[d, :, 0], variance + 0.1**2, rtol=1e-9)
 
 
+@pytest.mark.plugins("guided")
 @pytest.mark.parametrize("guided", [False, True])
 def test_particles_tend_to_the_exact_predictive_mean(guided: bool) -> None:
     """Also with a proposal: the noise of y is proposed as it is drawn."""

@@ -118,6 +118,7 @@ def test_a_flipped_point_is_decided_the_other_way_and_all_before_it_as_usual(
     assert 0 < usual.measured[:, point].mean() < 1
 
 
+@pytest.mark.plugins("guided")
 @pytest.mark.parametrize("rule", [RULES[1], *(pytest.param(RULES[k], marks=SLOW) for k in (0, 2))])
 def test_a_guided_filter_decides_as_filters_with_the_sets_that_it_chooses(
     ungm: StateSpaceModel, rule: Thresholds

@@ -53,6 +53,7 @@ measurement_budget = 2
 """
 
 
+@pytest.mark.plugins("online", "simulate")
 @pytest.mark.parametrize("count", [4, 32])
 def test_a_job_says_how_many_numbers_a_parameter_needs(count: int, tmp_path: Path) -> None:
     path = tmp_path / "job.toml"

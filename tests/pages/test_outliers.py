@@ -8,7 +8,9 @@ from matplotlib.figure import Figure
 
 from oracles.in_turn import in_turn
 from pfdist.pages.panel import shown_range
-from pfdist.pages.plots import budget, error_profile, searches, worth
+from pfdist.pages.plots import error_profile, searches
+from pfdist.plugins.budget.figure import budget
+from pfdist.plugins.why.figures import worth
 
 RNG = np.random.default_rng(5)
 WORTH = pd.DataFrame(

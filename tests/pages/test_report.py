@@ -396,6 +396,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     assert "the best of 4 plans by their expected MSEs, which are exact" in _text(run)
 
 
+@pytest.mark.plugins("budget")
 def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) -> None:
     """The searches of a range of budgets believe something of each number of measurements."""
     job = small_job.with_changes([*MODEL, "problem.horizon=6"])
@@ -419,6 +420,7 @@ def test_report_and_commands_say_alike_whether_constraints_exclude_times(
         assert ("that the constraints allow" in " ".join(text.split())) == is_constrained
 
 
+@pytest.mark.plugins("online")
 def test_the_best_of_online_and_plan_is_named(exact: Job, tmp_path: Path) -> None:
     text = _text(pfdist.online(exact, tmp_path / "run", draws=5, figures=False))
     assert re.search(

@@ -12,6 +12,8 @@ import pfdist
 from pfdist import Problem
 from pfdist.errors import JobError, MeasurementsError
 
+pytestmark = pytest.mark.plugins("filter", "fit", "online")
+
 CODES = {"failed": ["Ice"], "missing": ["Eqp", "***", "-999"]}
 Y = ["1.0", "Ice", "Eqp", "***", "-999", "2.0"]
 TIMES = [0, 2, 3, 5, 7, 8]

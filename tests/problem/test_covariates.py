@@ -70,6 +70,7 @@ def test_the_identity_has_the_values_and_not_the_file(folder: Path) -> None:
     assert written.identity() != first
 
 
+@pytest.mark.plugins("simulate")
 def test_formulas_read_each_column_at_t(folder: Path) -> None:
     # The mean of x(t) without noise follows from the columns.
     draws = pfdist.simulate(folder / "csv.toml", draws=20_000)

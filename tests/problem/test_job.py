@@ -157,6 +157,7 @@ MISTAKES = [
 ]
 
 
+@pytest.mark.plugins("budget", "online")
 @in_turn("row", MISTAKES)
 def test_a_mistake_is_named_with_what_it_got_what_is_allowed_and_where(write, row):
     *changes, message = row
@@ -165,6 +166,7 @@ def test_a_mistake_is_named_with_what_it_got_what_is_allowed_and_where(write, ro
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.plugins("online")
 @pytest.mark.parametrize(
     ("old", "new", "overrides", "message"),
     [
@@ -291,6 +293,7 @@ def test_identity_survives_being_written_as_toml(name, tmp_path):
     assert load_job(written).identity() == identity
 
 
+@pytest.mark.plugins("online")
 def test_online_search_keeps_the_defaults_of_keys_that_are_not_given(write):
     """Otherwise a job that changes one key would plan with far more work than it says."""
 
@@ -389,6 +392,7 @@ def test_a_lag_on_uneven_steps_has_as_many_instants_as_its_duration(write):
         load_job(write(), [], {"problem": own | {"lag": 0.5}})
 
 
+@pytest.mark.plugins("online")
 @in_turn(
     ("change", "message"),
     [

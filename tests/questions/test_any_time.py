@@ -15,7 +15,10 @@ from pfdist.errors import MeasurementsError, ModelError, PfdistWarning
 from pfdist.models.recorded import is_of_any_time
 from pfdist.problem.measurements import Reading
 
-pytestmark = pytest.mark.usefixtures("no_figures")
+pytestmark = [
+    pytest.mark.usefixtures("no_figures"),
+    pytest.mark.plugins("filter", "fit", "online"),
+]
 
 RATE, SD, NOISE = 0.3, 2.0, 0.5
 MODEL = """

@@ -11,6 +11,8 @@ import pfdist
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError, PfdistWarning
 
+pytestmark = pytest.mark.plugins("check", "filter", "simulate")
+
 DATES = {"start": "2026-03-28T08:00", "step": "6 h", "timezone": "Europe/Brussels"}
 JOB = {"horizon": 72, "measurement_budget": 3, "clock": DATES, "engine": "kalman"}
 HOURS = [8, 14, 20, 3, 9, 15, 21, 3, 9, 15, 21, 3, 9]

@@ -260,6 +260,7 @@ def test_the_sets_of_runs_are_compared_on_the_problem_of_the_job(
     assert [*again.sets] == ["evenly_spaced", "random", "mine"]
 
 
+@pytest.mark.plugins("why")
 def test_a_comparison_of_the_sets_of_a_run_of_an_object_knows_the_object(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -363,6 +364,7 @@ def test_wrong_sets_are_refused_in_one_line(
     assert not (tmp_path / "never").exists()
 
 
+@pytest.mark.plugins("online")
 @in_turn(
     ("changes", "message"),
     [

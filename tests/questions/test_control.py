@@ -66,6 +66,7 @@ def test_pools_and_a_comparison_that_grows_give_the_same_bytes(
     assert hashes(run.path) == hashes(whole)
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.parametrize(
     ("changes", "got"),
     [
@@ -89,6 +90,7 @@ def test_where_the_filter_does_not_know_the_truth_a_job_cannot_ask_and_questions
         assert (pfdist.why(run, 20, figures=False).sets["expected_mse"] > 0).all()
 
 
+@pytest.mark.plugins("budget")
 def test_questions_have_controls_unless_the_job_says_no(small_job: Job, tmp_path: Path) -> None:
     job = small_job.with_changes(QUICK)
     asked = pfdist.compare(job, times=SETS, results=tmp_path / "asked", figures=False)
@@ -100,6 +102,7 @@ def test_questions_have_controls_unless_the_job_says_no(small_job: Job, tmp_path
     assert len(_controls(curve)) == 4
 
 
+@pytest.mark.plugins("why")
 def test_why_computes_means_with_controls(small_job: Job, tmp_path: Path) -> None:
     """Both answers filter the same draws, so their difference is the mean of a control."""
     job = small_job.with_changes([*QUICK, "comparison.draws=30"])

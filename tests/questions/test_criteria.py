@@ -303,6 +303,7 @@ EXACT: dict[str, Callable[[Sequence[int]], float]] = {
 }
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.parametrize("criterion", [*EXACT, QUANTILE])
 def test_why_tells_the_worth_by_the_criterion_of_the_job(criterion: str, chain: Chain) -> None:
     """Exactly for a chain, whose numbers are sums over all answers; a quantile by its draws."""
@@ -328,6 +329,7 @@ def test_why_tells_the_worth_by_the_criterion_of_the_job(criterion: str, chain: 
     assert f"(without it, the {label} {worsens} by " in said
 
 
+@pytest.mark.plugins("why")
 def test_why_is_exact_with_an_exact_engine(tmp_path: Path) -> None:
     row = _planned(RESTLESS, "worst_instant", "kalman", tmp_path / "run")
     answer = pfdist.why(tmp_path / "run", figures=False)
@@ -338,6 +340,7 @@ def test_why_is_exact_with_an_exact_engine(tmp_path: Path) -> None:
     assert (worth["removed_error"] == 0.0).all()
 
 
+@pytest.mark.plugins("budget", "online")
 def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> None:
     changes = ["problem.criterion=worst_instant"]
     run = pfdist.plan(
@@ -360,6 +363,7 @@ def test_questions_that_need_means_end_in_a_line(job: str, tmp_path: Path) -> No
             ask()
 
 
+@pytest.mark.plugins("runs", "sweep")
 def test_every_view_of_a_run_shows_its_criterion_and_its_unit(tmp_path: Path) -> None:
     """The repr of sets and evaluations, JSON, the table of sets, `list`, `table` and sweeps."""
     problem, times = _problem(WALK, "information", "kalman"), "2,5"

@@ -26,6 +26,8 @@ from pfdist.pages.terminal import lines_of
 from pfdist.questions.run_page import answer_of, page_of
 from pfdist.results.export import _folded
 
+pytestmark = pytest.mark.plugins("backtest", "budget", "filter", "online", "simulate", "why")
+
 Call = Callable[..., Any]
 ZONE = "Europe/Brussels"
 JOB = """

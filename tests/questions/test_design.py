@@ -106,6 +106,7 @@ def test_a_set_that_clearly_beats_the_search_is_named_without_a_gain(tmp_path: P
     assert "lower" not in answer.partition("with its set")[0]
 
 
+@pytest.mark.plugins("runs")
 @pytest.mark.parametrize("best", ["mine", "reference"])
 def test_lists_and_bounds_name_the_set_that_beats_the_search_first(
     best: str, tmp_path: Path

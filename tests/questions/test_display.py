@@ -24,6 +24,7 @@ def job(small_job: Job) -> Job:
     return small_job.with_changes(FEW)
 
 
+@pytest.mark.plugins("why")
 def test_each_result_is_a_line_at_a_prompt_and_a_table_in_a_notebook(
     finished: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -86,6 +87,7 @@ def test_by_default_a_terminal_shows_the_progress(
         assert say is silent  # lines about results become warnings, and no others are printed
 
 
+@pytest.mark.plugins("why")
 def test_a_function_receives_the_progress_and_another_the_messages(
     job: Job, tmp_path: Path
 ) -> None:

@@ -57,6 +57,7 @@ def test_a_race_finds_it_and_a_run_goes_on_with_the_same_bytes(
     assert hashes(longer.path) == hashes(run.path)
 
 
+@pytest.mark.plugins("budget")
 def test_a_budget_has_the_best_of_each_number(small_job: Job, tmp_path: Path) -> None:
     run = pfdist.budget(
         small_job,

@@ -90,6 +90,7 @@ def test_differences_are_those_of_the_same_draws(small_job: Job, tmp_path: Path)
         assert abs(row["difference"] - apart.mean()) < CLEAR_ERRORS * error
 
 
+@pytest.mark.plugins("budget")
 def test_a_budget_compares_all_numbers(small_job: Job, tmp_path: Path) -> None:
     job = small_job.with_changes(SHORT)
     run = pfdist.budget(job, (2, 5), tmp_path / "run", draws=400, bound_draws=0, figures=False)

@@ -17,6 +17,8 @@ from pfdist.densities import normal_logpdf
 from pfdist.errors import JobError, MeasurementsError, ModelError, PfdistWarning
 from pfdist.problem.problem import as_job
 
+pytestmark = pytest.mark.plugins("backtest", "check", "filter", "fit", "online", "simulate")
+
 U = [0.3, 0.5, 0.1]
 Y = [1.1, 0.4, 0.9]
 

@@ -170,6 +170,7 @@ def test_sets_that_are_ranked_by_information_have_no_column_of_other_ranks(tmp_p
     assert "the best is lower" not in str(answer_of(run))
 
 
+@pytest.mark.plugins("budget")
 @pytest.mark.parametrize(
     ("change", "needed"),
     [

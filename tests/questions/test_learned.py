@@ -39,6 +39,7 @@ def test_a_plan_has_no_scenarios_and_a_proof(planned: Run) -> None:
     assert planned.table("bound")["gap_at_most"].between(0.0, 1.0).all()
 
 
+@pytest.mark.plugins("filter", "online", "why")
 def test_a_run_answers_questions_without_the_model(planned: Run) -> None:
     """Its model.json has the model with the components, which are not added again."""
     folder = planned.path.parent / "compared"
@@ -55,6 +56,7 @@ def test_a_run_answers_questions_without_the_model(planned: Run) -> None:
     assert filtered.table.filter(like="estimate").notna().all(axis=None)
 
 
+@pytest.mark.plugins("online")
 def test_times_are_chosen_one_after_another(tmp_path: Path) -> None:
     """Each plan starts from particles with the parameters that they have learned so far."""
     run = pfdist.online(

@@ -43,6 +43,7 @@ def test_the_paragraph_has_the_numbers_of_the_run_and_its_proof(
     assert told.split(". ")[1] in report
 
 
+@pytest.mark.plugins("guided")
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

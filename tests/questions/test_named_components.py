@@ -141,6 +141,7 @@ def test_the_report_of_a_run_uses_the_names(run: pfdist.Run, plain: pfdist.Run) 
     assert "what is measured" not in str(page_of(plain))
 
 
+@pytest.mark.plugins("filter")
 @pytest.mark.parametrize(
     "columns", [pytest.param(("y0", "y1"), marks=pytest.mark.slow), ("y_marker", "y_weight")]
 )
@@ -209,6 +210,7 @@ def test_two_estimates_in_one_column_are_refused_before_the_run(tmp_path: Path) 
         build(pfdist.load_job(path))
 
 
+@pytest.mark.plugins("check")
 @pytest.mark.parametrize(("unit", "notes"), [("kg", 1), ("mg", 0), ("", 0)])
 def test_errors_in_two_units_that_are_added_up_are_noted(unit: str, notes: int) -> None:
     """East in m and heading in rad: their sum says nothing unless z has weights."""
@@ -222,6 +224,7 @@ def test_errors_in_two_units_that_are_added_up_are_noted(unit: str, notes: int) 
     assert not notes or "in mg and kg, are added up: give" in checks.loc["units", "text"]
 
 
+@pytest.mark.plugins("filter", "simulate")
 def test_a_simulated_system_is_filtered_as_it_was_written() -> None:
     """Without names, `pfdist.simulate` writes y_0, and `filter` reads y0 and y, too."""
     walk = pfdist.Problem(WALK, horizon=6, measurement_budget=2)

@@ -131,6 +131,7 @@ def test_a_plan_that_leaves_measurements_over_says_so(tmp_path: Path) -> None:
         assert ("This uses 2 of 6 measurements." in text) is said
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.parametrize("written", ["@last.csv", ["last=@last.csv"], {"last": [2, 5, 6, 11]}])
 def test_last_years_times_are_compared_with_the_best_of_as_many(
     unnamed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: Any

@@ -240,6 +240,7 @@ def test_an_installed_model_is_known_by_its_name(monkeypatch: pytest.MonkeyPatch
         assert Problem(model, **EPIDEMIC).job().model.name == "epidemic"
 
 
+@pytest.mark.plugins("simulate")
 def test_simulated_draws_are_a_tidy_table_and_begin_alike() -> None:
     problem = Problem(robot_of(0.8), **IN_NUMPY)
     many, few = (pfdist.simulate(problem, draws=draws) for draws in (50, 20))
@@ -253,11 +254,13 @@ def test_simulated_draws_are_a_tidy_table_and_begin_alike() -> None:
     assert not many.equals(pfdist.simulate(problem, draws=50, seed=1))
 
 
+@pytest.mark.plugins("check")
 def test_a_wrong_model_is_a_row_of_the_checks() -> None:
     diverging = replace(robot_of(0.8), transition=lambda x, t, w, p: (x[0] / 0.0 + w[0],))
     assert pfdist.check_model(diverging, horizon=10)["state"].tolist()[-1] == "wrong"
 
 
+@pytest.mark.plugins("filter", "online")
 def test_measurements_and_priors_may_be_data_frames(tmp_path: Path) -> None:
     run = finished(Problem("ungm", **SHORT), tmp_path / "run")
     table = pd.DataFrame({"t": [0, 4], "y0": [0.3, 1.2]})

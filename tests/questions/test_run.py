@@ -304,6 +304,7 @@ def test_progress_counts_all_work_once(small_job: Job, tmp_path: Path) -> None:
     assert {state.phase for state in seen} == {"genetic", "random", "comparison"}
 
 
+@pytest.mark.plugins("why")
 def test_between_search_and_comparison_the_found_times_are_told(
     small_job: Job, tmp_path: Path, said: Callable[..., str]
 ) -> None:
@@ -328,6 +329,7 @@ def test_between_search_and_comparison_the_found_times_are_told(
         pfdist.why(tmp_path / "run" / "job.toml", figures=False)
 
 
+@pytest.mark.plugins("rule", "why")
 def test_a_question_about_an_unfinished_plan_names_the_command_that_resumes_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

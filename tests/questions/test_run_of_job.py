@@ -16,6 +16,8 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
 
+pytestmark = pytest.mark.plugins("budget", "filter", "online", "runs", "why")
+
 QUICK = [
     "model.name=random_walk",
     "filter.engine=kalman",
@@ -129,13 +131,14 @@ def test_another_job_than_that_of_the_run_is_refused(
     assert line.endswith(". In the run -> now: filter.particles: 40 -> 7")
 
 
-@in_turn("ask", [pfdist.filter_measurements, pfdist.next_time])
+@in_turn("name", ["filter_measurements", "next_time"])
 @pytest.mark.usefixtures("there")
-def test_measurements_need_no_run(ask: Callable[..., Any], finished: Callable[..., Path]) -> None:
+def test_measurements_need_no_run(name: str, finished: Callable[..., Path]) -> None:
     """Issue 108: a job and a table are enough; a run is used if it is a finished one of the job."""
+    ask = getattr(pfdist, name)
     shutil.rmtree("results")
     shutil.copytree(finished(*QUICK), "results/small")
-    lines, report = list[str](), {"report": False} if ask is pfdist.filter_measurements else {}
+    lines, report = list[str](), {"report": False} if name == "filter_measurements" else {}
     options = {"changes": QUICK, "say": lines.append} | report
 
     def answer(**more: Any) -> Any:
@@ -176,17 +179,18 @@ def test_a_folder_with_the_name_of_a_model_is_not_taken_for_it(
         assert pfdist.Filter(folder).model.name == "random_walk"
 
 
-@in_turn("ask", [pfdist.filter_measurements, pfdist.next_time])
+@in_turn("name", ["filter_measurements", "next_time"])
 @pytest.mark.usefixtures("there")
 def test_measurements_need_no_run_that_cannot_be_read(
-    ask: Callable[..., Any], finished: Callable[..., Path]
+    name: str, finished: Callable[..., Path]
 ) -> None:
+    ask = getattr(pfdist, name)
     shutil.rmtree("results")
     shutil.copytree(finished(*QUICK), "results/small")
     file, lines = Path("results/small/run.json").absolute(), list[str]()
     content = json.loads(file.read_text())
     options = {"changes": QUICK, "say": lines.append}
-    options |= {"report": False} if ask is pfdist.filter_measurements else {}
+    options |= {"report": False} if name == "filter_measurements" else {}
     older = json.dumps({**content, "schema_version": 2})
     for write, why in (
         (lambda: file.write_text("{"), "results/small/run.json is damaged: "),

@@ -198,6 +198,7 @@ def test_a_summary_compares_the_belief_of_a_search_with_the_error_of_the_worst(
     assert abs(run.best.search_excess) < 4 * fresh["standard_error"] / fresh["expected_mse"]
 
 
+@pytest.mark.plugins("budget")
 def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Path) -> None:
     numbers = range(2, 6)
     run = pfdist.budget(
@@ -211,6 +212,7 @@ def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Pa
         assert rows["bound"][number] == pytest.approx(exact, rel=1e-9)
 
 
+@pytest.mark.plugins("why")
 def test_why_gives_the_exact_worth_of_each_measurement_to_the_mean(tmp_path: Path) -> None:
     asked, times = problem(engine="kalman"), [0, 4, 8, 11]
     sets: Any = {"mine": times, "late": [9, 10, 11, 12]}
@@ -271,6 +273,7 @@ def test_the_exact_bound_is_that_of_brute_force_but_for_a_duality_gap(
     assert sum(answer.shares) == pytest.approx(1.0)
 
 
+@pytest.mark.plugins("runs")
 def test_a_list_of_runs_names_the_best_set_as_the_run_does(tmp_path: Path) -> None:
     sets = {"early": (0, 1, 2, 3), "mean": (0, 8, 11, 12), "worst": (5, 6, 11, 12)}
     for criterion in ("mean", "worst"):
@@ -367,6 +370,7 @@ def test_the_worst_needs_searches_that_compare_whole_sets() -> None:
         problem("worst").job(search=[{"method": "corridor"}])
 
 
+@pytest.mark.plugins("budget", "filter", "online", "why")
 def test_other_questions_are_refused(tmp_path: Path) -> None:
     with pytest.raises(JobError, match="online needs no scenarios, or"):
         problem().job(online={})
@@ -379,6 +383,7 @@ def test_other_questions_are_refused(tmp_path: Path) -> None:
         pfdist.why(worst, results=tmp_path / "run", changes=few, figures=False)
 
 
+@pytest.mark.plugins("online")
 def test_a_planner_and_a_told_filter_are_refused() -> None:
     with pytest.raises(JobError, match=r"no scenarios, or scenarios.filter"):
         pfdist.Planner(problem(), times=[0, 3, 6, 9])

@@ -133,6 +133,7 @@ ROWS = [
 ] + [(3, "a", 0.3)]
 
 
+@pytest.mark.plugins("backtest", "filter", "fit", "online")
 @pytest.mark.filterwarnings("ignore::pfdist.errors.PfdistWarning")
 @pytest.mark.parametrize("name", ["one", pytest.param("two", marks=pytest.mark.slow)])
 def test_all_questions_give_the_same_answer_at_other_times(

@@ -80,6 +80,7 @@ def test_every_answer_of_a_run_says_that_few_lines_are_left(run: pfdist.Run) -> 
     np.testing.assert_array_equal(rows["distance_random"][:5], built.evaluator(works).mse[:, 0])
 
 
+@pytest.mark.plugins("online")
 def test_what_needs_the_filters_estimate_is_one_line(run: pfdist.Run) -> None:
     with pytest.raises(JobError, match=r"^problem.estimate = 'smoothed' needs a search of method"):
         load_job(run.path / "job.toml").with_changes(sections={"search": [{"method": "survivors"}]})
@@ -87,6 +88,7 @@ def test_what_needs_the_filters_estimate_is_one_line(run: pfdist.Run) -> None:
         pfdist.Planner(run.path)
 
 
+@pytest.mark.plugins("online")
 def test_the_rest_of_a_season_is_planned_with_the_measured_dates(tmp_path: Path) -> None:
     """The way that the error and docs/afterwards.md name: the best set is that of all others."""
     page = (Path(__file__).parents[2] / "docs" / "afterwards.md").read_text(encoding="utf-8")

@@ -205,6 +205,7 @@ def check_results(run: Run) -> None:
         assert (result.search_cause is not None) == (result.kind == "found")
 
 
+@pytest.mark.plugins("budget")
 def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run) -> None:
     check_results(budget)
     results, gains = results_of(budget), budget.table("gains")

@@ -50,6 +50,7 @@ def test_the_steps_of_all_tasks_are_counted_and_a_resumed_run_adds_what_it_compu
     assert sum(after.values()) == sum(steps) + VALUES
 
 
+@pytest.mark.plugins("moving")
 def test_steps_of_moved_particles_are_those_that_filters_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,6 +93,7 @@ def test_an_exact_engine_counts_instants_of_sets(
     assert done["other estimate"] == 3 * 13
 
 
+@pytest.mark.plugins("rule")
 @pytest.mark.parametrize("search", [True, False])
 def test_the_other_estimate_takes_at_most_a_tenth_and_checks_and_a_rule_a_twentieth(
     search: bool, small_job: Job

@@ -12,6 +12,11 @@ import pfdist
 from oracles.in_turn import in_turn
 from pfdist import PfdistError
 
+pytestmark = pytest.mark.plugins(
+    "backtest", "budget", "check", "explorer", "filter", "fit", "online", "rule", "runs",
+    "simulate", "sweep", "why",
+)  # fmt: skip
+
 PROBLEM = pfdist.Problem("random_walk", horizon=12, measurement_budget=4, engine="kalman")
 FINISHED = "finished"  # stands for the job of a finished run
 MEASURED = pd.DataFrame({"t": [0], "y0": [0.1]})

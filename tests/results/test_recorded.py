@@ -94,6 +94,7 @@ SEARCH = _job('method = "genetic"', 'method = "greedy"').decode()
 ELSEWHERE = SEARCH.replace('name = "ungm"', 'name = "lost_models"', 1)
 
 
+@pytest.mark.plugins("runs")
 @pytest.mark.parametrize(
     "line",
     [
@@ -115,6 +116,7 @@ def test_a_run_is_read_without_its_search_and_its_model(
     assert "unreadable" not in capsys.readouterr().out
 
 
+@pytest.mark.plugins("online")
 def test_a_recorded_search_keeps_its_own_keys(run: Path) -> None:
     text = SEARCH.replace("[comparison]", "[online]\ndraws = 5\n[comparison]", 1)
     online = '[online.search]\nname = "x"\nmethod = "greedy"\nkept = 7\n'
@@ -127,6 +129,7 @@ def test_a_recorded_search_keeps_its_own_keys(run: Path) -> None:
     assert job["online"]["judging_draws"] == 1024  # a default that the file lacks
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.parametrize(
     "line",
     ["run run", "why run", "bound run", "evaluate run --times 0,3", "next run no"],
@@ -157,6 +160,7 @@ NEWER = [
 ]
 
 
+@pytest.mark.plugins("runs")
 @pytest.mark.parametrize(("job", "words"), NEWER)
 def test_what_this_version_or_machine_lacks_is_named_and_not_called_damaged(
     job: bytes, words: str, run: Path, capsys: pytest.CaptureFixture[str]

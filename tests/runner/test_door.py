@@ -41,6 +41,7 @@ def fails(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     return let
 
 
+@pytest.mark.plugins("sweep")
 def test_points_beside_a_point_that_fails_compute_what_it_has_not(
     finished: Callable[..., Path], fails: Callable[[int], None], small_job: Job, tmp_path: Path
 ) -> None:
@@ -83,6 +84,7 @@ def test_a_model_that_is_many_times_as_slow_commits_after_less_work(session: Run
     assert session.pace(2).in_seconds(1.0) < 1e-4 * usual
 
 
+@pytest.mark.plugins("sweep")
 def test_a_sweep_without_workers_ends_with_one_line(
     small_job: Job,
     tmp_path: Path,

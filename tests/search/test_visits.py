@@ -18,7 +18,7 @@ from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from oracles.three_sensors import ThreeSensors
 from oracles.windows import counted_errors
-from pfdist import Problem, StateSpaceModel, budget, plan
+from pfdist import Problem, StateSpaceModel, plan
 from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_errors, expected_mse
@@ -229,11 +229,12 @@ def test_prices_of_installations_are_exact_in_the_bound() -> None:
             assert _proved(feasible, _three(seed), optimum) == pytest.approx(optimum, rel=1e-9)
 
 
+@pytest.mark.plugins("budget")
 def test_the_curve_of_prices_has_the_optimum_of_each(tmp_path: Path) -> None:
     """The plan for at most so much money is the best of all sets, and is proved to be."""
     keys = KINDS["paid within three"][0]
     problem = Problem("linear_gaussian", horizon=HORIZON, engine="kalman", **keys)
-    run = budget(problem, {7, 10, 14}, tmp_path, report=False, pool="serial")
+    run = pfdist.budget(problem, {7, 10, 14}, tmp_path, report=False, pool="serial")
     table = run.table("sets").query("kind == 'found'")
     every = [times for n in range(8) for times in combinations(range(HORIZON + 1), n)]
     own = expected_mse(SYSTEMS["oscillator"], HORIZON, every)

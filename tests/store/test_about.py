@@ -32,6 +32,7 @@ FORGED = {  # JSON of a value, and what is said
 }
 
 
+@pytest.mark.plugins("runs")
 @in_turn("key", FORGED)
 @pytest.mark.parametrize("command", ["status", "report", "table", "verify"])
 def test_a_forged_value_is_named_with_its_file(

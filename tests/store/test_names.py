@@ -64,6 +64,7 @@ def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say)
     assert "finished" in say("status", "--", new)
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.parametrize(
     "name", [pytest.param("n" * 256, id="256 characters"), pytest.param("d/" * 3000, id="deep")]
 )

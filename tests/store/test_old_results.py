@@ -72,6 +72,7 @@ def test_a_kept_run_without_a_table_is_mended(kept: Path) -> None:
     assert list(verify_run(kept)) == []
 
 
+@pytest.mark.plugins("runs")
 @pytest.mark.parametrize("kernel", [1, 99])
 @pytest.mark.parametrize("command", ["status", "table", "plot", "report", "verify"])
 def test_a_run_of_another_kernel_is_read(
@@ -85,6 +86,7 @@ def test_a_run_of_another_kernel_is_read(
     assert f"kernel: {kernel} -> " in capsys.readouterr().err
 
 
+@pytest.mark.plugins("rule", "runs", "why")
 @pytest.mark.parametrize(
     "command",
     ["status {run}", "plot {run}", "verify {run}", "report {run}", "table {run}",
@@ -126,6 +128,7 @@ def test_without_the_version_that_wrote_it_a_run_is_of_an_earlier_one(kept: Path
         pfdist.open_run(kept)
 
 
+@pytest.mark.plugins("runs")
 def test_a_list_says_which_version_reads_a_run(kept: Path) -> None:
     run = json.loads((kept / "run.json").read_text())
     (kept / "run.json").write_text(json.dumps({**run, "schema_version": 2, "pfdist": "0.2"}))

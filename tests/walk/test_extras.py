@@ -31,6 +31,7 @@ SKIPS = {  # tests that a machine may lack something for, in the words of their 
 }
 
 
+@pytest.mark.plugins("accelerator", "explorer")
 def test_without_any_extra_each_module_is_imported_or_names_the_extra() -> None:
     done = subprocess.run(
         [sys.executable, "-c", IMPORTS], capture_output=True, text=True, check=True

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,9 +17,10 @@ from pfdist.plugins import PLUGINS
 
 ROOT = Path(__file__).parents[2]
 COPIED = (
-    "pfdist", "jobs", "docs", "benchmarks", "tests", "requirements", ".ci", "pyproject.toml",
-    "README.md",
+    "pfdist", "jobs", "docs", "docker", "benchmarks", "tests", "results", "requirements", ".ci",
+    "pyproject.toml", "MANIFEST.in", *(each.name for each in ROOT.glob("*.md")),
 )  # fmt: skip
+ARCHIVE = "tests/docs/test_archive.py"  # of a clone, and a copy is none
 IMPORT_ALL = """
 import importlib, pkgutil, pfdist
 from pfdist.errors import MissingExtraError
@@ -69,10 +71,8 @@ def standing_on(name: str) -> set[str]:
     return found
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PLUGINS)
-def test_without_a_plugin_everything_else_stands(name: str, tmp_path: Path) -> None:
-    copy = tmp_path / "copy"
+def _without(deleted: set[str], copy: Path) -> Callable[..., str]:
+    """Make a copy without some plugins; give the function that calls Python in it."""
     copy.mkdir()
     for each in COPIED:
         make = shutil.copytree if (ROOT / each).is_dir() else shutil.copy2
@@ -82,12 +82,12 @@ def test_without_a_plugin_everything_else_stands(name: str, tmp_path: Path) -> N
     def python(*words: str) -> str:
         done = subprocess.run(
             [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True,
-            check=False, timeout=900,
+            check=False, timeout=3000,
         )  # fmt: skip
         assert done.returncode == 0, (words, done.stdout[-2000:], done.stderr[-2000:])
         return done.stdout
 
-    plugin_list, deleted = copy / "pfdist" / "plugins" / "__init__.py", standing_on(name)
+    plugin_list = copy / "pfdist" / "plugins" / "__init__.py"
     text = plugin_list.read_text(encoding="utf-8")
     for each in deleted:
         shutil.rmtree(copy / "pfdist" / "plugins" / each)
@@ -100,6 +100,20 @@ def test_without_a_plugin_everything_else_stands(name: str, tmp_path: Path) -> N
     plugin_list.write_text(text, encoding="utf-8")
     python("docs/tables.py")
     assert str(copy) in python("-c", IMPORT_ALL)
+    return python
+
+
+@pytest.mark.slow
+def test_the_core_stands_alone(tmp_path: Path) -> None:
+    """All its tests pass without any plugin, but those that use one and say so."""
+    python = _without({*PLUGINS}, tmp_path / "copy")
+    assert " passed" in python("-m", "pytest", "-q", "-n", "2", "tests", "--ignore", ARCHIVE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLUGINS)
+def test_without_a_plugin_everything_else_stands(name: str, tmp_path: Path) -> None:
+    python = _without(standing_on(name), tmp_path / "copy")
     shown = python("-m", "pfdist", "--help")
     for commands in plugins()[name].commands.values():
         assert not [each for each in commands if f"│ {each} " in shown]
