@@ -287,6 +287,13 @@ def test_every_page_that_a_text_names_exists() -> None:
     assert sum(path.suffix == ".py" for path in texts) > 100
 
 
+def test_every_file_of_python_that_a_script_names_exists() -> None:
+    text = "".join(path.read_text(encoding="utf-8") for path in (ROOT / ".ci").iterdir())
+    named = {*re.findall(r"\b(?:tests|docs|pfdist)/[\w/]+\.py\b", text)}
+    assert [name for name in sorted(named) if not (ROOT / name).is_file()] == []
+    assert len(named) > 8
+
+
 def test_the_manual_is_short() -> None:
     """Pages of the sidebar, and their words outside of code and made tables."""
     lists = re.findall(
