@@ -18,7 +18,8 @@ from pfdist.plugins import PLUGINS
 ROOT = Path(__file__).parents[2]
 COPIED = (
     "pfdist", "jobs", "docs", "docker", "benchmarks", "tests", "results", "requirements", ".ci",
-    "pyproject.toml", "MANIFEST.in", *(each.name for each in ROOT.glob("*.md")),
+    ".github", "pyproject.toml", "MANIFEST.in", "LICENSE",
+    *(each.name for each in ROOT.glob("*.md")),
 )  # fmt: skip
 ARCHIVE = "tests/docs/test_archive.py"  # of a clone, and a copy is none
 IMPORT_ALL = """
