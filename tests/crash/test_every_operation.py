@@ -275,6 +275,7 @@ def test_an_opponent_a_proof_or_a_rule_that_goes_wrong_at_any_operation_ends_wit
         assert {"rule.draws.sweep4", "rule.draws.choice"} <= phases
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.crash)])
 @faults
 def test_the_worth_of_measurements_that_goes_wrong_at_any_file_operation_has_the_same_bytes(

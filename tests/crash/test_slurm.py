@@ -97,7 +97,7 @@ def tables(run: Path) -> dict[str, str]:
     return {name: digest for name, digest in hashes(run).items() if "figures" not in name}
 
 
-@pytest.mark.plugins("sweep")
+@pytest.mark.plugins("runs", "sweep")
 def test_parts_of_a_sweep_in_an_array_have_the_same_bytes(
     cluster: Slurm, folder: Path, tmp_path: Path
 ) -> None:

@@ -445,6 +445,7 @@ def test_duckdb_and_polars_read_what_pandas_reads(monkeypatch: pytest.MonkeyPatc
     )
 
 
+@pytest.mark.plugins("sweep")
 @pytest.mark.slow
 def test_the_page_about_python_draws_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -461,6 +462,7 @@ def test_the_page_about_python_draws_what_it_says(
     assert Path("mine.pdf").read_bytes().count(b"/FontFile2")  # TrueType fonts are embedded
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.slow
 @pytest.mark.usefixtures("ray_cluster")
 def test_the_example_of_the_page_about_python_runs_and_its_run_goes_on(

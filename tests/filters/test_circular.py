@@ -330,6 +330,7 @@ def test_a_component_that_is_no_angle_is_not_taken_for_one() -> None:
     assert circular_measurements(wide) == ()
 
 
+@pytest.mark.plugins("backtest")
 def test_a_backtest_of_angles_is_the_same_a_turn_later() -> None:
     problem = Problem(_bearing(), horizon=8, measurement_budget=2, particles=200)
     rng = np.random.default_rng(2)

@@ -156,6 +156,7 @@ def test_failures_of_equal_probability_are_those_of_one_number() -> None:
         pfdist.evaluate(Problem(taken, sensor={"fails": NIGHT["list"]}, **keys), [1, 5], draws=100)
 
 
+@pytest.mark.plugins("online")
 def test_a_failed_measurement_is_spent_and_a_missed_one_is_not(tmp_path: Path) -> None:
     problem = Problem(
         walk(), horizon=12, measurement_budget=4, particles=100, sensor={"fails": 0.4}
@@ -251,6 +252,7 @@ def of_repeats(times: tuple[int, ...]) -> float:
     return total / 11.0
 
 
+@pytest.mark.plugins("backtest", "filter", "fit")
 def test_repeats_are_those_of_brute_force_with_repetition(tmp_path: Path) -> None:
     """Published case: 0.74959 for the best four of at most three measurements at one time."""
 
@@ -399,6 +401,7 @@ def test_an_analysis_afterwards_waits_for_late_values() -> None:
     assert late.expected_mse == pytest.approx(at_once.expected_mse, rel=1e-12)
 
 
+@pytest.mark.plugins("filter", "fit")
 def test_a_filter_of_real_measurements_has_values_when_they_arrive(tmp_path: Path) -> None:
     """Against conditioning on the values that have arrived; one that arrives too late is told."""
     model = meter_and_laboratory()
@@ -481,6 +484,7 @@ def test_a_refusal_names_its_cause_and_what_works() -> None:
     assert data["problem"]["sensors"] == {"a": {"repeats": 2}, "b": {}}
 
 
+@pytest.mark.plugins("online")
 @pytest.mark.parametrize("engine", ["compiled", "numpy"])
 def test_a_number_beyond_a_limit_is_the_censored_reading(engine: str) -> None:
     """Also for the surprise, and in a model with another sensor and with repeats."""

@@ -307,6 +307,7 @@ def table(readings: dict[int, float] = READINGS) -> pd.DataFrame:
     return pd.DataFrame({"t": [*readings], "y0": cells})
 
 
+@pytest.mark.plugins("filter")
 def test_evidence_and_bands_of_a_chain_that_freezes_are_those_of_the_exact_filter() -> None:
     problem = Problem(chain(), horizon=14, measurement_budget=5, particles=20_000)
     said = list[str]()
@@ -331,6 +332,7 @@ def test_evidence_and_bands_of_a_chain_that_freezes_are_those_of_the_exact_filte
     assert abs(alone - evidence) > 1.0  # what the empty rows tell
 
 
+@pytest.mark.plugins("filter")
 def test_a_table_without_empty_rows_is_said_to_be_left_out_by_chance() -> None:
     problem = Problem(chain(), horizon=14, measurement_budget=5, particles=20_000)
     made, said = {t: y for t, y in READINGS.items() if not math.isinf(y)}, list[str]()
@@ -348,6 +350,7 @@ def test_a_table_without_empty_rows_is_said_to_be_left_out_by_chance() -> None:
     assert informed.log_evidence == pytest.approx(exactly(READINGS, 14)[1], abs=0.05)
 
 
+@pytest.mark.plugins("filter", "online")
 def test_late_values_and_failures_are_known_when_they_arrive() -> None:
     """All together say the same; of the last row nobody knows yet whether it failed."""
     late = Problem(chain(), horizon=14, measurement_budget=9, particles=20_000, sensor={"delay": 2})
@@ -367,6 +370,7 @@ def test_late_values_and_failures_are_known_when_they_arrive() -> None:
     assert planner.measured == (1,)
 
 
+@pytest.mark.plugins("online")
 def test_next_counts_failures_as_spent_and_knows_what_they_tell() -> None:
     problem = Problem(chain(), horizon=14, measurement_budget=9, particles=5000)
     exact = exactly(READINGS, 14)[0][12]
@@ -421,6 +425,7 @@ def test_surprises_of_failures_are_uniform_under_the_right_model() -> None:
 # --- sensors, repeats, and what is kept -----------------------------------------------------------
 
 
+@pytest.mark.plugins("filter", "online")
 def test_only_rows_of_a_sensor_that_was_asked_are_failures() -> None:
     """Against weights by hand: an empty row of "high" says that x is not above 1."""
     sensors = {"high": {"price": 1}, "pair": {"price": 1}, "plain": {"price": 1}}
@@ -533,6 +538,7 @@ def test_what_cannot_be_is_refused() -> None:
         pfdist.evaluate(problem, [1, 2])
 
 
+@pytest.mark.plugins("backtest", "simulate")
 def test_a_backtest_of_the_right_model_finds_it_right(tmp_path: Path) -> None:
     """Systems that it simulates; failed measurements are in the sets, and are not judged."""
     problem = Problem(

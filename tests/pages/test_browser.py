@@ -12,7 +12,11 @@ from pfdist import load_job
 from pfdist.common.parts import Cell, Page, Section, Table
 from pfdist.questions.report import write_page
 
-pytestmark = [pytest.mark.browser, pytest.mark.needs("browser")]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.needs("browser"),
+    pytest.mark.plugins("budget", "online", "why"),
+]
 
 WIDTHS = (400, 1200)
 KINDS = ("plan", "budget", "online", "unfinished")

@@ -264,6 +264,7 @@ def test_the_first_picture_shows_a_small_difference_alone_and_says_months(
     assert re.search(r"falls most (on|from) 2027-05-\d\d.*: from ", plot.title)
 
 
+@pytest.mark.plugins("why")
 def test_bars_of_windows_hold_their_time_and_do_not_overlap(tmp_path: Path) -> None:
     """Errors are exact. Each bar is a window of the plan; those of one lane are apart."""
     walk = pfdist.Problem("random_walk", horizon=30, measurement_budget=6, engine="kalman")

@@ -107,6 +107,7 @@ def test_an_exact_gain_is_that_of_evaluate(run: pfdist.Run, exact: Job, see: See
     assert set(re.findall(r'(?:url\(#|href="#)([^")]+)', page.html)) <= set(ids)
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.slow
 def test_it_has_the_sampling_windows_of_every_set(run: pfdist.Run, see: See) -> None:
     assert "sampling window" not in see(run).text

@@ -285,6 +285,7 @@ def test_a_parameter_that_varies_has_a_number_for_each_instant(job: Path) -> Non
     assert found.expected_mse == pytest.approx(weighted(MEASURED))
 
 
+@pytest.mark.plugins("filter", "online")
 def test_measurements_and_the_next_time_speak_of_the_clock(
     job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -169,6 +169,7 @@ SMALL = {
 }
 
 
+@pytest.mark.plugins("moving")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 def test_a_plan_of_constants_is_the_best_of_all_sets(name: str, tmp_path: Path) -> None:

@@ -23,6 +23,8 @@ from pfdist.pages.terminal import lines_of
 from pfdist.plugins.explorer.session import ExplorerSession
 from pfdist.runner.build import build
 
+pytestmark = pytest.mark.plugins("online")
+
 
 def best_completion(taken: set[str], now: int, money: int) -> set[str]:
     """The best set of `meter_and_laboratory` that was measured like this up to now."""
@@ -46,7 +48,7 @@ def best_completion(taken: set[str], now: int, money: int) -> set[str]:
 EXHAUSTIVE = {"search": {"method": "exhaustive"}}
 
 
-def late_planner() -> pfdist.Planner:
+def late_planner() -> Any:
     problem = Problem(
         meter_and_laboratory(), horizon=8, total_price=9, sensors=LATE, engine="kalman"
     )
@@ -233,6 +235,7 @@ def test_late_measurements_are_numbered_by_the_arrival_of_their_values() -> None
     assert "'mine': '2,4'" in session.command_line({"mine": (5, 7)})
 
 
+@pytest.mark.plugins("backtest")
 @pytest.mark.filterwarnings("ignore::pfdist.errors.PfdistWarning")
 def test_a_backtest_judges_values_when_they_are_made_by_those_that_have_arrived(
     tmp_path: Path,
@@ -343,6 +346,7 @@ def test_the_other_estimate_of_a_plan_and_of_a_comparison_has_the_delay(tmp_path
             assert row["filtered_mse"] == pytest.approx(right, rel=1e-9)
 
 
+@pytest.mark.plugins("filter")
 def test_filtered_estimates_of_a_smoothed_job_use_values_that_have_arrived(tmp_path: Path) -> None:
     """The columns of the filtered estimate are those of the filtered job, with one row a value."""
     table = pd.DataFrame({"t": [1, 4, 4, 9], "sensor": ["near", "far", "both", "near"],

@@ -180,6 +180,7 @@ def test_equal_objects_for_truth_and_filter_are_the_true_model() -> None:
     assert evaluator.variance_is_error
 
 
+@pytest.mark.plugins("online", "why")
 @pytest.mark.slow
 def test_questions_about_a_problem_find_its_run_and_need_no_object(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

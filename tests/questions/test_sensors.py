@@ -238,6 +238,7 @@ def test_given_sets_are_compared_with_regular_times(tmp_path: Path) -> None:
     assert list(run.sets) == ["regular", "alone_far", "alone_both", "rotation", "mine"]
 
 
+@pytest.mark.plugins("why")
 def test_the_worth_of_each_measurement_is_exact_and_names_the_sensor(
     planned: tuple[pfdist.Problem, pfdist.Run],
 ) -> None:
@@ -253,6 +254,7 @@ def test_the_worth_of_each_measurement_is_exact_and_names_the_sensor(
         assert removed == pytest.approx(rise, rel=1e-9)
 
 
+@pytest.mark.plugins("filter")
 def test_measurements_have_a_row_for_each_sensor(
     planned: tuple[pfdist.Problem, pfdist.Run], tmp_path: Path
 ) -> None:

@@ -16,6 +16,8 @@ from pfdist.plugins.check import model_checks as checks_of_models
 from pfdist.plugins.check.model_checks import check_loaded
 from pfdist.questions.run_page import page_of
 
+pytestmark = pytest.mark.plugins("online", "why")
+
 HELPER = """
 import numpy as np
 

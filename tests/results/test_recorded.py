@@ -129,7 +129,7 @@ def test_a_recorded_search_keeps_its_own_keys(run: Path) -> None:
     assert job["online"]["judging_draws"] == 1024  # a default that the file lacks
 
 
-@pytest.mark.plugins("why")
+@pytest.mark.plugins("online", "why")
 @pytest.mark.parametrize(
     "line",
     ["run run", "why run", "bound run", "evaluate run --times 0,3", "next run no"],

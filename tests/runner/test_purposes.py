@@ -78,6 +78,7 @@ def test_purposes_have_different_keys_and_others_are_refused() -> None:
         stream_of("mine", 1, "draws")
 
 
+@pytest.mark.plugins("budget")
 @pytest.mark.slow
 def test_no_two_phases_share_a_draw(
     small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch

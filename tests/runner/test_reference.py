@@ -43,6 +43,7 @@ def test_the_summary_says_what_it_is(
     assert described({"problem": problem}, name, times)["description"] == phrase
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [(0, 3, 9), ()])
 def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(

@@ -240,6 +240,7 @@ def test_replicates_that_cannot_be_judged_are_named(planned: Path) -> None:
         judged(planned, data.assign(train=1))
 
 
+@pytest.mark.plugins("simulate")
 def test_known_quantities_are_judged_in_place_of_measurements(
     planned: Path, problem: pfdist.Problem
 ) -> None:
@@ -268,6 +269,7 @@ def test_a_plan_for_each_is_made_among_its_own_measurements(problem: pfdist.Prob
     assert len(shown["d0"]) == len(shown["d1"]) == 4
 
 
+@pytest.mark.plugins("simulate")
 def test_replicates_have_clocks_of_their_own() -> None:
     """The foreseen error is the variance at the times of the replicate, as the model reads them."""
 

@@ -262,6 +262,7 @@ def test_a_smoothed_budget_that_is_cut_in_its_exchanges_ends_with_the_same_bytes
     assert hashes(tmp_path / "cut") == hashes(tmp_path / "whole")
 
 
+@pytest.mark.plugins("why")
 @pytest.mark.usefixtures("no_figures")
 def test_the_command_says_how_many_are_enough(
     exact: pfdist.Run,

@@ -9,6 +9,7 @@ BUDGET = "budget={least=2, most=4}"
 RELAXATION = "search=[{method='relaxation', polish=false}]"
 
 
+@pytest.mark.plugins("online")
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -222,6 +222,7 @@ def test_times_that_are_none_are_refused(session: ExplorerSession) -> None:
 # --- a run ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.plugins("why")
 def test_a_run_shows_its_plan_its_bound_and_its_windows(
     finished: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -318,6 +319,7 @@ def test_an_unfinished_run_is_refused(small_run: pfdist.Run) -> None:
         ExplorerSession(small_run.path)
 
 
+@pytest.mark.plugins("why")
 def test_a_calendar_gives_dates(tmp_path: Path) -> None:
     clock = "{start=2026-03-28T08:00:00, step='6 h', timezone='Europe/Brussels'}"
     sections = {"problem": {"horizon": "2026-03-31T09:00:00", "measurement_budget": 3}}

@@ -70,6 +70,7 @@ def test_a_job_without_a_run_filters_as_that_of_its_run(job: Path, y: Any, tmp_p
         pfdist.filter_measurements(alone, table, planned="genetic")
 
 
+@pytest.mark.plugins("online")
 @pytest.mark.usefixtures("undrawn")
 def test_without_a_run_the_measurements_alone_plan(job: Path, y: Any, tmp_path: Path) -> None:
     alone = tmp_path / "alone.toml"
@@ -334,6 +335,7 @@ def test_a_set_or_a_folder_that_there_is_not_is_one_line(
     assert [*tmp_path.iterdir()] == [path]
 
 
+@pytest.mark.plugins("budget")
 @pytest.mark.usefixtures("undrawn")
 def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
     small_job: Job, y: Any, tmp_path: Path

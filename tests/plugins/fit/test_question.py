@@ -17,6 +17,8 @@ from pfdist.filters.evaluator import recorded_evaluator
 from pfdist.plugins.fit.evidence import exact_log_evidence
 from pfdist.plugins.fit.question import Fitted
 
+pytestmark = pytest.mark.plugins("simulate")
+
 HORIZON, SYSTEMS = 10, 15
 TRUE = {"a": 0.9, "sd": 0.5, "noise": 0.7}
 START = {"a": 0.6, "sd": 1.0, "noise": 1.0}

@@ -17,6 +17,7 @@ from pfdist.plugins.init.command import init
 Call = Callable[..., Any]
 
 
+@pytest.mark.plugins("check")
 def test_the_job_plans_and_its_model_is_right(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
@@ -40,6 +41,7 @@ def test_the_job_plans_and_its_model_is_right(
     assert "name must have letters" in error
 
 
+@pytest.mark.plugins("simulate")
 def test_a_model_is_seen_before_it_is_planned_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:

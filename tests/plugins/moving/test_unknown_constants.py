@@ -173,6 +173,7 @@ def test_the_evidence_is_unbiased_with_exponents_and_covariances_of_a_pilot(
     assert abs(evidence.mean() - 1.0) <= 3 * evidence.std() / copies**0.5
 
 
+@pytest.mark.plugins("fit")
 def test_a_fit_finds_the_spread_of_a_constant() -> None:
     # Oracle: the normal likelihood, maximised by SciPy. Plain particles lose the constant of each
     # system, so the spread that they find is a third too large.
@@ -251,6 +252,7 @@ def test_the_share_of_draws_that_lose_a_constant_is_a_column_and_said(tmp_path: 
     assert 'take filter.proposal = "moving"' in str(run)
 
 
+@pytest.mark.plugins("rule")
 def test_a_rule_whose_filter_has_lost_a_constant_says_that_a_deviation_is_one_of_copies(
     tmp_path: Path,
 ) -> None:

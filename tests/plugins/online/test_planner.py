@@ -399,6 +399,7 @@ def test_steps_of_planners_and_questions_for_the_next_time_leave_nothing_in_memo
         assert len(gc.get_objects()) < before + 100  # a step makes thousands
 
 
+@pytest.mark.plugins("filter")
 def test_next_names_the_samples_beside_a_sensor_that_is_always_on(tmp_path: Path) -> None:
     """A sample at another time than planned; the rest is planned no worse than it was before."""
     always = pfdist.Problem(

@@ -71,6 +71,7 @@ def asked(run: Run, **options: Any) -> Ruled:
     return pfdist.rule(run.path / "job.toml", results=run.path, figures=False, **options)
 
 
+@pytest.mark.plugins("online")
 def test_a_rule_is_compared_with_online_times_on_the_draws_that_have_them(
     finished: Callable[..., Path],
 ) -> None:
@@ -298,6 +299,7 @@ def test_no_strategy_of_two_sensors_with_prices_is_below_the_bound(watched_by_tw
         assert 0.9 * least < bound.value < least + 3 * bound.standard_error
 
 
+@pytest.mark.plugins("online")
 def test_next_names_the_sensor_of_the_highest_level_that_can_be_paid_for(
     watched_by_two: Run,
 ) -> None:
@@ -494,6 +496,7 @@ def test_the_loop_in_the_manual_measures_as_the_filter_of_the_run(
         assert len(measured) <= (4 if hard else 7)
 
 
+@pytest.mark.plugins("filter")
 def test_the_loop_with_two_sensors_filters_as_the_command() -> None:
     """One of them fails once, and has its error with each reading."""
     sensors = {
@@ -615,6 +618,7 @@ def test_the_function_in_the_manual_decides_as_the_rule(
         assert names["measures"](1e9, 12, 12, 2, price=2) is (rule.limit == 0)
 
 
+@pytest.mark.plugins("online")
 def test_next_measures_where_the_filter_of_the_run_would(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -698,6 +702,7 @@ def test_a_kill_or_a_full_disk_leaves_the_former_rule_or_the_new_one(
         assert list(verify_run(run)) == []
 
 
+@pytest.mark.plugins("online")
 def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacing(
     finished: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -712,6 +717,7 @@ def test_next_counts_a_failed_measurement_as_spent_and_may_ask_within_the_spacin
     assert pfdist.next_time(run, table, now=5, rule=True).next == 7  # within the spacing
 
 
+@pytest.mark.plugins("online")
 def test_next_by_rule_says_when_the_budget_is_spent(run: Run) -> None:
     """Off the plan, a rule that is a set of times would measure too often."""
     table = pd.DataFrame({"t": [0, 1, 2, 3], "y0": 0.5})
@@ -730,6 +736,7 @@ def test_next_by_rule_says_when_the_budget_is_spent(run: Run) -> None:
             assert is_beyond == (following is not None and number == 4)
 
 
+@pytest.mark.plugins("online")
 def test_required_times_and_visits_hold_in_each_draw(
     finished: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

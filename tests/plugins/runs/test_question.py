@@ -122,6 +122,7 @@ def test_a_run_without_results_has_a_row_with_its_state(folder: Path, small_job:
     assert row["measurement_times"] is None
 
 
+@pytest.mark.plugins("budget")
 def test_found_times_of_several_numbers_are_compared_with_regular_times_of_the_same(
     small_job: Job, tmp_path: Path
 ) -> None:
