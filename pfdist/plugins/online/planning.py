@@ -299,8 +299,8 @@ class _Outlook:
 
         It may have more instants before now, and more rows of each sensor after those of the job.
         """
-        ways, points = self.replanner.feasible.points.ways, self.replanner.evaluator.points
-        return tuple(points.first(first + time // ways) + time % ways for time in times)
+        ways, rows = self.replanner.feasible.points.ways, self.replanner.evaluator.points.ways
+        return tuple((first + time // ways) * rows + time % ways for time in times)
 
     @property
     def evaluator(self) -> Evaluator:
