@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import ClassVar
 
 from pfdist.common.measurement_times import Times
+from pfdist.constraints.spacing import Spacing
 from pfdist.constraints.step import BROKEN, NEXT, Step, Turn
 
 
@@ -27,6 +28,7 @@ class Apart(Step):
 
     after: Times  # (T+1,): the first instant that is far enough after each
     sensor: int = -1  # -1: all
+    ways: int = 1  # the number of sensors
 
     kind = "apart"
     step = apart_step
@@ -36,6 +38,11 @@ class Apart(Step):
     def is_whole(cls, table: Times, start: Times, ways: int, instants: int) -> bool:
         """Whether the table has all instants."""
         return (len(table), len(start)) == (1 + instants, 1)
+
+    @cached_property
+    def spacing(self) -> Spacing:
+        """The same as a rule for instants, which count from the first."""
+        return Spacing(self.after).since(self.first // self.ways)
 
     def relaxed(self, *, is_in_order: bool) -> str:
         """The spacing of a sensor."""

@@ -93,7 +93,7 @@ class OfSensors(Shared):
                 steps.append(Setup(key=f"{key}.most", ends=ends, most=most, in_order=False))
             if spacing is not None:
                 after, key = spacing.successors, f"{key}.minimum_spacing"
-                steps.append(Apart(key=key, after=after, sensor=way))
+                steps.append(Apart(key=key, after=after, sensor=way, ways=points.ways))
         return cls(steps=tuple(steps))
 
     def fitting(self, points: Points, times: Times, among: Times) -> Times:
@@ -102,11 +102,7 @@ class OfSensors(Shared):
         Sensors do not depend on each other, because these limits exclude a common spacing.
         """
         chosen, ways = list[int](), range(points.ways)
-        apart = {
-            each.sensor: Spacing(each.after).since(points.instant(each.first))
-            for each in self.steps
-            if isinstance(each, Apart)
-        }
+        apart = {each.sensor: each.spacing for each in self.steps if isinstance(each, Apart)}
         most = {way: each.left for each in self.setups for way in ways if each.ends[way]}
         for way in ways:
             own, before = points.of_way(way, among), points.of_way(way, times)

@@ -23,14 +23,14 @@ from pfdist.pages.plots import (
     error_profile,
     gain,
     one_draw,
-    online_shares,
     searches,
-    worth,
 )
 from pfdist.pages.searches import legend_inches
 from pfdist.pages.style import COLUMN_INCHES, styled
 from pfdist.pages.system import _stretch
 from pfdist.plugins.online.draws import OnlineDraws
+from pfdist.plugins.online.figure import online_shares
+from pfdist.plugins.why.figures import worth
 from pfdist.problem.calendar import Calendar
 from pfdist.problem.clock import Clock
 from pfdist.problem.points import Points

@@ -1,4 +1,8 @@
-"""Every public figure: of a run or of tables, in given or new axes, with no legend on data."""
+"""Every public figure: of a run or of tables, in given or new axes, with no legend on data.
+
+They are those of `pfdist.plugins.budget`, `pfdist.plugins.check`, `pfdist.plugins.filter`,
+`pfdist.plugins.fit`, `pfdist.plugins.runs` and `pfdist.plugins.why`, too.
+"""
 
 import inspect
 from collections.abc import Callable, Iterator

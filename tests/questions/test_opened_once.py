@@ -99,7 +99,7 @@ def opened() -> Iterator[set[str]]:
     _watching.clear()
 
 
-@pytest.mark.plugins("online")
+@pytest.mark.plugins("filter", "online", "runs", "why")
 @pytest.mark.usefixtures("undrawn")
 def test_commands_open_no_file_of_a_run_that_files_json_does_not_list(
     small_run: pfdist.Run, tmp_path: Path, said: Callable[..., str], opened: set[str]
