@@ -5,6 +5,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
 from pfdist.common.measurement_times import Times
@@ -96,18 +97,25 @@ class OfSensors(Shared):
                 steps.append(Apart(key=key, after=after, sensor=way, ways=points.ways))
         return cls(steps=tuple(steps))
 
+    @cached_property
+    def _spacings(self) -> dict[int, Spacing]:
+        return {each.sensor: each.spacing for each in self.steps if isinstance(each, Apart)}
+
+    @cached_property
+    def _most(self) -> dict[int, int | None]:
+        """How many measurements a sensor has left; its first point is its number."""
+        return {next(k for k, end in enumerate(s.ends) if end): s.left for s in self.setups}
+
     def fitting(self, points: Points, times: Times, among: Times) -> Times:
         """A largest subset of some points that fits beside sorted times; all are sorted.
 
         Sensors do not depend on each other, because these limits exclude a common spacing.
         """
-        chosen, ways = list[int](), range(points.ways)
-        apart = {each.sensor: each.spacing for each in self.steps if isinstance(each, Apart)}
-        most = {way: each.left for each in self.setups for way in ways if each.ends[way]}
-        for way in ways:
+        chosen = list[int]()
+        for way in range(points.ways):
             own, before = points.of_way(way, among), points.of_way(way, times)
-            spacing = apart.get(way, Spacing.constant(1, points.clock.horizon))
-            new, left = spacing.fitting(before, own), most.get(way)
+            spacing = self._spacings.get(way) or Spacing.constant(1, points.clock.horizon)
+            new, left = spacing.fitting(before, own), self._most.get(way)
             left = len(new) if left is None else max(0, left - len(before))
             chosen += [points.alike(way)[t] for t in new[:left]]
         return tuple(sorted(chosen))
