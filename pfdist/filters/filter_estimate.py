@@ -119,7 +119,7 @@ def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with np.errstate(all="ignore"):
         z = twin.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
-    parts = [np.broadcast_to(np.asarray(way, np.float64), cloud.particles) for way in z]
+    parts = [np.broadcast_to(np.asarray(each, np.float64), cloud.particles) for each in z]
     around: Array = within_half_turn(np.stack(parts, axis=1), mean, model.is_angle)
     return around.T
 

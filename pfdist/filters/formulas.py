@@ -200,7 +200,7 @@ class _Formulas:
         """z, then cosine and sine of each component that is an angle."""
         z = self.model.quantity_of_interest(x, t, p)
         angles = [value for value, is_angle in zip(z, self.is_angle, strict=True) if is_angle]
-        return (*z, *(way(angle) for angle in angles for way in (np.cos, np.sin)))
+        return (*z, *(each(angle) for angle in angles for each in (np.cos, np.sin)))
 
     def estimate(self, x: Any, p: Any) -> tuple[Any, ...]:
         """The mean of z from the weighted means of `quantity`."""

@@ -337,7 +337,7 @@ def _effective_sizes(weight: Array) -> Array:
 def moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]:
     """Mean and variance of weighted particles, (D,); for an angle its direction, and 1 - R."""
     if is_angle:
-        sine, cosine = (np.sum(share * way(values), axis=1) for way in (np.sin, np.cos))
+        sine, cosine = (np.sum(share * each(values), axis=1) for each in (np.sin, np.cos))
         mean: Array = np.arctan2(sine, cosine)
         return mean, np.sum(share * angular_error(values, mean[:, None]), axis=1)
     mean = np.sum(share * values, axis=1)

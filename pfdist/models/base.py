@@ -353,7 +353,7 @@ class StateSpaceModel:
         if not self.sensors:
             every_y, every_v = slice(0, self.components[1]), slice(0, len(self.measurement_noise))
             return (Way("", self, every_y, every_v),)
-        parts, y, v = list[Way](), 0, 0
+        ways, y, v = list[Way](), 0, 0
         for name, sensor in self.sensors.items():
             model = dataclasses.replace(
                 self,
@@ -363,9 +363,9 @@ class StateSpaceModel:
                 sensors={},
             )
             until = y + model.components[1], v + len(sensor.measurement_noise)
-            parts.append(Way(name, model, slice(y, until[0]), slice(v, until[1])))
+            ways.append(Way(name, model, slice(y, until[0]), slice(v, until[1])))
             y, v = until
-        return tuple(parts)
+        return tuple(ways)
 
     @property
     def points(self) -> PointNumbers:

@@ -76,9 +76,9 @@ def recorded(
     models = [model, *map(model.with_parameters, others)]
     changes = {name: _recorded(models, name, instants) for name in own_formulas(model)}
     sensors = {}
-    for way, *of_part in zip(*(each.ways for each in models), strict=True):
+    for way, *of_others in zip(*(each.ways for each in models), strict=True):
         if model.sensors:
-            measuring = [way.model, *(each.model for each in of_part)]
+            measuring = [way.model, *(each.model for each in of_others)]
             formulas = {key: _recorded(measuring, key, instants) for key in MEASURING}
             sensors[way.name] = replace(model.sensors[way.name], log_tails=None, **formulas)
     return dataclasses.replace(model, sensors=sensors, log_tails=None, **changes)

@@ -47,7 +47,7 @@ def log_evidence(
     evidence, order = np.zeros(count), np.arange(count)[:, None]
     with np.errstate(all="ignore"):
         w = noise_of(model.initial_noise, particles, stream, draws, 0, FILTER_INITIAL)
-        x = twin.initial(tuple(way.ravel() for way in w), model.p)
+        x = twin.initial(tuple(each.ravel() for each in w), model.p)
         for t in range(instants):
             check()
             for number, way in enumerate(twin.ways):
@@ -69,7 +69,7 @@ def log_evidence(
                 x = tuple(np.broadcast_to(each, rows.size)[rows.ravel()] for each in x)
             if t + 1 < instants:
                 w = noise_of(model.process_noise, particles, stream, draws, t, FILTER_PROCESS)
-                x = twin.transition(x, t, tuple(way.ravel() for way in w), model.p)
+                x = twin.transition(x, t, tuple(each.ravel() for each in w), model.p)
     return np.where(np.isfinite(evidence), evidence, -np.inf)
 
 

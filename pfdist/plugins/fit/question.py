@@ -170,7 +170,7 @@ class _Group(NamedTuple):
     y: Array  # (R, T+1, m)
 
 
-class _Some(NamedTuple):
+class _Replicates(NamedTuple):
     """Some replicates of a group; picklable."""
 
     model: StateSpaceModel
@@ -470,13 +470,13 @@ class _Fitting:
         self, values: Mapping[str, float], repeat: int = 0, *, is_trial: bool = False
     ) -> float:
         """The log evidence of all replicates, which are shared out to the workers."""
-        parts, stream = list[_Some](), stream_of("fit", self.seed, repeat)
+        parts, stream = list[_Replicates](), stream_of("fit", self.seed, repeat)
         for model, y in self.groups:
             changed, size = model.with_parameters(values), -(-len(y) // self.pool.workers)
             for first in range(0, len(y), size):
                 some = y[first : first + size]
                 how = self.particles, stream, is_trial, self.proposal
-                parts.append(_Some(changed, some, first, *how))
+                parts.append(_Replicates(changed, some, first, *how))
         totals = dict(outcomes(self.pool, _evidence, parts, "the fit"))
         return math.fsum(totals.values())
 
@@ -564,7 +564,7 @@ def _start(
     return start, np.array(bounds)
 
 
-def _evidence(part: _Some) -> float:
+def _evidence(part: _Replicates) -> float:
     try:
         if not part.particles:
             return float(exact_log_evidence(part.model, part.y).sum())

@@ -374,10 +374,10 @@ def _process(lines: _Lines, k: int, move: Move, stream: int) -> list[States] | N
         old_mean, new_mean = (
             _added(np.where(counted & keeps_sum, each, 0.0)) / number for each in (old, drawn)
         )
-        way = move.scale * (drawn - new_mean)
-        new = old_mean + np.sqrt(1.0 - move.scale * move.scale) * (old - old_mean) + way
+        fresh = move.scale * (drawn - new_mean)
+        new = old_mean + np.sqrt(1.0 - move.scale * move.scale) * (old - old_mean) + fresh
         if kind != "normal":
-            new = _on_circle(old + way, kind)
+            new = _on_circle(old + fresh, kind)
         found.append([*np.where(counted, _rounded(new), old)])
     return [*zip(*found, strict=True)]
 

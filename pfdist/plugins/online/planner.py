@@ -414,8 +414,8 @@ class Planner:
 
     def _with_failures(self, y: Any, planned: Sequence[int]) -> Any:
         """A measurement in which planned sensors with `works` have failed if it has no value."""
-        values, parts = np.atleast_1d(y), self._filter.model.ways
-        asked = [parts[self._points.way(each)] for each in planned]
+        values, ways = np.atleast_1d(y), self._filter.model.ways
+        asked = [ways[self._points.way(each)] for each in planned]
         failed = [each.y for each in asked if each.model.works]
         if not failed or values.dtype.kind != "f" or not np.isnan(values).all():
             return y

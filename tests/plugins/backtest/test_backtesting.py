@@ -232,13 +232,13 @@ def test_missing_components_are_missing_in_the_simulated_systems(y: Any) -> None
     both = np.hstack([y, y + 0.5])
     lacking = both.copy()
     lacking[list(SETS[0]), 0] = np.nan
-    whole, way = (errors_of_replicates(work(each, model)) for each in (both, lacking))
+    whole, part = (errors_of_replicates(work(each, model)) for each in (both, lacking))
     coarse = estimates(both[:, 1], SETS[0], noise=2.0)
     which = ~np.isnan(work(both, model, draws=1).judged[:, 0])
-    np.testing.assert_allclose(way.estimates[0, :, 0], coarse[0], atol=1e-9)
-    means_agree(way.foreseen[:1], (coarse[1][which].mean() + (0.01 + 4.0) / 2) / VARIANCE)
-    assert whole.foreseen[0].mean() < way.foreseen[0].mean()
-    np.testing.assert_array_equal(whole.foreseen[1], way.foreseen[1])
+    np.testing.assert_allclose(part.estimates[0, :, 0], coarse[0], atol=1e-9)
+    means_agree(part.foreseen[:1], (coarse[1][which].mean() + (0.01 + 4.0) / 2) / VARIANCE)
+    assert whole.foreseen[0].mean() < part.foreseen[0].mean()
+    np.testing.assert_array_equal(whole.foreseen[1], part.foreseen[1])
 
 
 def test_scenarios_have_their_shares_of_the_simulated_systems(y: Any) -> None:

@@ -235,8 +235,8 @@ class _Block:
     def _noise(self, kind: str, count: int, *key: Any) -> Any:
         """Variates of a kind for each row, (R, count), by its draw."""
         root = jax.random.wrap_key_data(self.given["stream"], impl="threefry2x32")
-        for way in key:
-            root = jax.random.fold_in(root, way)
+        for number in key:
+            root = jax.random.fold_in(root, number)
         keys = jax.vmap(jax.random.fold_in, (None, 0))(root, self.given["draws"])
         return jax.vmap(partial(_variates, kind, count))(keys)
 
@@ -375,7 +375,7 @@ class _Block:
         counted = jnp.where(weight > 0, jnp.stack(z), 0.0)
         mean = jnp.sum(share * counted, axis=2)
         if any(is_angle):  # see `pfdist.filters.interface`
-            sine, cosine = (jnp.sum(share * way(counted), axis=2) for way in (jnp.sin, jnp.cos))
+            sine, cosine = (jnp.sum(share * each(counted), axis=2) for each in (jnp.sin, jnp.cos))
             mean = jnp.where(np.array(is_angle)[:, None], jnp.arctan2(sine, cosine), mean)
         deviation = counted - mean[:, :, None]
         error = deviation**2
